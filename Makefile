@@ -1,0 +1,35 @@
+# `make demo` and `make test` set up what they need in .venv and then run; Python 3.11 or newer and make are enough.
+
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test lint clean
+
+demo: .venv/core
+	$(BIN)/certigym run reach-avoid-v0
+
+test: .venv/test lint
+	$(BIN)/python -m mypy
+	$(BIN)/python -m pytest
+
+lint: .venv/test
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+
+clean:
+	rm -rf .venv build dist
+
+.venv/python:
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one: make PYTHON=/path/to/python" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@touch $@
+
+.venv/core: pyproject.toml .venv/python
+	$(PIP) --editable .
+	@touch $@
+
+.venv/test: pyproject.toml constraints.txt .venv/python
+	$(PIP) --constraint constraints.txt --editable '.[test]'
+	@touch $@ .venv/core

@@ -1,0 +1,95 @@
+"""Multi-agent environments with temporal-logic tasks, controllers with certified bounds, and their validation.
+
+The names below are loaded when they are first used, so importing the package stays cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HERE = Path(__file__).parent
+if not (_HERE / "envs" / "__init__.py").is_file() and (_HERE.parents[1] / "pyproject.toml").is_file():
+    __path__.append(str(_HERE.parents[1]))  # a checkout without its symbolic links (zip archive, Windows)
+
+from .envs.registration import register_suite as _register_suite  # noqa: E402  (after the search path is set)
+
+_register_suite()
+
+if TYPE_CHECKING:
+    from .envs.agent import LinearAgent as LinearAgent
+    from .envs.automaton import Automaton as Automaton
+    from .envs.box import Box as Box
+    from .envs.formula import FormulaError as FormulaError
+    from .envs.hoa import automaton_from_hoa as automaton_from_hoa
+    from .envs.labeling import Proposition as Proposition
+    from .envs.parallel_env import aec_env as aec_env
+    from .envs.parallel_env import parallel_env as parallel_env
+    from .envs.problem import Problem as Problem
+    from .envs.problem_file import load_problem as load_problem
+    from .envs.specification import Specification as Specification
+    from .envs.suite import make_problem as make_problem
+    from .envs.suite import problem_ids as problem_ids
+    from .envs.translate import translate as translate
+    from .synthesis.abstraction import abstract as abstract
+    from .synthesis.certificate import Certificate as Certificate
+    from .synthesis.certificate_file import load_certificate as load_certificate
+    from .synthesis.certificate_file import save_certificate as save_certificate
+    from .synthesis.check import check as check
+    from .synthesis.controller import AgentController as AgentController
+    from .synthesis.controller import Controller as Controller
+    from .synthesis.grid import Grid as Grid
+    from .synthesis.synthesize import Synthesis as Synthesis
+    from .synthesis.synthesize import synthesize as synthesize
+    from .validation.rollout import Rollouts as Rollouts
+    from .validation.rollout import rollout as rollout
+    from .validation.validate import ValidationReport as ValidationReport
+    from .validation.validate import validate as validate
+
+_EXPORTS = {
+    "AgentController": "synthesis.controller",
+    "Automaton": "envs.automaton",
+    "Box": "envs.box",
+    "Certificate": "synthesis.certificate",
+    "Controller": "synthesis.controller",
+    "FormulaError": "envs.formula",
+    "Grid": "synthesis.grid",
+    "LinearAgent": "envs.agent",
+    "Problem": "envs.problem",
+    "Proposition": "envs.labeling",
+    "Rollouts": "validation.rollout",
+    "Specification": "envs.specification",
+    "Synthesis": "synthesis.synthesize",
+    "ValidationReport": "validation.validate",
+    "abstract": "synthesis.abstraction",
+    "aec_env": "envs.parallel_env",
+    "automaton_from_hoa": "envs.hoa",
+    "check": "synthesis.check",
+    "load_certificate": "synthesis.certificate_file",
+    "load_problem": "envs.problem_file",
+    "make_problem": "envs.suite",
+    "parallel_env": "envs.parallel_env",
+    "problem_ids": "envs.suite",
+    "rollout": "validation.rollout",
+    "save_certificate": "synthesis.certificate_file",
+    "synthesize": "synthesis.synthesize",
+    "translate": "envs.translate",
+    "validate": "validation.validate",
+}
+
+__all__ = ["__version__", *sorted(_EXPORTS)]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _EXPORTS:
+        value = getattr(import_module(f".{_EXPORTS[name]}", __name__), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,162 @@
+"""The wheel holds one package, made of the folders; imports go one way, stay light, and never name a bare folder."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import certigym
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("envs", "synthesis", "validation")
+HEAVY = ("matplotlib", "torch", "pygame", "scipy.stats", "stable_baselines3", "PIL")
+
+
+def python(program: str, cwd: Path = ROOT, path: Path = ROOT / "src") -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(path)}
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(target)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = target.glob("*.whl")
+    return built
+
+
+def sources() -> dict[str, Path]:
+    """Module files by their place in the package."""
+    files = {f"certigym/{path.name}": path for path in (ROOT / "src" / "certigym").glob("*.py")}
+    files["certigym/py.typed"] = ROOT / "src" / "certigym" / "py.typed"
+    for folder in FOLDERS:
+        for path in (ROOT / folder).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts:
+                files[f"certigym/{path.relative_to(ROOT).as_posix()}"] = path
+    return files
+
+
+def test_the_wheel_holds_exactly_the_folders(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        inside = {name for name in archive.namelist() if ".dist-info/" not in name}
+        expected = sources()
+        assert inside == set(expected)
+        for name, path in expected.items():
+            assert archive.read(name) == path.read_bytes(), name
+        extra = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
+        assert "certigym = certigym.__main__:main" in archive.read(extra[0]).decode()
+
+
+def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    said = python(
+        "import certigym as cg; print(cg.__file__); print(cg.make_problem('reach-avoid-v0').n_agents)",
+        cwd=tmp_path,
+        path=tmp_path / "site",
+    )
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.split() == [str(tmp_path / "site" / "certigym" / "__init__.py"), "2"]
+
+
+def test_a_checkout_without_links_finds_its_folders(tmp_path: Path) -> None:
+    package = tmp_path / "src" / "certigym"
+    package.mkdir(parents=True)
+    for path in (ROOT / "src" / "certigym").glob("*.py"):
+        (package / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
+    for folder in FOLDERS:
+        (tmp_path / folder).mkdir()
+        for path in (ROOT / folder).glob("*.py"):
+            (tmp_path / folder / path.name).write_bytes(path.read_bytes())
+    said = python("import certigym as cg; print(cg.make_problem('invariance-4-v0').n_agents)", tmp_path, package.parent)
+    assert said.stdout.strip() == "4", said.stderr
+
+
+def test_imports_go_from_envs_to_synthesis_to_validation() -> None:
+    wrong = []
+    for level, folder in enumerate(FOLDERS):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                for target in _imported(node, folder):
+                    if target in FOLDERS[level + 1 :]:
+                        wrong.append(f"{path.relative_to(ROOT)} imports {target}")
+    assert wrong == []
+
+
+def _imported(node: ast.AST, folder: str) -> list[str]:
+    """The folders that an import statement in `folder` names."""
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        base = {0: "", 1: f"certigym.{folder}.", 2: "certigym."}[node.level] + (node.module or "")
+        names = [f"{base}.{alias.name}".replace("..", ".") for alias in node.names]
+    else:
+        return []
+    parts = [name.split(".") for name in names]
+    return [part[1] if part[0] == "certigym" and len(part) > 1 else part[0] for part in parts]
+
+
+def test_the_import_check_sees_every_form() -> None:
+    statements = (
+        "import certigym.synthesis.value",
+        "from certigym import synthesis",
+        "from certigym.synthesis import value",
+        "from certigym.synthesis.value import backup",
+        "from .. import synthesis",
+        "from ..synthesis import value",
+        "from ..synthesis.value import backup",
+        "import synthesis",
+    )
+    for statement in statements:
+        (node,) = ast.parse(statement).body
+        assert "synthesis" in _imported(node, "envs"), statement
+    for statement in ("from . import synthesis_notes", "from .agent import LinearAgent", "import numpy"):
+        (node,) = ast.parse(statement).body
+        assert "synthesis" not in _imported(node, "envs"), statement
+
+
+def test_importing_certigym_is_light() -> None:
+    said = python(f"import sys, certigym; print([name for name in {HEAVY!r} if name in sys.modules])")
+    assert said.stdout.strip() == "[]", said.stderr
+    said = python(
+        "import sys, certigym as cg; [getattr(cg, name) for name in cg.__all__];"
+        f"cg.parallel_env('reach-avoid-v0').reset(seed=0); print([name for name in {HEAVY!r} if name in sys.modules])"
+    )
+    assert said.stdout.strip() == "[]", said.stderr
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_folders_refuse_to_be_imported_by_their_bare_names(folder: str) -> None:
+    said = python(f"import {folder}", path=ROOT)
+    assert said.returncode != 0
+    assert f"ImportError: import `certigym.{folder}`, not `{folder}`" in said.stderr
+
+
+def test_every_exported_name_exists_and_is_listed() -> None:
+    for name in certigym.__all__:
+        assert getattr(certigym, name) is not None
+        assert name in dir(certigym)
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        certigym.nothing  # noqa: B018
+
+
+def test_type_checkers_see_the_exported_names() -> None:
+    text = (ROOT / "src" / "certigym" / "__init__.py").read_text(encoding="utf-8")
+    for name in certigym.__all__:
+        if name != "__version__":
+            assert f"import {name} as {name}\n" in text, name
+
+
+def test_versions_agree() -> None:
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert f'version = "{certigym.__version__}"' in project
