@@ -1,0 +1,105 @@
+"""The built-in translator and MONA give the same minimal automaton, array by array."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from certigym.envs import mona
+from certigym.envs.formula import FormulaError
+from certigym.envs.translate import translate
+from temporal_oracle import random_co_safe, random_formula, text
+
+ABC = ("a", "b", "c")
+needs_mona = pytest.mark.skipif(not mona.mona_available(), reason="the program mona is not on the path")
+
+FORMULAS = [
+    "G (a -> F[0,6] b)",
+    "F[0,6] (a & F[0,6] b)",
+    "!(a <-> X (b <-> X c))",
+    "G[2,5] (a -> X[2] b)",
+    "(!p2 | !p3) U p1",
+    "G F a -> G F b",
+    "F (a & N false)",
+    "(a U b) R (c W a)",
+    "X true",
+    "N false",
+    "true",
+    "false",
+]
+
+
+@needs_mona
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_chosen_formulas(formula: str) -> None:
+    names = (*ABC, "p1", "p2", "p3")
+    ours, theirs = (translate(formula, names, "finite-trace", backend=b) for b in ("builtin", "mona"))
+    assert ours.to_dict() == theirs.to_dict()
+
+
+@needs_mona
+def test_random_finite_trace_formulas() -> None:
+    rng = random.Random(11)
+    for _ in range(150):
+        formula = text(random_formula(rng, ABC, rng.choice([2, 3, 4])))
+        ours, theirs = (translate(formula, ABC, "finite-trace", backend=b) for b in ("builtin", "mona"))
+        assert ours.to_dict() == theirs.to_dict(), formula
+
+
+@needs_mona
+def test_random_co_safe_formulas() -> None:
+    rng = random.Random(12)
+    for _ in range(150):
+        formula = text(random_co_safe(rng, ABC, rng.choice([2, 3, 4])))
+        ours, theirs = (translate(formula, ABC, "co-safe", backend=b) for b in ("builtin", "mona"))
+        assert ours.to_dict() == theirs.to_dict(), formula
+
+
+@needs_mona
+def test_families_and_limits() -> None:
+    names = [f"{kind}_{i}" for i in range(12) for kind in ("safe", "target")]
+    families = {"safe": names[::2], "target": names[1::2]}
+    formula = "all(safe) U (any(target) & all(safe))"
+    ours, theirs = (translate(formula, names, "co-safe", families, b) for b in ("builtin", "mona"))
+    assert ours.to_dict() == theirs.to_dict()
+    with pytest.raises(FormulaError, match="max_states"):
+        translate("F[0,30] a", ABC, "co-safe", backend="mona", max_states=10)
+
+
+def test_a_missing_program_is_an_error_that_names_the_other_back_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mona.shutil, "which", lambda name: None)
+    assert not mona.mona_available()
+    with pytest.raises(ValueError, match=r'`backend`: expected the program mona on the path .* use "builtin"'):
+        translate("F a", ABC, "co-safe", backend="mona")
+
+
+FAKES = [
+    ("exit 3", "mona failed with status 3"),
+    ("echo Transitions:", "cannot read the answer"),
+    (
+        "printf 'Accepting states: 1\\nAutomaton has 2 states\\nTransitions:\\nState 0: X -> state 1\\n'",
+        "not deterministic and complete",
+    ),
+]
+
+
+@pytest.mark.parametrize(("script", "message"), FAKES)
+def test_strange_answers_are_errors(script: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "mona"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
+    with pytest.raises(ValueError, match=message):
+        translate("F a", ABC, "co-safe", backend="mona")
+
+
+def test_a_program_that_hangs_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "mona"
+    program.write_text("#!/bin/sh\nexec sleep 30\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(mona.shutil, "which", lambda name: str(program))
+    monkeypatch.setattr(mona, "_TIMEOUT", 0.2)
+    with pytest.raises(FormulaError, match="mona took more than"):
+        translate("F a", ABC, "co-safe", backend="mona")
