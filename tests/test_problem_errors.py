@@ -1,0 +1,157 @@
+"""Every wrong argument of a problem is refused at construction, by an error that names it, says what came and helps."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from sample_problems import planar, scalar
+
+AGENT = [
+    ({"name": "2nd"}, r"`name`: expected letters.*got '2nd'"),
+    ({"name": 7}, r"`name`: expected letters"),
+    ({"A": [[0.9, 0.1]]}, r"`A`: expected a square matrix, got shape 1 x 2"),
+    ({"A": 0.9}, r"`A`: expected numbers of shape \(any, any\) such as \[\[0.9\]\], got shape \(\)"),
+    ({"A": [["x"]]}, r"`A`: expected numbers.*got 'x'; give plain numbers"),
+    ({"A": [[True]]}, r"`A`: .*got True; give plain numbers"),
+    ({"A": [[1j]]}, r"`A`: .*got 1j; give plain numbers"),
+    ({"A": [[float("nan")]]}, r"`A`: expected finite numbers.*got nan"),
+    ({"A": [[10**400]]}, r"`A`: expected finite numbers"),
+    ({"A": [[1.0], [1.0, 2.0]]}, r"`A`: .*rows of unequal length"),
+    ({"A": []}, r"`A`: expected numbers"),
+    ({"B": [[0.5], [0.5]]}, r"`B`: expected numbers of shape \(1, any\)"),
+    ({"noise_covariance": [[-0.25]]}, r"`noise_covariance`: expected a positive semidefinite matrix.*-0.25"),
+    ({"state_low": [5.0]}, r"`state_low`: expected numbers less than `state_high`, got 5.0 and 5.0 on axis 0"),
+    ({"state_high": [float("inf")]}, r"`state_high`: expected finite numbers.*got inf"),
+    ({"input_low": [6.0]}, r"`input_low`: expected numbers at most `input_high`, got 6.0 and 5.0"),
+    ({"input_low": [-1.0, -1.0]}, r"`input_low`: expected numbers of shape \(1\)"),
+    ({"initial_low": [0.0]}, r"`initial_state`: expected a point or a box.*got both"),
+    ({"initial_state": None, "initial_low": [0.0]}, r"`initial_high`: expected both corners"),
+    ({"initial_state": [0.0, 0.0]}, r"`initial_state`: expected numbers of shape \(1\)"),
+    ({"output_matrix": [[1.0, 0.0]]}, r"`output_matrix`: expected numbers of shape \(any, 1\)"),
+    ({"offset": [0.0, 0.0]}, r"`offset`: expected numbers of shape \(1\)"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), AGENT)
+def test_agent(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        scalar(**changes)
+
+
+def test_covariance_must_be_symmetric() -> None:
+    with pytest.raises(ValueError, match=r"`noise_covariance`: expected a symmetric matrix.*\(S \+ S.T\) / 2"):
+        planar(noise_covariance=[[1.0, 0.5], [0.4, 1.0]])
+    with pytest.raises(ValueError, match="positive semidefinite"):
+        planar(noise_covariance=[[1.0, 2.0], [2.0, 1.0]])
+
+
+GOOD: dict[str, Any] = {"name": "task", "horizon": 3}
+GOAL = {"goal": cg.Proposition("left", [0.0], [5.0])}
+PROBLEM = [
+    ({"name": ""}, r"`name`: expected a line of 1 to 200"),
+    ({"name": "a\nb"}, r"`name`: expected a line"),
+    ({"horizon": 0}, r"`horizon`: expected an integer from 1 to 1000000 \(control steps\), got 0"),
+    ({"horizon": 3.0}, r"`horizon`: .*got 3.0"),
+    ({"horizon": True}, r"`horizon`: .*got True"),
+    ({"agents": []}, r"`agents`: expected a list of at least one LinearAgent"),
+    ({"agents": [scalar(), scalar()]}, r"`agents`: expected different names, got 'left' twice; rename one"),
+    ({"agents": [scalar(initial_state=None)]}, r"`agents`: expected a start for every agent, got none for 'left'"),
+    ({"propositions": [1]}, r"`propositions`: expected a mapping"),
+    ({"propositions": {"2": GOAL["goal"]}}, r"`propositions`: expected letters, digits"),
+    ({"propositions": {"F": GOAL["goal"]}}, r"`propositions.F`: .*a word of the formula language"),
+    ({"propositions": {"goal": {"agent": "left"}}}, r"`propositions.goal`: expected a Proposition or a dict"),
+    ({"propositions": {"goal": cg.Proposition("lefd", [0], [1])}}, r"got 'lefd'; did you mean 'left'\?"),
+    ({"propositions": {"goal": cg.Proposition("d_*", [0], [1])}}, r"expected a pattern that matches an agent, got 'd_"),
+    ({"propositions": {"goal": cg.Proposition("left", [0, 0], [1, 1])}}, r"expected corners of length 1"),
+    ({"propositions": {"goal": cg.Proposition("left", [5.0], [6.0])}}, r"expected a region that meets the workspace"),
+    ({"propositions": {"goal": cg.Proposition("left", [-30], [-20])}}, r"expected a region that meets the workspace"),
+    ({"specification": "F goal"}, r"`specification`: expected a Specification, got 'F goal'"),
+    ({"specification": cg.Specification("F gaol", "co-safe")}, r"gaol"),
+    ({"specification": cg.Specification("G goal", "co-safe")}, r"G"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), PROBLEM)
+def test_problem(changes: dict[str, Any], message: str) -> None:
+    arguments = {
+        "agents": [scalar()],
+        "propositions": GOAL,
+        "specification": cg.Specification("F goal", "co-safe"),
+        **GOOD,
+        **changes,
+    }
+    with pytest.raises(ValueError, match=message):
+        cg.Problem(**arguments)
+
+
+def test_members_of_families_must_be_new_names() -> None:
+    agents = scalar(name="d").copies(2)
+    for other in ("safe_1", "safe"):
+        propositions = {"safe": cg.Proposition("d_*", [0], [1])}
+        if other == "safe":  # a pattern that matches the whole name of one agent of another family
+            agents = (*agents, scalar(name="e"))
+            propositions = {"safe_d": cg.Proposition("d_0", [0], [1]), "safe": cg.Proposition("*_0", [0], [1])}
+        else:
+            propositions[other] = cg.Proposition("d_1", [0], [1])
+        with pytest.raises(ValueError, match="expected new names"):
+            cg.Problem(
+                agents=agents, propositions=propositions, specification=cg.Specification("true", "co-safe"), **GOOD
+            )
+
+
+def test_specification() -> None:
+    with pytest.raises(ValueError, match=r"`formula`: expected exactly one of a formula and an automaton, got none"):
+        cg.Specification()
+    with pytest.raises(ValueError, match=r"`semantics`: expected 'co-safe' or 'finite-trace', got None"):
+        cg.Specification("F a")
+    with pytest.raises(ValueError, match=r"`semantics`: .*got 'LTL'"):
+        cg.Specification("F a", "LTL")
+    automaton = cg.translate("F a", ["a"], "co-safe")
+    assert cg.Specification(automaton=automaton).semantics == "co-safe"
+    with pytest.raises(ValueError, match=r"`semantics`: expected 'co-safe', as the automaton says"):
+        cg.Specification(semantics="finite-trace", automaton=automaton)
+    with pytest.raises(ValueError, match=r"`automaton`: expected propositions among \['goal'\], got 'a'; declare it"):
+        cg.Problem(agents=[scalar()], propositions=GOAL, specification=cg.Specification(automaton=automaton), **GOOD)
+
+
+def test_replace_names_its_argument() -> None:
+    problem = cg.make_problem("reach-avoid-v0")
+    with pytest.raises(ValueError, match=r"`initial_state`: expected numbers of shape \(2\)"):
+        problem.replace(initial_state=[1.0])
+    with pytest.raises(ValueError, match=r"`initial_state`: expected agents among agent_0, agent_1, got 'agent_2'"):
+        problem.replace(initial_state={"agent_2": [1.0]})
+    with pytest.raises(ValueError, match=r"`initial_state`: expected 2 vectors, one per agent, got 1"):
+        problem.replace(initial_state=[[1.0]])
+    with pytest.raises(ValueError, match="`horizon`"):
+        problem.replace(horizon=-1)
+
+
+def test_suite_arguments() -> None:
+    with pytest.raises(ValueError, match=r"got 'reach-avoid-v1'; did you mean 'reach-avoid-v0'\?"):
+        cg.make_problem("reach-avoid-v1")
+    with pytest.raises(ValueError, match=r"`horizn`: no argument of reach-avoid-v0; did you mean `horizon`\?"):
+        cg.make_problem("reach-avoid-v0", horizn=3)
+    with pytest.raises(ValueError, match=r"`n_agents`: expected an integer from 1 to 10000, got 0"):
+        cg.make_problem("invariance-v0", n_agents=0)
+    with pytest.raises(ValueError, match=r"`setting`: expected 'A' or 'B', got 'C'"):
+        cg.make_problem("invariance-v0", setting="C")
+
+
+def test_arrays_are_read_only_and_copied() -> None:
+    given = np.array([[0.9]])
+    agent = scalar(A=given)
+    given[0, 0] = 3.0
+    assert agent.A[0, 0] == 0.9
+    with pytest.raises(ValueError, match="read-only"):
+        agent.A[0, 0] = 1.0
+
+
+def test_messages_stay_on_one_line() -> None:
+    with pytest.raises(ValueError, match="`A`") as caught:
+        scalar(A=[["x\ny" * 100]])
+    assert re.fullmatch(r".{1,300}", str(caught.value))
