@@ -1,0 +1,282 @@
+"""The batched functional core: start, noise, transition, letters, automaton step. Every environment is a view of it.
+
+Agents of equal sizes (d, m, p) form a *block*, whose states are one array (d, n, M): component, agent of the block,
+world. All sums run elementwise in a fixed order, so a world's trajectory does not depend, to the last bit, on how many
+others are computed beside it.
+
+One step, in this order: `x' = A x + B u + c + L z` with `z` standard normal and `L L' = Sigma`; a world in which any
+agent has left its workspace fails (also where another agent would complete the task in the same step); the letter of
+x' is read by the automaton; a co-safe task is accepted on entering an accepting state. Failed and accepted are
+absorbing; the states of decided worlds move on. Reference: THEORY section 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import read_only
+from .labeling import contains, inside, linear
+from .problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Agents of equal sizes, stacked.
+
+    Attributes
+    ----------
+    agents : np.ndarray of int, shape (n,)
+        Their positions in the problem.
+    A, B, C, noise_factor : np.ndarray, shape (d, d, n, 1), (d, m, n, 1), (p, d, n, 1), (d, d, n, 1)
+    offset, state_low, state_high, initial_low, initial_high : np.ndarray, shape (d, n, 1)
+    input_low, input_high : np.ndarray, shape (m, n, 1)
+    identity_output : bool
+        Whether y = x for all of them.
+    propositions, owners : np.ndarray of int, shape (k,)
+        Propositions of these agents, and for each the position of its agent in the block.
+    region_low, region_high : np.ndarray, shape (p, k, 1)
+    columns : np.ndarray of int, shape (d, n)
+        Positions of the components in a joint state.
+    """
+
+    agents: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    noise_factor: np.ndarray
+    offset: np.ndarray
+    state_low: np.ndarray
+    state_high: np.ndarray
+    initial_low: np.ndarray
+    initial_high: np.ndarray
+    input_low: np.ndarray
+    input_high: np.ndarray
+    identity_output: bool
+    propositions: np.ndarray
+    owners: np.ndarray
+    region_low: np.ndarray
+    region_high: np.ndarray
+    columns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """A problem arranged for batches.
+
+    Attributes
+    ----------
+    problem : Problem
+    blocks : tuple of Block
+    position : tuple of (int, int)
+        Per agent: its block, and its place in the block.
+    """
+
+    problem: Problem
+    blocks: tuple[Block, ...]
+    position: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> Dynamics:
+        """Return the dynamics of a problem."""
+        members: dict[tuple[int, int, int], list[int]] = {}
+        for i, agent in enumerate(problem.agents):
+            members.setdefault((agent.n_states, agent.n_inputs, agent.n_outputs), []).append(i)
+        place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
+        blocks = tuple(_block(problem, group) for group in members.values())
+        return cls(problem, blocks, tuple(place[i] for i in range(problem.n_agents)))
+
+
+@dataclass(frozen=True, eq=False)
+class Worlds:
+    """A batch of M worlds at one time.
+
+    Attributes
+    ----------
+    states : tuple of np.ndarray, shape (d, n, M)
+        One array per block.
+    q : np.ndarray of int32, shape (M,)
+        Automaton states; they stand still from the failure on.
+    time : int
+        Control steps taken.
+    failed, accepted : np.ndarray of bool, shape (M,)
+        At most one of them holds; both are absorbing. Accepted is never set for finite-trace tasks.
+    """
+
+    states: tuple[np.ndarray, ...]
+    q: np.ndarray
+    time: int
+    failed: np.ndarray
+    accepted: np.ndarray
+
+    @property
+    def n_worlds(self) -> int:
+        """Number of worlds M."""
+        return int(self.q.size)
+
+
+def initial(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> Worlds:
+    """Return worlds at time 0, their starts drawn uniformly from the start boxes; a fixed start draws nothing."""
+    states = []
+    for block in dynamics.blocks:
+        width = block.initial_high - block.initial_low
+        shape = (*width.shape[:2], n_worlds)
+        start = np.broadcast_to(block.initial_low, shape).copy()
+        if width.any():
+            start += width * rng.random(shape)
+            # Rounding can carry a draw to the upper corner, which half-open neighbours own.
+            last = np.where(width > 0.0, np.nextafter(block.initial_high, -np.inf), block.initial_high)
+            start = np.minimum(start, last)
+        states.append(start)
+    return _begin(dynamics, tuple(states))
+
+
+def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
+    """Return worlds at time 0 with given joint states (M, D), components in agent order."""
+    states = np.asarray(states, dtype=float)
+    n_states = dynamics.problem.n_states
+    if states.ndim != 2 or states.shape[1] != n_states:
+        raise ValueError(f"`states`: expected shape (number of worlds, {n_states}), got {states.shape}")
+    return _begin(dynamics, split_joint(dynamics, states))
+
+
+def noise(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
+    """Return standard normal numbers for one step, one array (d, n, M) per block."""
+    return tuple(rng.standard_normal((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks)
+
+
+def transition(
+    dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]
+) -> Worlds:
+    """Return the worlds one step later.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+    worlds : Worlds
+        Before the horizon.
+    inputs : sequence of np.ndarray, shape (m, n, M)
+        One array per block, used as they are: keeping them in the input box is the caller's duty.
+    normals : sequence of np.ndarray, shape (d, n, M)
+        As `noise` draws them.
+
+    Raises
+    ------
+    ValueError
+        If the worlds are at the horizon.
+    """
+    if worlds.time >= dynamics.problem.horizon:
+        raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
+    states = tuple(successor(block, x, u, z) for block, x, u, z in zip(dynamics.blocks, worlds.states, inputs, normals))
+    failed = worlds.failed | (~worlds.accepted & _outside(dynamics, states))
+    return _read(dynamics, states, worlds.q, worlds.time + 1, failed, worlds.accepted)
+
+
+def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return `A x + B u + c + L z`, shape (d, n, M): the one place where agents move.
+
+    The states of a decided world under an unstable A may grow beyond all numbers; infinity and NaN lie outside every
+    workspace.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return linear(block.A, x) + linear(block.B, u) + block.offset + linear(block.noise_factor, z)
+
+
+def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
+    """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block."""
+    result = np.zeros((len(dynamics.problem.propositions), states[0].shape[-1]), dtype=bool)
+    for block, x in zip(dynamics.blocks, states):
+        if block.propositions.size:
+            with np.errstate(over="ignore", invalid="ignore"):
+                y = x if block.identity_output else linear(block.C, x)
+            result[block.propositions] = contains(y[:, block.owners], block.region_low, block.region_high)
+    return result
+
+
+def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
+    """Whether the task is satisfied so far, bool (M,): a finite-trace task can be so at the horizon only."""
+    automaton = dynamics.problem.automaton
+    if automaton.semantics == "co-safe":
+        return worlds.accepted
+    judged = worlds.time == dynamics.problem.horizon
+    return judged & ~worlds.failed & np.asarray(automaton.accepting)[worlds.q]
+
+
+def joint(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
+    """Return the joint states, shape (M, D), components in agent order."""
+    result = np.empty((worlds.n_worlds, dynamics.problem.n_states))
+    for block, x in zip(dynamics.blocks, worlds.states):
+        result[:, block.columns] = np.moveaxis(x, -1, 0)
+    return result
+
+
+def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return joint states (M, D) as one array (d, n, M) per block."""
+    return tuple(np.ascontiguousarray(np.moveaxis(states[:, block.columns], 0, -1)) for block in dynamics.blocks)
+
+
+def _begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
+    n_worlds = states[0].shape[-1]
+    q = np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32)
+    accepted = np.zeros(n_worlds, dtype=bool)
+    return _read(dynamics, states, q, 0, _outside(dynamics, states), accepted)
+
+
+def _read(
+    dynamics: Dynamics,
+    states: tuple[np.ndarray, ...],
+    q: np.ndarray,
+    time: int,
+    failed: np.ndarray,
+    accepted: np.ndarray,
+) -> Worlds:
+    """Let the automaton read the letters of the states, in worlds that have not failed."""
+    automaton = dynamics.problem.automaton
+    following = automaton.next_state(q, letters(dynamics, states))
+    q = np.where(failed, q, following).astype(np.int32)
+    if automaton.semantics == "co-safe":
+        accepted = accepted | (~failed & np.asarray(automaton.accepting)[q])
+    return Worlds(states, read_only(q), time, read_only(failed), read_only(accepted))
+
+
+def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
+    """Whether any agent is outside its workspace, bool (M,)."""
+    result = np.zeros(states[0].shape[-1], dtype=bool)
+    for block, x in zip(dynamics.blocks, states):
+        result |= ~inside(x, block.state_low, block.state_high).all(axis=0)
+    return result
+
+
+def _block(problem: Problem, group: list[int]) -> Block:
+    agents = [problem.agents[i] for i in group]
+    labeling = problem.labeling
+    starts = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
+
+    def stacked(arrays: Sequence[np.ndarray | None]) -> np.ndarray:
+        return read_only(np.stack([np.asarray(a) for a in arrays], axis=-1)[..., None])
+
+    regions_low = np.concatenate([labeling.low[i] for i in group], axis=1)
+    regions_high = np.concatenate([labeling.high[i] for i in group], axis=1)
+    counts = [len(labeling.agent_propositions[i]) for i in group]
+    return Block(
+        agents=read_only(np.array(group)),
+        A=stacked([a.A for a in agents]),
+        B=stacked([a.B for a in agents]),
+        C=stacked([a.output_matrix for a in agents]),
+        noise_factor=stacked([a.noise_factor for a in agents]),
+        offset=stacked([a.offset for a in agents]),
+        state_low=stacked([a.state_low for a in agents]),
+        state_high=stacked([a.state_high for a in agents]),
+        initial_low=stacked([a.initial_low for a in agents]),
+        initial_high=stacked([a.initial_high for a in agents]),
+        input_low=stacked([a.input_low for a in agents]),
+        input_high=stacked([a.input_high for a in agents]),
+        identity_output=all(a.has_identity_output for a in agents),
+        propositions=read_only(np.concatenate([labeling.agent_propositions[i] for i in group])),
+        owners=read_only(np.repeat(np.arange(len(group)), counts)),
+        region_low=read_only(regions_low[..., None]),
+        region_high=read_only(regions_high[..., None]),
+        columns=read_only(np.stack([starts[i] + np.arange(agents[0].n_states) for i in group], axis=1)),
+    )
