@@ -1,0 +1,20 @@
+"""Invariance of 4 agents: `invariance_v0` with `n_agents` = 4, whose page describes it.
+
+**Arguments**: `horizon` (7), `setting` ("A").
+
+**Versions**: v0, first.
+"""
+
+from __future__ import annotations
+
+from . import invariance_v0
+from .problem import Problem
+from .suite import environments
+
+
+def problem(horizon: int = 7, setting: str = "A") -> Problem:
+    """Return the problem IV-4."""
+    return invariance_v0.problem(n_agents=4, horizon=horizon, setting=setting)
+
+
+parallel_env, env, raw_env = environments("invariance-4-v0")
