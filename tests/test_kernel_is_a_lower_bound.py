@@ -1,0 +1,55 @@
+"""Every kernel entry is at most the true Gaussian mass of its cell, and misses no more than it says."""
+
+import mpmath
+import numpy as np
+import pytest
+
+from certigym.synthesis.kernel import Kernel, gaussian_masses
+
+mpmath.mp.dps = 50
+
+
+def true_mass(mean: float, low: float, high: float, std: float) -> mpmath.mpf:
+    a, b = (
+        (mpmath.mpf(low) - mpmath.mpf(mean)) / mpmath.mpf(std),
+        (mpmath.mpf(high) - mpmath.mpf(mean)) / mpmath.mpf(std),
+    )
+    return mpmath.ncdf(b) - mpmath.ncdf(a) if b < 0 else mpmath.ncdf(-a) - mpmath.ncdf(-b)
+
+
+@pytest.mark.parametrize("std", [0.05, 0.5, 3.0])
+def test_entries_are_below_the_true_masses_and_tight(std: float) -> None:
+    edges = np.linspace(-5.0, 5.0, 41)
+    means = np.array([-6.1, -4.875, -0.125, 0.0, 0.1, 2.49, 4.9, 5.3])
+    masses, loss = gaussian_masses(means, edges, std)
+    for z, row in zip(means, masses):
+        missing = mpmath.mpf(0)
+        for s, entry in enumerate(row):
+            truth = true_mass(z, edges[s], edges[s + 1], std)
+            assert mpmath.mpf(float(entry)) <= truth
+            assert truth - mpmath.mpf(float(entry)) <= mpmath.mpf(1e-12) * truth + mpmath.mpf(1e-12) + mpmath.mpf(1e-60)
+            missing += truth - mpmath.mpf(float(entry))
+        assert missing <= loss <= 1e-11
+
+
+def test_the_standard_deviation_is_used_not_the_variance() -> None:
+    masses, _ = gaussian_masses(np.zeros(1), np.array([-0.5, 0.5]), 0.5)
+    assert masses[0, 0] == pytest.approx(0.6826894921370859, abs=1e-13)
+
+
+def test_rows_sum_to_at_most_one() -> None:
+    masses, _ = gaussian_masses(np.linspace(-1, 1, 201), np.linspace(-9, 9, 3001), 0.3)
+    assert np.all(masses.sum(axis=1) <= 1.0)
+
+
+def test_pushing_and_smoothing_are_adjoint_in_two_dimensions() -> None:
+    rng = np.random.default_rng(3)
+    first, _ = gaussian_masses(np.linspace(-1, 1, 7), np.linspace(-1, 1, 6), 0.4)
+    second, _ = gaussian_masses(np.linspace(0, 1, 4), np.linspace(0, 1, 4), 0.2)
+    kernel = Kernel((first, second))
+    values, masses = rng.random((2, 15)), rng.random((3, 15))
+    law = rng.integers(-1, 28, size=15)
+    expected = kernel.smooth(values)[:, np.maximum(law, 0)] * (law >= 0)
+    np.testing.assert_allclose(masses @ expected.T, kernel.push(masses, law) @ values.T, rtol=1e-13)
+    table = np.einsum("as,bt->abst", first, second).reshape(28, 15)
+    np.testing.assert_allclose(kernel.smooth(values), values @ table.T, rtol=1e-13)
