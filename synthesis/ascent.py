@@ -1,0 +1,320 @@
+"""Occupancy-weighted coordinate ascent on decentralised policies.
+
+A sweep goes forward once under the current policies, keeping the alive mass ``mu_t,q = sum_k prod_i m_k,i``, and then
+backward through the value tree. With the masked next-step terms ``g_l`` of state q, agent i's exact best response at
+time t is, for every cell s (THEORY section 5),
+
+    argmax_u  sum_l omega_l(s) (P_u g_l,i)(s),     omega_l(s) = sum_k m_k,i(s) prod_{j != i} < m_k,j , P_j^pi g_l,j > .
+
+Agents answer in turn. Without pruning the value at the start never falls; with pruning it may, so callers keep the
+best policy and evaluate it with frozen laws before reporting anything (``sweep(..., improve=False)``).
+
+Terms are pruned by contribution, ``<mu_t,q , term>``; what is dropped is charged with the leftover mass of a truncated
+occupancy included, so that ``dropped`` is an upper bound on the loss at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from .best_response import Law, best_targets
+from .grid import FloatArray
+from .joint import JointModel
+from .occupancy import Occupancy, push
+from .terms import IndexArray, Merges, Terms, compress
+from .value import Candidates, assemble, candidates, gather, terminal_terms
+
+Laws = tuple[NDArray[np.int32], ...]
+"""Per agent (T, Q, S_i): target of each cell by time and automaton state; -1 where none is admissible."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much a sweep may leave out.
+
+    Parameters
+    ----------
+    contribution : float
+        Share of the value of one (time, state) that pruned terms may amount to.
+    elsewhere : float
+        A term is kept in spite of that if its share of the value averaged over all cells exceeds this.
+    mass : float
+        Share of the alive mass that may be dropped per step.
+    rank : int
+        Most terms per state, of the value and of the mass.
+    """
+
+    contribution: float = 1e-9
+    elsewhere: float = 1e-3
+    mass: float = 1e-9
+    rank: int = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Which vertices the value tree kept at one time, enough to grow it again (see ``check``).
+
+    Per automaton state: rows (guard, term of the next step), how rows were united, and which rows became terms.
+    """
+
+    origin: tuple[IndexArray, ...]
+    merges: tuple[Merges, ...]
+    kept: tuple[IndexArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Outcome of one pass over all times.
+
+    Parameters
+    ----------
+    laws : Laws
+        Policies the value belongs to.
+    terms : Terms
+        Value function at time 0.
+    value : float
+        Value at the start (a lower bound up to rounding).
+    dropped : float
+        Upper bound on what pruning took from ``value``.
+    rank : int
+        Largest number of terms of one state at any time.
+    skeleton : tuple of Skeleton
+        The tree, by time.
+    """
+
+    laws: Laws
+    terms: Terms
+    value: float
+    dropped: float
+    rank: int
+    skeleton: tuple[Skeleton, ...]
+
+
+def resting_laws(joint: JointModel) -> Laws:
+    """Every agent stays where it is, at all times and states."""
+    shape = (joint.horizon, joint.n_states, 1)
+    return tuple(np.tile(model.resting_law, shape) for model in joint.models)
+
+
+def forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Alive mass at times 0 .. T - 1."""
+    occupancies = [start]
+    for t in range(joint.horizon - 1):
+        step = [law[t] for law in laws]
+        last = occupancies[-1]
+        occupancies.append(push(last, step, joint.guards, joint.masks, joint.models, limits.mass, limits.rank))
+    return occupancies
+
+
+def start_value(start: Occupancy, terms: Terms) -> float:
+    """``sum_q <mu_0,q , V_q>``."""
+    total = 0.0
+    for q, rows in enumerate(start.terms.index):
+        if len(rows) and len(terms.index[q]):
+            inner = [m @ v.T for m, v in zip(start.terms.factors, terms.factors, strict=True)]
+            total += float(_product(inner, rows, terms.index[q]).sum())
+    return total
+
+
+def sweep(joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool) -> Sweep:
+    """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
+
+    Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
+    norms); the value is then reported as 0.
+    """
+    nowhere = Terms(
+        tuple(np.zeros((0, n)) for n in joint.n_cells),
+        ((np.zeros((0, len(joint.models)), dtype=np.int64)),) * joint.n_states,
+    )
+    if start is None:
+        occupancies = [Occupancy(nowhere, 0.0)] * joint.horizon
+    else:
+        occupancies = forward(joint, laws, start, limits)
+    laws = tuple(law.copy() for law in laws)
+    terms = terminal_terms(joint.accepting, joint.n_cells)
+    dropped, rank, skeletons = 0.0, terms.rank, []
+    ones = [np.ones((1, n)) for n in joint.n_cells]
+    for t in reversed(range(joint.horizon)):
+        options = candidates(joint.guards, joint.masks, joint.models, terms)
+        parts, kept = [], []
+        for q in range(joint.n_states):
+            if joint.absorbing[q]:
+                rows = np.zeros((int(joint.accepting[q]), len(joint.models)), dtype=np.int64)
+                parts.append((ones, rows))
+                kept.append(np.zeros(0, dtype=np.int64))
+                continue
+            stage = _Stage(joint, options, occupancies[t], q, [law[t, q] for law in laws])
+            if improve and len(stage.rows):
+                stage.improve()
+                for law, better in zip(laws, stage.laws, strict=True):
+                    law[t, q] = better
+            keep, loss = stage.prune(limits)
+            dropped += loss
+            parts.append(stage.part(keep))
+            kept.append(options.row[q][keep])
+        terms = assemble(parts, joint.n_cells)
+        rank = max(rank, terms.rank)
+        skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+    value = 0.0 if start is None else start_value(start, terms)
+    return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+
+
+class _Stage:
+    """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' laws."""
+
+    def __init__(
+        self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, laws: Sequence[Law]
+    ) -> None:
+        self.models, self.laws, self.leftover = joint.models, list(laws), occupancy.leftover
+        self.rows = options.index[q].copy()
+        self.smoothed, self.values = [], []
+        for i, law in enumerate(self.laws):
+            table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
+            self.smoothed.append(table)
+            self.values.append(gather(table, law))
+        self.mass_rows = occupancy.terms.index[q]
+        self.is_met = len(self.mass_rows) > 0
+        if self.is_met:
+            self.mass_rows = self.mass_rows.copy()
+            self.mass = []
+            for i, factors in enumerate(occupancy.terms.factors):
+                own, self.mass_rows[:, i] = compress(factors, self.mass_rows[:, i])
+                self.mass.append(own)
+        else:
+            self.mass = [np.full((1, model.n_cells), 1.0 / model.n_cells) for model in self.models]
+            self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
+
+    def improve(self) -> None:
+        """Let every agent answer once, in order.
+
+        Cells that the alive mass does not meet are weighed as if the other agents might be anywhere.
+        """
+        n_agents = len(self.models)
+        chosen = self._heaviest(n_agents)
+        met = _Others([self._inner(i)[chosen[:, i]][:, self.rows[:, i]] for i in range(n_agents)])
+        anywhere = _Others([own.mean(axis=1)[self.rows[:, i]] for i, own in enumerate(self.values)])
+        answers: dict[tuple[int, bytes, bytes], Law] = {}
+        for i, model in enumerate(self.models):
+            n_mass, n_values = len(self.mass[i]), len(self.values[i])
+            if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
+                key = (id(model), self.smoothed[i].tobytes(), self.laws[i].tobytes())
+                if key not in answers:
+                    answers[key] = best_targets(model, np.ones((model.n_cells, 1)), self.smoothed[i], self.laws[i])
+                self.laws[i] = answers[key]
+            else:
+                weights = self.mass[i].T @ _collect(met.product(), chosen[:, i], n_mass, self.rows[:, i], n_values)
+                unmet = ~np.any(weights > 0, axis=1)
+                if unmet.any():
+                    weights[unmet] = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
+                self.laws[i] = best_targets(model, weights, self.smoothed[i], self.laws[i])
+            self.values[i] = gather(self.smoothed[i], self.laws[i])
+            met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
+            anywhere.replace(self.values[i].mean(axis=1)[self.rows[:, i]])
+
+    def _heaviest(self, n_agents: int) -> IndexArray:
+        """Mass terms to weigh decisions with: all of them, unless the work arrays would not fit into memory."""
+        room = max(1, 30_000_000 // (n_agents * max(1, len(self.rows))))
+        if len(self.mass_rows) <= room:
+            return self.mass_rows
+        mass = np.ones(len(self.mass_rows))
+        for i, own in enumerate(self.mass):
+            mass *= own.sum(axis=1)[self.mass_rows[:, i]]
+        return self.mass_rows[np.sort(np.argsort(-mass, kind="stable")[:room])]
+
+    def _inner(self, i: int) -> FloatArray:
+        """(mass factors, value factors) inner products of agent i."""
+        inner: FloatArray = self.mass[i] @ self.values[i].T
+        return inner
+
+    def prune(self, limits: Limits) -> tuple[IndexArray, float]:
+        """Terms to keep and an upper bound on the loss at the start."""
+        if len(self.rows) == 0:
+            return np.zeros(0, dtype=np.int64), 0.0
+        met = np.zeros(len(self.rows))
+        if self.is_met:
+            met = _product([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows)
+        anywhere = np.ones(len(self.rows))
+        for i, own in enumerate(self.values):
+            anywhere *= own.mean(axis=1)[self.rows[:, i]]
+        drop = _small(met, limits.contribution) & (anywhere <= limits.elsewhere * anywhere.sum())
+        if (~drop).sum() > limits.rank:
+            importance = _share(met) + limits.elsewhere * _share(anywhere)
+            importance[drop] = -1.0
+            drop[np.argsort(-importance, kind="stable")[limits.rank :]] = True
+        keep = np.flatnonzero(~drop)
+        sup = np.ones(len(self.rows))
+        for i, own in enumerate(self.values):
+            sup *= own.max(axis=1)[self.rows[:, i]]
+        return keep, float(met[drop].sum() + self.leftover * min(1.0, sup[drop].sum()))
+
+    def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
+        """Factors of each agent and rows of the kept terms."""
+        rows, factors = self.rows[keep], []
+        for i, own in enumerate(self.values):
+            used, rows[:, i] = compress(own, rows[:, i])
+            factors.append(used)
+        return factors, rows
+
+
+class _Others:
+    """Products of per-agent arrays over all agents but one, the agents being replaced one after the other."""
+
+    def __init__(self, factors: Sequence[FloatArray]) -> None:
+        self.before = np.ones_like(factors[0])
+        self.after = [self.before]
+        for factor in reversed(factors[1:]):
+            self.after.append(self.after[-1] * factor)
+
+    def product(self) -> FloatArray:
+        """Product over the agents other than the current one."""
+        return self.before * self.after[-1]
+
+    def replace(self, factor: FloatArray) -> None:
+        """Set the current agent's factor and go on to the next agent."""
+        self.before = self.before * factor
+        self.after.pop()
+
+
+def _product(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
+    """``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
+    total = np.zeros(len(rows))
+    chunk = max(1, 4_000_000 // max(1, len(rows)))
+    for first in range(0, len(mass_rows), chunk):
+        part = mass_rows[first : first + chunk]
+        product = inner[0][part[:, 0]][:, rows[:, 0]]
+        for i in range(1, len(inner)):
+            product *= inner[i][part[:, i]][:, rows[:, i]]
+        total += product.sum(axis=0)
+    return total
+
+
+def _collect(values: FloatArray, rows: IndexArray, n_rows: int, columns: IndexArray, n_columns: int) -> FloatArray:
+    """Sum entries of ``values`` that share a row number and a column number: (K, L) -> (n_rows, n_columns)."""
+    if n_columns < len(columns) or not np.array_equal(columns, np.arange(n_columns)):
+        pick = scipy.sparse.csr_array(
+            (np.ones(len(columns)), (columns, np.arange(len(columns)))), (n_columns, len(columns))
+        )
+        values = (pick @ values.T).T
+    if n_rows < len(rows) or not np.array_equal(rows, np.arange(n_rows)):
+        pick = scipy.sparse.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (n_rows, len(rows)))
+        values = pick @ values
+    return values
+
+
+def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:
+    """The smallest values, as many as add up to at most ``share`` of the total."""
+    order = np.argsort(values, kind="stable")
+    small = np.zeros(len(values), dtype=bool)
+    small[order[np.cumsum(values[order]) <= share * values.sum()]] = True
+    return small
+
+
+def _share(values: FloatArray) -> FloatArray:
+    """Values as shares of their total."""
+    total = values.sum()
+    return values / total if total > 0 else values

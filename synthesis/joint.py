@@ -1,0 +1,136 @@
+"""What dynamic programming needs of a problem: agent models, guards, masks and start, compiled once.
+
+The start is an occupancy like any other: the point or box of initial states as a product over agents, after the letter
+of time 0 has been read (``qbar_0 = next_state(q_0, l_0)``, THEORY section 0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs.problem import Problem
+from .abstraction import Abstraction, AgentModel
+from .grid import FloatArray
+from .guards import Guards, compile_guards
+from .occupancy import Occupancy
+from .terms import Terms
+from .value import cell_masks
+
+
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """Agent models joined by the robust automaton.
+
+    Parameters
+    ----------
+    models : tuple of AgentModel
+    guards : Guards
+        Disjoint guards between automaton states.
+    masks : tuple of (K_i, S_i) arrays
+        Guards' factors on the cells of each agent.
+    accepting : (Q,) bool array
+    absorbing : (Q,) bool array
+        States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
+    horizon : int
+        Control steps T.
+    """
+
+    models: tuple[AgentModel, ...]
+    guards: Guards
+    masks: tuple[NDArray, ...]
+    accepting: NDArray[np.bool_]
+    absorbing: NDArray[np.bool_]
+    horizon: int
+
+    @property
+    def n_cells(self) -> tuple[int, ...]:
+        """Cells of each agent."""
+        return tuple(model.n_cells for model in self.models)
+
+    @property
+    def n_states(self) -> int:
+        """Automaton states Q."""
+        return len(self.accepting)
+
+
+def join(problem: Problem, abstraction: Abstraction) -> JointModel:
+    """Compile the guards of ``problem`` over the cells of ``abstraction``."""
+    automaton = problem.automaton
+    guards = compile_guards(problem, [model.label_sets for model in abstraction.models])
+    goal = automaton.accepting if automaton.semantics == "co-safe" else np.zeros(automaton.n_states, dtype=bool)
+    return JointModel(
+        models=abstraction.models,
+        guards=guards,
+        masks=cell_masks(guards, abstraction.models),
+        accepting=np.asarray(automaton.accepting, dtype=bool),
+        absorbing=np.asarray(goal | automaton.dead, dtype=bool),
+        horizon=problem.horizon,
+    )
+
+
+def start_of(problem: Problem, joint: JointModel) -> Occupancy:
+    """Occupancy at time 0 for the problem's initial states: points, or a uniform distribution over boxes.
+
+    The mass of a box is spread over the cells it overlaps; starts outside the workspace carry none.
+    """
+    boxes = [agent.initial for agent in problem.agents]
+    if all(np.array_equal(box.low, box.high) for box in boxes):
+        return point_start(problem, joint, [box.low for box in boxes])
+    factors = [_overlap(model, box.low, box.high) for box, model in zip(boxes, joint.models, strict=True)]
+    return _read_first_letter(problem, joint, factors)
+
+
+def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray]) -> Occupancy:
+    """Occupancy at time 0 for one joint state, a sequence of (d_i,) vectors; its true letter is read."""
+    automaton = problem.automaton
+    q = int(automaton.next_state(np.asarray(automaton.initial), problem.labeling.letter(states)))
+    factors = []
+    for agent, model, state in zip(problem.agents, joint.models, states, strict=True):
+        mass = np.zeros((1, model.n_cells))
+        if np.all((agent.workspace.low <= state) & (state <= agent.workspace.high)):
+            mass[0, _cell(model, state)] = 1.0
+        factors.append(mass)
+    alive = all(mass.any() for mass in factors) and not automaton.dead[q]
+    n_agents = len(factors)
+    rows = [np.zeros((int(alive and other == q), n_agents), dtype=np.int64) for other in range(joint.n_states)]
+    return Occupancy(Terms(tuple(factors), tuple(rows)), 0.0)
+
+
+def _cell(model: AgentModel, state: FloatArray) -> int:
+    """Cell of one state (d,)."""
+    return int(model.grid.cell_of(np.linalg.solve(model.relation.coordinates, state)[:, None])[0])
+
+
+def _overlap(model: AgentModel, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Share (S,) of the start box in each cell inside the workspace."""
+    if not model.relation.has_state_coordinates:
+        raise ValueError(
+            "`initial_low`, `initial_high`: expected an `initial_state` for an agent with correlated noise, got a box; "
+            "its cells are no boxes in state space, so give a point"
+        )
+    return model.grid.overlap(low, high) * (model.labels >= 0)
+
+
+def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:
+    """Distribute a product over agents by the guards out of the automaton's initial state."""
+    initial = problem.automaton.initial
+    n_agents = len(factors)
+    if joint.absorbing[initial]:
+        alive = bool(joint.accepting[initial])
+        per_state = [np.zeros((int(alive and q == initial), n_agents), dtype=np.int64) for q in range(joint.n_states)]
+        return Occupancy(Terms(tuple(f[None] for f in factors), tuple(per_state)), 0.0)
+    masked = tuple(mask * factor for mask, factor in zip(joint.masks, factors, strict=True))
+    guards = joint.guards
+    index = []
+    for q in range(joint.n_states):
+        chosen = np.flatnonzero((guards.source == initial) & (guards.target == q))
+        rows = guards.mask[chosen].astype(np.int64)
+        alive_rows = np.ones(len(rows), dtype=bool)
+        for i, own in enumerate(masked):
+            alive_rows &= np.any(own != 0, axis=1)[rows[:, i]]
+        index.append(rows[alive_rows])
+    return Occupancy(Terms(masked, tuple(index)), 0.0)
