@@ -1,0 +1,252 @@
+"""Certificates: a lower bound, the policies it belongs to, and everything needed to check it again.
+
+A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
+policies. It holds the value tree's skeleton (which vertices were kept), so that the bound can be computed again from
+the policies by a short separate program (``check``), and the value function at time 0, so that other starts can be
+asked for: at every state the value there is a lower bound too (THEORY section 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs.problem import Problem
+from .ascent import Skeleton
+from .controller import AgentController, Controller
+from .grid import FloatArray, Grid
+from .relation import ExactRelation, exact_relation
+from .terms import Terms
+
+MAX_JOINT_CELLS = 20_000_000
+"""Largest number of joint cells over which ``min`` is taken cell by cell."""
+
+EXACT_GAP = 1e-6
+"""A value is called exact when lower bound and upper bound of the closed loop are closer than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPart:
+    """What a certificate stores of one agent: grid, grid coordinates, lattice, guards' masks on the cells, policy.
+
+    Parameters
+    ----------
+    grid : Grid
+    coordinates : (d, d) array
+        State = coordinates @ grid coordinates.
+    lattice : tuple of (Z_k,) arrays
+        Target means per axis.
+    masks : (K, S) bool array
+        Factors of the guards on the cells.
+    law : (T, Q, S) int32 array
+        Target of each cell, -1 for none.
+    """
+
+    grid: Grid
+    coordinates: FloatArray
+    lattice: tuple[FloatArray, ...]
+    masks: NDArray[np.bool_]
+    law: NDArray[np.int32]
+
+    @property
+    def lattice_shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """A certified lower bound on the satisfaction probability of the continuous closed loop.
+
+    Parameters
+    ----------
+    problem : Problem
+        What it is about.
+    method : str
+        Relation, bound and policy search, in words.
+    bound : str
+        Name of the bound that gives ``lower_bound``.
+    start : str
+        ``"point"``: the bound holds from the problem's initial state; ``"mean"``: on average over a start drawn
+        uniformly from the initial boxes.
+    lower_bound : float
+        Certified lower bound at the problem's start.
+    gap : float or None
+        If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this very controller.
+    exact : bool
+        Whether the probability is known to ``EXACT_GAP``: the bound is then tested by rollouts from both sides.
+    relative_rounding : float
+        Relative reserve for floating point, also taken off in ``at``, ``mean`` and ``min``.
+    agents : tuple of AgentPart
+    guard_source, guard_target : (G,) int32 arrays
+        Automaton states that each guard connects.
+    guard_mask : (G, I) int32 array
+        Factor of each agent in each guard, an index into ``agents[i].masks``.
+    skeleton : tuple of Skeleton
+        Vertices of the value tree, by time.
+    terms : Terms
+        Value function at time 0.
+    rank : int
+        Largest number of terms of one automaton state.
+    settings : dict
+        Every setting of abstraction and policy search.
+    """
+
+    problem: Problem
+    method: str
+    bound: str
+    start: str
+    lower_bound: float
+    gap: float | None
+    exact: bool
+    relative_rounding: float
+    agents: tuple[AgentPart, ...]
+    guard_source: NDArray[np.int32]
+    guard_target: NDArray[np.int32]
+    guard_mask: NDArray[np.int32]
+    skeleton: tuple[Skeleton, ...]
+    terms: Terms
+    rank: int
+    settings: dict[str, Any]
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controllers the bound belongs to."""
+        parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
+        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law) for a, p, r in parts)
+        return Controller(self.problem, tuple(controllers))
+
+    @cached_property
+    def _relations(self) -> tuple[ExactRelation, ...]:
+        return tuple(exact_relation(a, p.coordinates) for a, p in zip(self.problem.agents, self.agents, strict=True))
+
+    def at(self, states: Any) -> FloatArray:
+        """Lower bounds (M,) on the satisfaction probability from each of M joint initial states.
+
+        Parameters
+        ----------
+        states : array_like, shape (M, D) or (D,), or mapping from agent name to (d_i,) vector
+            Joint states in agent order, ``D = sum d_i``, in state units. A single state gives an array of length 1.
+
+        Raises
+        ------
+        ValueError
+            If the shape does not fit.
+        """
+        joint = self._joint_states(states)
+        automaton = self.problem.automaton
+        cells = np.empty((len(joint), len(self.agents)), dtype=np.int64)
+        inside = np.ones(len(joint), dtype=bool)
+        split = np.split(joint, np.cumsum([a.n_states for a in self.problem.agents])[:-1], axis=1)
+        holds = []
+        for i, (agent, part, own) in enumerate(zip(self.problem.agents, self.agents, split, strict=True)):
+            inside &= np.all((agent.workspace.low <= own) & (own <= agent.workspace.high), axis=1)
+            cells[:, i] = part.grid.cell_of(self._relations[i].to_grid(own.T))
+            holds.append(self.problem.labeling.class_at(i, own.T))
+        q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
+        values = np.zeros(len(joint))
+        for state in np.unique(q):
+            here = np.flatnonzero(inside & (q == state))
+            for chunk in np.array_split(here, max(1, len(here) * len(self.terms.index[state]) // 2_000_000 + 1)):
+                values[chunk] = self.terms.at(int(state), cells[chunk])
+        return self._rounded(values)
+
+    def mean(self, low: Any, high: Any) -> float:
+        """Lower bound on the satisfaction probability from a start drawn uniformly from the box ``[low, high)``.
+
+        Parameters
+        ----------
+        low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
+            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
+            the letters that are certain in it.
+        """
+        weights = self._box(low, high)
+        return float(self._rounded(np.array([self._unread.total(0, weights)]))[0])
+
+    def min(self, low: Any, high: Any) -> float:
+        """Lower bound on the satisfaction probability from every start in the box: the smallest value of its cells.
+
+        Raises
+        ------
+        ValueError
+            If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
+        """
+        cells = [np.flatnonzero(w) for w in self._box(low, high)]
+        shape = tuple(len(own) for own in cells)
+        count = float(np.prod(shape, dtype=float))
+        if count > MAX_JOINT_CELLS:
+            raise ValueError(
+                f"`low`, `high`: expected at most {MAX_JOINT_CELLS} joint cells, got {count:.3g}; ask for a smaller box"
+            )
+        smallest, chunk = np.inf, max(1, 2_000_000 // max(1, len(self._unread.index[0])))
+        for first in range(0, int(count), chunk):
+            numbers = np.unravel_index(np.arange(first, min(first + chunk, int(count))), shape)
+            joint = np.column_stack([own[n] for own, n in zip(cells, numbers, strict=True)])
+            smallest = min(smallest, float(self._unread.at(0, joint).min()))
+        return float(self._rounded(np.array([smallest if count else 0.0]))[0])
+
+    @cached_property
+    def _unread(self) -> Terms:
+        """Value before the first letter is read, as terms of a single state: the guards out of the initial state."""
+        initial = self.problem.automaton.initial
+        if self.problem.automaton.semantics == "co-safe" and self.problem.automaton.accepting[initial]:
+            return Terms(self.terms.factors, (self.terms.index[initial],))
+        chosen = np.flatnonzero(self.guard_source == initial)
+        counts = [len(self.terms.index[q]) for q in self.guard_target[chosen]]
+        guard = np.repeat(chosen, counts)
+        child = np.concatenate(
+            [self.terms.index[q] for q in self.guard_target[chosen]] or [np.zeros((0, len(self.agents)), int)]
+        )
+        factors, rows = [], np.zeros(child.shape, dtype=np.int64)
+        for i, part in enumerate(self.agents):
+            pairs, rows[:, i] = np.unique(
+                self.guard_mask[guard, i].astype(np.int64) * len(self.terms.factors[i]) + child[:, i],
+                return_inverse=True,
+            )
+            mask, factor = np.divmod(pairs, max(1, len(self.terms.factors[i])))
+            factors.append(part.masks[mask] * self.terms.factors[i][factor])
+        return Terms(tuple(factors), (rows,))
+
+    def _rounded(self, values: FloatArray) -> FloatArray:
+        return np.clip(values * (1.0 - self.relative_rounding), 0.0, 1.0)
+
+    def _joint_states(self, states: Any) -> FloatArray:
+        """States as an (M, D) array."""
+        if isinstance(states, dict):
+            missing = sorted(set(self.problem.agent_names) ^ set(states))
+            if missing:
+                raise ValueError(f"`states`: expected one vector per agent, got a mismatch at {', '.join(missing[:5])}")
+            states = np.concatenate(
+                [np.atleast_1d(np.asarray(states[n], dtype=float)) for n in self.problem.agent_names]
+            )
+        joint = np.atleast_2d(np.asarray(states, dtype=float))
+        if joint.ndim != 2 or joint.shape[1] != self.problem.n_states:
+            raise ValueError(f"`states`: expected shape (M, {self.problem.n_states}), got {joint.shape}")
+        return joint
+
+    def _box(self, low: Any, high: Any) -> list[FloatArray]:
+        """Share of the box in each agent's cells; it sums to 1 where the box lies inside the workspace."""
+        corners = self._joint_states(low)[0], self._joint_states(high)[0]
+        splits = np.cumsum([a.n_states for a in self.problem.agents])[:-1]
+        weights = []
+        for i, (a, b) in enumerate(zip(*(np.split(corner, splits) for corner in corners), strict=True)):
+            if np.any(a > b):
+                raise ValueError(
+                    f"`low`, `high`: expected low <= high for agent `{self.problem.agent_names[i]}`, got {a} and {b}"
+                )
+            if not self._relations[i].has_state_coordinates:
+                raise ValueError(
+                    f"`low`, `high`: agent `{self.problem.agent_names[i]}` has correlated noise and cells that are no "
+                    "boxes in state space; ask for points with `at`"
+                )
+            weights.append(self.agents[i].grid.overlap(a, b))
+        return weights

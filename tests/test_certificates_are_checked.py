@@ -1,0 +1,212 @@
+"""Every certificate survives the independent check, on disk too, and no tampered one does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.certificate import Certificate
+from certigym.synthesis.terms import Terms
+from problems import scalar_agent, two_agents
+
+
+@pytest.fixture(scope="module")
+def certificate() -> Certificate:
+    return cg.synthesize(two_agents(horizon=5).replace(initial_state=[3.6, 0.4]), 64).certificate
+
+
+def with_agent(certificate: Certificate, i: int, **changes: Any) -> Certificate:
+    agents = list(certificate.agents)
+    agents[i] = replace(agents[i], **changes)
+    return replace(certificate, agents=tuple(agents))
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        two_agents(horizon=5),
+        two_agents("F (a & F c) & G[0,2] !b", horizon=5),
+        two_agents("G (b -> X d)", "finite-trace", horizon=3),
+        two_agents(horizon=3, initial_state=None, initial_low=[-3.0], initial_high=[-1.0]),
+        cg.make_problem("reach-avoid-n-v0", n_agents=3),
+        cg.make_problem("invariance-4-v0"),
+    ],
+    ids=lambda problem: f"{problem.specification.formula}-{problem.agents[0].initial.low}",
+)
+def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: Path) -> None:
+    certificate = cg.synthesize(problem, 48).certificate
+    report = cg.check(certificate, problem)
+    assert report, report
+    assert certificate.lower_bound <= report.recomputed <= certificate.lower_bound + 1e-8
+    cg.save_certificate(certificate, tmp_path / "c.npz")
+    loaded = cg.load_certificate(tmp_path / "c.npz")
+    assert cg.check(loaded, problem)
+    assert loaded.lower_bound == certificate.lower_bound
+    assert loaded.fingerprint == problem.fingerprint
+    state = np.concatenate([agent.initial.low for agent in problem.agents])
+    np.testing.assert_array_equal(loaded.at(state), certificate.at(state))
+
+
+def test_the_bound_elsewhere_is_that_of_the_dense_value(certificate: Certificate) -> None:
+    from certigym.synthesis.abstraction import abstract
+    from certigym.synthesis.oracle import dense_value
+
+    problem = certificate.problem
+    models = abstract(problem, 64).models
+    dense = dense_value(problem, models, tuple(part.law for part in certificate.agents))
+    rng = np.random.default_rng(1)
+    states = rng.uniform(-4, 4, size=(200, 2))
+    bounds = certificate.at(states)
+    for state, bound in zip(states, bounds):
+        letter = problem.labeling.letter([state[:1], state[1:]])
+        q = int(problem.automaton.next_state(problem.automaton.initial, letter))
+        cells = tuple(int(m.grid.cell_of(x[:, None])[0]) for m, x in zip(models, (state[:1], state[1:])))
+        assert bound <= dense[(q, *cells)]
+    assert certificate.at([[9.0, 0.0]])[0] == 0.0
+    grid = np.array([[a, b] for a in np.arange(1.03125, 3, 0.125) for b in np.arange(0.0625, 1, 0.125)])
+    assert certificate.mean([1.0, 0.0], [3.0, 1.0]) == pytest.approx(np.mean(certificate.at(grid)), rel=1e-9)
+    assert certificate.min([1.0, 0.0], [3.0, 1.0]) == pytest.approx(np.min(certificate.at(grid)), rel=1e-9)
+
+
+def raise_the_bound(c: Certificate) -> Certificate:
+    return replace(c, lower_bound=c.lower_bound + 1e-6)
+
+
+def command_beyond_the_inputs(c: Certificate) -> Certificate:
+    return with_agent(c, 0, law=np.where(c.agents[0].law >= 0, 0, -1).astype(np.int32))
+
+
+def use_another_policy(c: Certificate) -> Certificate:
+    laws = c.agents[0].law.copy()
+    laws[:, :, 20:50] = np.maximum(laws[:, :, 20:50] - 1, laws[:, :, 20:50].min())
+    return with_agent(c, 0, law=laws)
+
+
+def narrow_the_cells(c: Certificate) -> Certificate:
+    grid = cg.Grid((c.agents[0].grid.edges[0] * 0.99,))
+    return with_agent(c, 0, grid=grid)
+
+
+def let_guards_overlap(c: Certificate) -> Certificate:
+    return with_agent(c, 0, masks=np.ones_like(c.agents[0].masks))
+
+
+def swap_targets(c: Certificate) -> Certificate:
+    return replace(c, guard_target=c.guard_target[::-1].copy())
+
+
+def count_a_vertex_twice(c: Certificate) -> Certificate:
+    first = c.skeleton[0]
+    kept = tuple(np.concatenate([rows, rows[:1]]) for rows in first.kept)
+    return replace(c, skeleton=(replace(first, kept=kept), *c.skeleton[1:]))
+
+
+def inflate_the_value_elsewhere(c: Certificate) -> Certificate:
+    factors = (c.terms.factors[0] * 1.001, c.terms.factors[1])
+    return replace(c, terms=Terms(factors, c.terms.index))
+
+
+def drop_the_last_step(c: Certificate) -> Certificate:
+    problem = c.problem.replace(horizon=c.problem.horizon - 1)
+    return replace(c, problem=problem)
+
+
+@pytest.mark.parametrize(
+    "tamper",
+    [
+        raise_the_bound, command_beyond_the_inputs, use_another_policy, narrow_the_cells, let_guards_overlap,
+        swap_targets, count_a_vertex_twice, inflate_the_value_elsewhere, drop_the_last_step,
+    ],
+)  # fmt: skip
+def test_tampered_certificates_are_refused(
+    certificate: Certificate, tamper: Callable[[Certificate], Certificate]
+) -> None:
+    original = certificate.problem
+    assert cg.check(certificate, original)
+    report = cg.check(tamper(certificate), original)
+    assert not report
+    assert report.failures
+
+
+def test_a_certificate_for_another_noise_is_refused(certificate: Certificate) -> None:
+    agents = [agent.replace(noise_covariance=[[0.3]]) for agent in certificate.problem.agents]
+    other = two_agents(horizon=5)
+    other = cg.Problem(
+        name="two", horizon=5, agents=agents, propositions=other.propositions, specification=other.specification
+    )
+    assert not cg.check(certificate, other)
+    assert not cg.check(replace(certificate, problem=other))
+
+
+def rewrite_header(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(bytes(arrays["header"]).decode())
+    change(header)
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda h: h.update(version=99),
+        lambda h: h.update(format="other"),
+        lambda h: h.update(lower_bound=2.0),
+        lambda h: h.update(fingerprint="0" * 64),
+        lambda h: h["problem"].update(horizon=3),
+        lambda h: h.pop("agents"),
+        lambda h: h["agents"][0].update(law=10**6),
+        lambda h: h["agents"][0].update(law=h["guards"][0]),
+        lambda h: h.update(skeleton=[]),
+    ],
+)
+def test_inconsistent_files_are_refused_in_one_line(certificate: Certificate, tmp_path: Path, change: Any) -> None:
+    path = tmp_path / "c.npz"
+    cg.save_certificate(certificate, path)
+    rewrite_header(path, change)
+    with pytest.raises(ValueError, match="expected a certigym certificate"):
+        cg.load_certificate(path)
+
+
+def test_damaged_and_hostile_files_are_refused(certificate: Certificate, tmp_path: Path) -> None:
+    path = tmp_path / "c.npz"
+    cg.save_certificate(certificate, path)
+    data = path.read_bytes()
+    for bad in (b"", b"hello", data[: len(data) // 2], data[:-7]):
+        path.write_bytes(bad)
+        with pytest.raises(ValueError, match="expected a certigym certificate"):
+            cg.load_certificate(path)
+    np.savez(path, header=np.array([{"format": "certigym-certificate"}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="expected a certigym certificate"):
+        cg.load_certificate(path)
+
+
+def test_the_exact_relation_needs_inputs_for_every_state() -> None:
+    agent = cg.LinearAgent(
+        name="cart", A=[[1, 0.5], [0, 1]], B=[[0], [0.5]], noise_covariance=[[0.1, 0], [0, 0.1]], state_low=[-1, -1],
+        state_high=[1, 1], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="cart", horizon=2, agents=[agent], propositions={"g": cg.Proposition("cart", [0, 0], [1, 1])},
+        specification=cg.Specification("F g", "co-safe"),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="full row rank"):
+        cg.synthesize(problem, 8)
+
+
+def test_singular_noise_is_refused_with_advice() -> None:
+    agent = scalar_agent("one", noise_covariance=[[0.0]])
+    problem = cg.Problem(
+        name="still", horizon=2, agents=[agent], propositions={"g": cg.Proposition("one", [0], [1])},
+        specification=cg.Specification("F g", "co-safe"),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="positive definite"):
+        cg.synthesize(problem, 8)
