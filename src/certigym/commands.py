@@ -1,0 +1,194 @@
+"""What each sub-command of the command line does; every function returns an exit status."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from .envs.agent import LinearAgent
+from .envs.problem import Problem
+from .envs.problem_file import load_problem
+from .envs.suite import make_problem, problem_ids
+from .synthesis.certificate import Certificate
+from .synthesis.certificate_file import load_certificate, save_certificate
+from .synthesis.check import check as check_certificate
+from .synthesis.synthesize import Synthesis
+from .synthesis.synthesize import synthesize as synthesize_problem
+from .validation.validate import ValidationReport, shown_bound
+from .validation.validate import validate as validate_certificate
+
+
+def problems(options: Namespace) -> int:
+    """List the suite."""
+    rows = []
+    for name in problem_ids():
+        problem = make_problem(name)
+        rows.append({"id": name, "agents": problem.n_agents, "horizon": problem.horizon,
+                     "semantics": problem.automaton.semantics, "task": _task(problem)})  # fmt: skip
+    width = max(len(str(row["id"])) for row in rows)
+    if options.json != "-":
+        for row in rows:
+            size = f"{row['agents']:>3} agents  T={row['horizon']:<3}"
+            print(f"{row['id']:<{width}}  {size} {row['semantics']:<12} {row['task']}")
+    return _write(options, rows)
+
+
+def describe(options: Namespace) -> int:
+    """Show a problem."""
+    problem = _problem(options)
+    automaton = problem.automaton
+    lines = [
+        f"{problem.name}: {problem.n_agents} agents, horizon {problem.horizon}, {automaton.semantics}",
+        f"task: {_task(problem)}",
+    ]
+    for agent in problem.agents[:12]:
+        lines += _agent_lines(agent)
+    if problem.n_agents > 12:
+        lines.append(f"... and {problem.n_agents - 12} more agents")
+    names = list(problem.propositions.items())
+    lines += [f"proposition {n}: agent {p.agent} in [{_vector(p.low)}, {_vector(p.high)})" for n, p in names[:24]]
+    if len(names) > 24:
+        lines.append(f"... and {len(names) - 24} more propositions")
+    accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
+    lines.append(
+        f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
+        f"accepting {accepting}"
+    )
+    lines.append(f"fingerprint: {problem.fingerprint}")
+    if options.json != "-":
+        print("\n".join(lines))
+    return _write(options, {**problem.to_dict(), "fingerprint": problem.fingerprint})
+
+
+def run(options: Namespace) -> int:
+    """Synthesize, validate, report: the main job."""
+    result = _synthesize(options)
+    if options.out:
+        save_certificate(result.certificate, options.out)
+    return _validate(options, result, None)
+
+
+def synthesize(options: Namespace) -> int:
+    """Synthesize and save."""
+    certificate = (result := _synthesize(options)).certificate
+    save_certificate(certificate, options.out)
+    summary = {
+        "problem": certificate.problem.name, "horizon": certificate.problem.horizon, "method": certificate.method,
+        "bound": certificate.bound, "start": certificate.start, "lower_bound": certificate.lower_bound,
+        "gap": certificate.gap, "exact": certificate.exact, "rank": certificate.rank,
+        "fingerprint": certificate.fingerprint, "seconds": result.stats["seconds"], "certificate": options.out,
+    }  # fmt: skip
+    if options.json != "-":
+        claim = shown_bound(certificate.lower_bound, certificate.gap)
+        print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}")
+        print(f"saved to {options.out}")
+    return _write(options, summary)
+
+
+def validate(options: Namespace) -> int:
+    """Test a saved certificate."""
+    return _validate(options, load_certificate(options.certificate), _state(options))
+
+
+def check(options: Namespace) -> int:
+    """Verify a saved certificate without simulation."""
+    certificate = load_certificate(options.certificate)
+    problem = None
+    if options.problem is not None:
+        problem = _load(options.problem, options.horizon)
+    report = check_certificate(certificate, problem)
+    if options.json != "-":
+        print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}")
+    recomputed = None if np.isnan(report.recomputed) else report.recomputed
+    status = _write(options, {"valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed,
+                              "failures": list(report.failures), "fingerprint": certificate.fingerprint})  # fmt: skip
+    return status if report else 1
+
+
+def _synthesize(options: Namespace) -> Synthesis:
+    problem = _problem(options)
+    cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
+    with tqdm(desc="synthesize", unit=" sweeps", disable=None, leave=False) as bar:
+
+        def report(text: str, value: float) -> None:
+            bar.set_postfix_str(f"value {value:.6f}")
+            bar.update()
+
+        return synthesize_problem(problem, cells, progress=report)
+
+
+def _validate(options: Namespace, result: Synthesis | Certificate, initial_state: Any) -> int:
+    with tqdm(total=options.episodes, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar:
+        report: ValidationReport = validate_certificate(
+            result, options.episodes, options.seed, confidence=options.confidence, initial_state=initial_state,
+            progress=lambda n: bar.update(n) and None,
+        )  # fmt: skip
+    if options.json != "-":
+        print(report)
+    status = _write(options, report.to_dict())
+    return 1 if report.refuted else status
+
+
+def _load(name: str, horizon: int | None) -> Problem:
+    """Problem by suite id or file name."""
+    if name in problem_ids():
+        problem = make_problem(name)
+    elif Path(name).is_file():
+        problem = load_problem(name)
+    else:
+        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
+    return problem if horizon is None else problem.replace(horizon=horizon)
+
+
+def _problem(options: Namespace) -> Problem:
+    problem = _load(options.problem, options.horizon)
+    state = _state(options)
+    return problem if state is None else problem.replace(initial_state=state)
+
+
+def _state(options: Namespace) -> list[float] | None:
+    """Joint state given by ``--initial-state``, separated by blanks or commas."""
+    if options.initial_state is None:
+        return None
+    words = " ".join(options.initial_state).replace(",", " ").split()
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"`--initial-state`: expected numbers, got {' '.join(words)!r}") from None
+
+
+def _agent_lines(agent: LinearAgent) -> list[str]:
+    """Dynamics, boxes and start of one agent."""
+    low, high = agent.initial.low, agent.initial.high
+    start = _vector(low) if np.array_equal(low, high) else f"{_vector(low)} .. {_vector(high)}"
+    workspace = f"{_vector(agent.workspace.low)} .. {_vector(agent.workspace.high)}"
+    inputs = f"{_vector(agent.input_box.low)} .. {_vector(agent.input_box.high)}"
+    return [
+        f"agent {agent.name}: x' = A x + B u + c + w, A = {agent.A.tolist()}, B = {agent.B.tolist()}, "
+        f"c = {_vector(agent.offset)}, covariance of w {agent.noise_covariance.tolist()}",
+        f"    workspace {workspace}, inputs {inputs}, start {start}",
+    ]
+
+
+def _task(problem: Problem) -> str:
+    return problem.specification.formula or "given as an automaton"
+
+
+def _vector(values: Any) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
+
+
+def _write(options: Namespace, data: Any) -> int:
+    """Write JSON where ``--json`` asks for it."""
+    if options.json == "-":
+        json.dump(data, sys.stdout, indent=2, allow_nan=False)
+        print()
+    elif options.json is not None:
+        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return 0

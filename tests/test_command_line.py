@@ -1,0 +1,156 @@
+"""The command line does the main job, reports it as JSON, and answers bad input with one line and status 2."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from certigym.__main__ import main
+
+TASK = """
+name = "hop"
+horizon = 3
+[[agents]]
+name = "left"
+A = [[0.9]]
+B = [[0.5]]
+noise_covariance = [[0.25]]
+state_low = [-4.0]
+state_high = [4.0]
+input_low = [-4.0]
+input_high = [4.0]
+initial_state = [-1.0]
+[propositions]
+goal = { agent = "left", low = [2.0], high = [4.0] }
+[specification]
+formula = "F goal"
+semantics = "co-safe"
+"""
+
+KEYS = {
+    "problem", "horizon", "method", "lower_bound", "exact", "episodes", "successes", "estimate", "ci_low", "ci_high",
+    "confidence", "verdict", "rank", "seconds",
+}  # fmt: skip
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> str:
+    path = tmp_path / "task.toml"
+    path.write_text(TASK)
+    return str(path)
+
+
+def test_run_synthesizes_validates_and_reports(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "r.json"
+    assert main(["run", task, "--cells", "80", "--episodes", "5000", "--seed", "3", "--json", str(out)]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads(out.read_text())
+    assert set(report) >= KEYS
+    assert set(report["seconds"]) == {"abstract", "synthesize", "validate"}
+    assert report["problem"] == "hop" and report["horizon"] == 3 and report["episodes"] == 5000
+    assert report["verdict"] in ("confirmed", "consistent") and report["verdict"] in printed
+    assert report["estimate"] == report["successes"] / 5000
+    assert report["ci_low"] <= report["estimate"] <= report["ci_high"]
+
+
+def test_synthesize_check_and_validate_hand_a_certificate_over(
+    task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cert, out = str(tmp_path / "c.npz"), str(tmp_path / "v.json")
+    assert main(["synthesize", task, "--cells", "40", "--horizon", "5", "--initial-state", "-2", "--out", cert]) == 0
+    assert main(["check", cert]) == 0
+    assert main(["check", cert, "--problem", task]) == 1  # another horizon and start
+    assert "NOT valid" in capsys.readouterr().out
+    assert main(["validate", cert, "--episodes", "2000", "--json", out]) == 0
+    report = json.loads(Path(out).read_text())
+    assert set(report) >= KEYS
+    assert report["horizon"] == 5 and report["seconds"]["synthesize"] is None
+    assert main(["validate", cert, "--episodes", "2000", "--initial-state", "-3.5", "--json", out]) == 0
+    assert json.loads(Path(out).read_text())["lower_bound"] < report["lower_bound"]
+
+
+def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cert = str(tmp_path / "c.npz")
+    assert main(["synthesize", task, "--cells", "40", "--out", cert]) == 0
+    import certigym.commands as commands
+    from certigym.synthesis.certificate_file import load_certificate
+
+    def boastful(path: str) -> object:
+        from dataclasses import replace
+
+        return replace(load_certificate(path), lower_bound=0.9999)
+
+    monkeypatch.setattr(commands, "load_certificate", boastful)
+    assert main(["validate", cert, "--episodes", "2000"]) == 1
+
+
+def test_problems_lists_ids_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["problems"]) == 0
+    ids = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert {"reach-avoid-v0", "invariance-4-v0", "invariance-20-v0", "package-delivery-v0"} <= set(ids)
+    for name in ids:
+        assert main(["describe", name]) == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "nowhere"],
+        ["run", "reach-avoid-v0", "--horizon", "0"],
+        ["run", "reach-avoid-v0", "--cells", "0"],
+        ["run", "reach-avoid-v0", "--cells", "1"],
+        ["run", "reach-avoid-v0", "--cells", "10", "10", "10"],
+        ["run", "reach-avoid-v0", "--cells", "20", "--episodes", "0"],
+        ["run", "reach-avoid-v0", "--cells", "20", "--confidence", "1"],
+        ["run", "reach-avoid-v0", "--cells", "20", "--seed", "-1"],
+        ["run", "reach-avoid-v0", "--initial-state", "1"],
+        ["run", "reach-avoid-v0", "--initial-state", "one", "two"],
+        ["run", "reach-avoid-v0", "--initial-state", "nan,0"],
+        ["run", "reach-avoid-v0", "--cells", "20", "--episodes", "10", "--json", "/nowhere/at/all.json"],
+        ["validate", "nowhere.npz"],
+        ["check", "pyproject.toml"],
+        ["synthesize", "reach-avoid-v0", "--cells", "20", "--out", "/nowhere/at/all.npz"],
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if "it/s" not in line and line.strip()]
+    assert len(lines) == 1 and lines[0].startswith("certigym: "), captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_help_imports_no_numpy_and_unknown_options_exit_with_2() -> None:
+    code = (
+        "import sys; from certigym.__main__ import build_parser as b; b().format_help(); print('scipy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+    done = subprocess.run([sys.executable, "-m", "certigym", "run"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+
+
+def test_initial_states_may_be_negative_and_separated_by_commas(task: str, tmp_path: Path) -> None:
+    out = tmp_path / "r.json"
+    bounds = []
+    for state in (["--initial-state", "-10,-3"], ["--initial-state=-10,-3"], ["--initial-state", "-10", "-3"]):
+        arguments = [
+            "run",
+            "reach-avoid-v0",
+            "--cells",
+            "50",
+            "--episodes",
+            "100",
+            "--horizon",
+            "5",
+            *state,
+            "--json",
+            str(out),
+        ]
+        assert main(arguments) == 0
+        bounds.append(json.loads(out.read_text())["lower_bound"])
+    assert bounds[0] == bounds[1] == bounds[2] > 0.5
