@@ -169,7 +169,10 @@ class BatchController:
             shapes.append((block.B.shape[1], len(block.agents)))
         return cls(tuple(blocks), tuple(shapes))
 
-    def inputs(self, worlds: Worlds) -> tuple[FloatArray, ...]:
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
+        """Nothing is remembered: cell, automaton state and time are read off the worlds."""
+
+    def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
         """Inputs (m, n, M) per block."""
         result = []
         for groups, (m, n), states in zip(self.blocks, self.shapes, worlds.states, strict=True):
@@ -177,7 +180,7 @@ class BatchController:
             for group in groups:
                 inputs[:, group.members] = _stacked_inputs(group, states[:, group.members], worlds.q, worlds.time)
             result.append(inputs)
-        return tuple(result)
+        return tuple(result), None
 
 
 def _signature(agent: AgentController) -> object:

@@ -142,7 +142,7 @@ def test_batched_and_single_controllers_agree_to_the_last_bit() -> None:
 
     rng = np.random.default_rng(0)
     worlds = core.initial_at(dynamics, rng.uniform(-4, 4, size=(50, 3)))
-    batch = controller.batch(dynamics).inputs(worlds)
+    batch, _ = controller.batch(dynamics).act(worlds, None)
     for i, agent in enumerate(problem.agents):
         block, place = dynamics.position[i]
         for w in range(50):

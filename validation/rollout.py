@@ -2,8 +2,8 @@
 
 Worlds are simulated in chunks of fixed size. Each chunk draws its starts and its noise from a generator of its own,
 ``SeedSequence(seed, spawn_key=(chunk,))``, and draws them whatever the policy does: results do not depend on the order
-in which chunks are computed, and two policies with one seed meet the same noise (common random numbers). The chunk size
-is part of the record.
+in which chunks are computed, and two policies with one seed meet the same noise (common random numbers). Auxiliary
+draws of a policy come from a stream of their own, ``spawn_key=(chunk, 1)``. The chunk size is part of the record.
 """
 
 from __future__ import annotations
@@ -24,10 +24,13 @@ CHUNK = 2000
 
 
 class BatchPolicy(Protocol):
-    """Anything that chooses the inputs of all worlds at once."""
+    """Anything that chooses the inputs of all worlds at once; what it remembers is handed to it and handed back."""
 
-    def inputs(self, worlds: Worlds) -> tuple[NDArray[np.float64], ...]:
-        """Inputs (m, n, M) per block of the dynamics."""
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> Any:
+        """Memory at time 0; ``rng`` serves auxiliary draws of the policy, of which there are none for most."""
+
+    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[NDArray[Any], ...], Any]:
+        """Inputs (m, n, M) per block of the dynamics, and the memory for the next step."""
 
 
 class Batchable(Protocol):
@@ -117,8 +120,10 @@ def run_chunk(dynamics: Dynamics, policy: BatchPolicy, seed: int, number: int, s
     """Success of the worlds of one chunk, always ``size`` of them, so that every episode keeps its noise."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     worlds = core.initial(dynamics, rng, size)
+    memory = policy.begin(worlds, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1))))
     for _ in range(dynamics.problem.horizon):
         if np.all(worlds.failed | worlds.accepted):
             break
-        worlds = core.transition(dynamics, worlds, policy.inputs(worlds), core.noise(dynamics, rng, size))
+        inputs, memory = policy.act(worlds, memory)
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, size))
     return np.asarray(core.satisfied(dynamics, worlds))
