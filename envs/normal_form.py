@@ -87,14 +87,12 @@ class Terms:
         return self._make(operator, (left, right))
 
     def window(self, operator: str, bounds: tuple[int, int], body: Term) -> Term:
-        """Return the window ``F[]`` or ``G[]`` with these bounds; windows of one letter move inside & and |."""
+        """Return the window ``F[]`` or ``G[]`` with these bounds; a window of a window is one window."""
         low, high = bounds
         if high == 0 or body is (self.false if operator == "F[]" else self.true):
             return body
         if body.operator == operator and body.bounds is not None:
             return self.window(operator, (low + body.bounds[0], high + body.bounds[1]), body.operands[0])
-        if low == high and body.operator in ("&", "|") and not body.propositional:
-            return self.join(body.operator, [self.window(operator, bounds, part) for part in self.parts(body)])
         return self._make(operator, (body,), bounds=bounds)
 
     def parts(self, term: Term) -> list[Term]:

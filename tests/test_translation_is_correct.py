@@ -297,6 +297,36 @@ def test_windows_within_windows_stay_small() -> None:
     assert translate(chain, ABC, "co-safe").n_states < 20
 
 
+DEEP = {
+    "parity": "(b <-> X ({}))",
+    "next and": "X (b & {})",
+    "weak until": "(({}) W b)",
+    "until": "(a U ({}))",
+    "strong release": "(({}) M b)",
+    "not": "!{}",
+    "implication": "(a -> ({}))",
+}
+
+
+@pytest.mark.parametrize("shape", DEEP)
+def test_deep_nesting_is_translated_or_refused(shape: str) -> None:
+    """Never a RecursionError, also from deep inside another program, and no exponential blow-up."""
+
+    def translated(formula: str, frames: int = 250) -> Automaton:
+        if frames:
+            return translated(formula, frames - 1)
+        return translate(formula, AB, "finite-trace", max_states=400)
+
+    for depth in (45, 190, 1000):
+        formula = "a"
+        for _ in range(depth):
+            formula = DEEP[shape].format(formula)
+        try:
+            assert translated(formula).n_states <= 400
+        except FormulaError as error:
+            assert depth > 45 and "nests deeper" in error.problem
+
+
 def test_limits_are_errors_with_a_reason() -> None:
     with pytest.raises(FormulaError, match="more than `max_states` = 50 states"):
         translate("F[0,100] a", AB, "co-safe", max_states=50)
