@@ -4,6 +4,9 @@ Agents of equal sizes (d, m, p) form a *block*, whose states are one array (d, n
 world. All sums run elementwise in a fixed order, so a world's trajectory does not depend, to the last bit, on how many
 others are computed beside it.
 
+The step of an agent (`moved`), membership (`labeling.inside`, `contains`) and the order of decisions (`decided`) are
+written for anything that adds, multiplies and compares: this module runs them on arrays, `one_world` on numbers.
+
 One step, in this order: `x' = A x + B u + c + L z` with `z` standard normal and `L L' = Sigma`; a world in which any
 agent has left its workspace fails (also where another agent would complete the task in the same step); the letter of
 x' is read by the automaton; a co-safe task is accepted on entering an accepting state. Failed and accepted are
@@ -13,12 +16,13 @@ absorbing; the states of decided worlds move on. Reference: THEORY section 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from .arrays import read_only
-from .labeling import contains, inside, linear
+from .labeling import contains, inside, linear, row_times
 from .problem import Problem
 
 
@@ -72,11 +76,14 @@ class Dynamics:
     blocks : tuple of Block
     position : tuple of (int, int)
         Per agent: its block, and its place in the block.
+    accepting : np.ndarray of bool, shape (Q,)
+        Automaton states on entering which the task is accepted at once: none for finite-trace tasks.
     """
 
     problem: Problem
     blocks: tuple[Block, ...]
     position: tuple[tuple[int, int], ...]
+    accepting: np.ndarray
 
     @classmethod
     def of(cls, problem: Problem) -> Dynamics:
@@ -86,12 +93,14 @@ class Dynamics:
             members.setdefault((agent.n_states, agent.n_inputs, agent.n_outputs), []).append(i)
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
         blocks = tuple(_block(problem, group) for group in members.values())
-        return cls(problem, blocks, tuple(place[i] for i in range(problem.n_agents)))
+        automaton = problem.automaton
+        accepting = np.asarray(automaton.accepting) & (automaton.semantics == "co-safe")
+        return cls(problem, blocks, tuple(place[i] for i in range(problem.n_agents)), read_only(accepting))
 
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """A batch of M worlds at one time.
+    """A batch of M worlds.
 
     Attributes
     ----------
@@ -99,15 +108,15 @@ class Worlds:
         One array per block.
     q : np.ndarray of int32, shape (M,)
         Automaton states; they stand still from the failure on.
-    time : int
-        Control steps taken.
+    time : int, or np.ndarray of int, shape (M,)
+        Control steps taken: one number, or one per world where `restart` has set some of them back.
     failed, accepted : np.ndarray of bool, shape (M,)
         At most one of them holds; both are absorbing. Accepted is never set for finite-trace tasks.
     """
 
     states: tuple[np.ndarray, ...]
     q: np.ndarray
-    time: int
+    time: Any
     failed: np.ndarray
     accepted: np.ndarray
 
@@ -142,6 +151,19 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
     return _begin(dynamics, split_joint(dynamics, states))
 
 
+def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.random.Generator) -> Worlds:
+    """Return the worlds with those of `which`, bool (M,), put back to a start drawn for them at time 0."""
+    fresh = initial(dynamics, rng, int(which.sum()))
+    states = tuple(x.copy() for x in worlds.states)
+    for x, start in zip(states, fresh.states):
+        x[..., which] = start
+    marks = {"time": np.broadcast_to(np.asarray(worlds.time), which.shape).copy()}
+    marks |= {name: getattr(worlds, name).copy() for name in ("q", "failed", "accepted")}
+    for name, values in marks.items():
+        values[which] = getattr(fresh, name)
+    return replace(worlds, states=states, **marks)
+
+
 def noise(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return standard normal numbers for one step, one array (d, n, M) per block."""
     return tuple(rng.standard_normal((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks)
@@ -167,21 +189,45 @@ def transition(
     ValueError
         If the worlds are at the horizon.
     """
-    if worlds.time >= dynamics.problem.horizon:
+    if np.any(worlds.time >= dynamics.problem.horizon):
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
     states = tuple(successor(block, x, u, z) for block, x, u, z in zip(dynamics.blocks, worlds.states, inputs, normals))
-    failed = worlds.failed | (~worlds.accepted & _outside(dynamics, states))
-    return _read(dynamics, states, worlds.q, worlds.time + 1, failed, worlds.accepted)
+    return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
 def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return `A x + B u + c + L z`, shape (d, n, M): the one place where agents move.
+    """Return the next states of a block, shape (d, n, M).
 
     The states of a decided world under an unstable A may grow beyond all numbers; infinity and NaN lie outside every
     workspace.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return linear(block.A, x) + linear(block.B, u) + block.offset + linear(block.noise_factor, z)
+        return np.stack(moved(block.A, block.B, block.offset, block.noise_factor, x, u, z))
+
+
+def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any) -> list[Any]:
+    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move."""
+    return [
+        row_times(a, x) + row_times(b, u) + c + row_times(factor, z)
+        for a, b, c, factor in zip(A, B, offset, noise_factor)
+    ]
+
+
+def decided(accepting: Any, q: Any, following: Any, failed: Any, accepted: Any, outside: Any) -> tuple[Any, Any, Any]:
+    """Return automaton state, failed and accepted after a step: the one place where the order of decisions stands.
+
+    Parameters
+    ----------
+    accepting : sequence of bool
+        `Dynamics.accepting`.
+    q, following : int or array of int
+        Automaton state before, and after reading the letter.
+    failed, accepted, outside : bool or array of bool
+        Failed and accepted before the step; whether an agent is outside its workspace after it.
+    """
+    failed = failed | (outside > accepted)  # outside and not accepted
+    q = q + (following - q) * (1 - failed)  # a failed world reads no letter
+    return q, failed, accepting[q] > failed  # accepting states are absorbing
 
 
 def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
@@ -220,25 +266,17 @@ def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...
 def _begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
     n_worlds = states[0].shape[-1]
     q = np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32)
-    accepted = np.zeros(n_worlds, dtype=bool)
-    return _read(dynamics, states, q, 0, _outside(dynamics, states), accepted)
+    undecided = np.zeros(n_worlds, dtype=bool)
+    return _read(dynamics, states, 0, q, undecided, undecided)
 
 
 def _read(
-    dynamics: Dynamics,
-    states: tuple[np.ndarray, ...],
-    q: np.ndarray,
-    time: int,
-    failed: np.ndarray,
-    accepted: np.ndarray,
+    dynamics: Dynamics, states: tuple[np.ndarray, ...], time: Any, q: np.ndarray, failed: Any, accepted: Any
 ) -> Worlds:
-    """Let the automaton read the letters of the states, in worlds that have not failed."""
-    automaton = dynamics.problem.automaton
-    following = automaton.next_state(q, letters(dynamics, states))
-    q = np.where(failed, q, following).astype(np.int32)
-    if automaton.semantics == "co-safe":
-        accepted = accepted | (~failed & np.asarray(automaton.accepting)[q])
-    return Worlds(states, read_only(q), time, read_only(failed), read_only(accepted))
+    """Judge the exits and let the automaton read the letters of the states."""
+    following = dynamics.problem.automaton.next_state(q, letters(dynamics, states))
+    q, failed, accepted = decided(dynamics.accepting, q, following, failed, accepted, _outside(dynamics, states))
+    return Worlds(states, read_only(q.astype(np.int32)), time, read_only(failed), read_only(accepted))
 
 
 def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:

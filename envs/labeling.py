@@ -54,18 +54,44 @@ class Proposition:
         return {"agent": self.agent, "low": self.low.tolist(), "high": self.high.tolist()}
 
 
-def inside(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Whether points lie in a closed box; axis 0 holds the components (NaN lies nowhere)."""
-    return np.asarray(((low <= x) & (x <= high)).all(axis=0))
+def inside(x: Any, low: Any, high: Any) -> Any:
+    """Whether points lie in a closed box (NaN lies nowhere).
+
+    Parameters
+    ----------
+    x, low, high : sequence of components
+        An array with the components on axis 0, or a tuple of numbers: the same rule for a batch and for one point.
+    """
+    result = (low[0] <= x[0]) & (x[0] <= high[0])
+    for k in range(1, len(x)):
+        result = result & (low[k] <= x[k]) & (x[k] <= high[k])
+    return result
 
 
-def contains(y: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Whether points lie in a half-open box `low <= y < high`; axis 0 holds the components."""
-    return np.asarray(((low <= y) & (y < high)).all(axis=0))
+def contains(y: Any, low: Any, high: Any) -> Any:
+    """Whether points lie in a half-open box `low <= y < high`; components as in `inside`."""
+    result = (low[0] <= y[0]) & (y[0] < high[0])
+    for k in range(1, len(y)):
+        result = result & (low[k] <= y[k]) & (y[k] < high[k])
+    return result
+
+
+def row_times(row: Any, x: Any) -> Any:
+    """One row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
+
+    Parameters
+    ----------
+    row, x : sequence of components
+        Numbers, or arrays that broadcast.
+    """
+    total = row[0] * x[0]
+    for k in range(1, len(x)):
+        total = total + row[k] * x[k]
+    return total
 
 
 def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Matrix times vectors, summed in a fixed order so that a result never depends on the number of vectors.
+    """Matrix times vectors by `row_times`.
 
     Parameters
     ----------
@@ -73,13 +99,7 @@ def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
     x : np.ndarray, shape (d, ...)
         Trailing axes broadcast against those of `matrix`.
     """
-    rows = []
-    for coefficients in matrix:
-        total = coefficients[0] * x[0]
-        for k in range(1, len(coefficients)):
-            total = total + coefficients[k] * x[k]
-        rows.append(total)
-    return np.stack(rows)
+    return np.stack([row_times(row, x) for row in matrix])
 
 
 @dataclass(frozen=True, eq=False)
