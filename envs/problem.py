@@ -157,9 +157,10 @@ class Problem:
         initial_state: Any = None,
         initial_low: Any = None,
         initial_high: Any = None,
+        disturbance_scale: float | None = None,
         name: str | None = None,
     ) -> Problem:
-        """Return the problem with another horizon, name or start; automaton and labelling are shared.
+        """Return the problem with another horizon, name, start or noise; automaton and labelling are shared.
 
         Parameters
         ----------
@@ -167,6 +168,8 @@ class Problem:
         initial_state : mapping, or array_like, optional
             Start: a mapping from agent names to vectors (the others keep theirs), a list of vectors, or a flat joint
             vector (D,) in agent order. `initial_low` with `initial_high`, in the same forms, give a box.
+        disturbance_scale : float, optional
+            Factor, at least 0, on the standard deviations of all noise (its square on the covariances).
         name : str, optional
 
         Raises
@@ -190,6 +193,12 @@ class Problem:
                 mine = {key: part[agent.name] for key, part in parts.items() if agent.name in part}
                 agents.append(agent.replace(**mine) if mine else agent)
             object.__setattr__(changed, "agents", tuple(agents))
+        if disturbance_scale is not None:
+            factor = float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0]
+            if factor < 0.0:
+                raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
+            noisy = [a.replace(noise_covariance=factor * factor * a.noise_covariance) for a in changed.agents]
+            object.__setattr__(changed, "agents", tuple(noisy))
         return changed
 
     def _split(self, value: Any, argument: str) -> Mapping[str, Any]:

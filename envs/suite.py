@@ -6,13 +6,15 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from typing import Any
 
 from .arrays import shown
 from .problem import Problem
+from .problem_file import load_problem
 from .suite_ids import MODULES, NAMESPACE
 
-_START = ("initial_state", "initial_low", "initial_high")
+_CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
 
 
 def problem_ids() -> tuple[str, ...]:
@@ -35,7 +37,8 @@ def make_problem(id: str, **arguments: Any) -> Problem:
         One of `problem_ids()`, with or without the prefix "certigym/".
     **arguments
         Arguments of the problem, such as `horizon` or (where its page says so) `n_agents`; for every problem also
-        `initial_state`, or `initial_low` and `initial_high`, in the forms that `Problem.replace` takes.
+        `initial_state`, or `initial_low` and `initial_high`, and `disturbance_scale`, in the forms that
+        `Problem.replace` takes.
 
     Raises
     ------
@@ -53,15 +56,34 @@ def make_problem(id: str, **arguments: Any) -> Problem:
         remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(problem_ids())}"
         raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
     make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
-    start = {name: arguments.pop(name) for name in _START if name in arguments}
+    changes = {name: arguments.pop(name) for name in _CHANGES if name in arguments}
     known = list(signature(make).parameters)
     for name in arguments:
         if name not in known:
-            close = get_close_matches(name, [*known, *_START], n=1)
-            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join([*known, *_START])}"
+            close = get_close_matches(name, [*known, *_CHANGES], n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join([*known, *_CHANGES])}"
             raise ValueError(f"`{name}`: no argument of {key}; {remedy}")
     problem = make(**arguments)
-    return problem.replace(**start) if start else problem
+    return problem.replace(**changes) if changes else problem
+
+
+def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
+    """Return the problem that a Problem, a suite id (with arguments) or the path of a problem file stands for.
+
+    Raises
+    ------
+    ValueError
+        If it is none of them, or arguments come with something else than an id.
+    """
+    if isinstance(problem, str) and not problem.endswith(".toml"):
+        return make_problem(problem, **arguments)
+    if isinstance(problem, str | Path):
+        problem = load_problem(problem)
+    if not isinstance(problem, Problem):
+        raise ValueError(f"`problem`: expected a Problem or the id of one, got {type(problem).__name__}")
+    for name in arguments:
+        raise ValueError(f"`{name}`: expected only with a problem id; use `problem.replace`")
+    return problem
 
 
 def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:

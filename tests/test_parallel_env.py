@@ -238,8 +238,10 @@ def test_rendering() -> None:
         "agent_0 [-10.0], agent_1 [-4.0]"
     )
     assert cg.parallel_env("reach-avoid-v0").render() is None
-    with pytest.raises(ValueError, match=r"`render_mode`: expected None or 'ansi', got 'human'"):
-        cg.parallel_env("reach-avoid-v0", render_mode="human")
+    with pytest.raises(
+        ValueError, match=r"`render_mode`: expected None or 'ansi' or 'rgb_array' or 'human', got 'gif'"
+    ):
+        cg.parallel_env("reach-avoid-v0", render_mode="gif")
 
 
 def test_spaces_are_equal_where_agents_are_and_the_same_object_each_time() -> None:
