@@ -1,14 +1,16 @@
-"""Registration of the suite with PettingZoo, done when `certigym` is imported.
+"""Registration of the suite with PettingZoo and Gymnasium, done when `certigym` is imported.
 
-`pettingzoo.make("parallel", "certigym/reach-avoid-v0")` and `pettingzoo.make("aec", ...)` then work. Entry points are
-texts: no environment is loaded before it is made.
+`pettingzoo.make("parallel", "certigym/reach-avoid-v0")`, `pettingzoo.make("aec", ...)`,
+`gymnasium.make("certigym/ReachAvoid-v0")` and `gymnasium.make_vec` then work. Entry points are texts: no environment is
+loaded before it is made.
 """
 
 from __future__ import annotations
 
+import gymnasium
 from pettingzoo import aec_registry, parallel_registry, register
 
-from .suite_ids import MODULES, NAMESPACE
+from .suite_ids import MODULES, NAMESPACE, gymnasium_id
 
 
 def register_suite() -> None:
@@ -19,3 +21,10 @@ def register_suite() -> None:
             register("parallel", name, f"certigym.envs.{module}:parallel_env")
         if name not in aec_registry:
             register("aec", name, f"certigym.envs.{module}:env")
+        if gymnasium_id(id) not in gymnasium.registry:
+            gymnasium.register(
+                gymnasium_id(id),
+                entry_point="certigym.envs.central_env:CentralEnv",
+                vector_entry_point="certigym.envs.vector_env:ProblemVectorEnv",
+                kwargs={"problem": id},
+            )
