@@ -1,6 +1,4 @@
-"""Invariance of 20 agents: `invariance_v0` with `n_agents` = 20, whose page describes it.
-
-**Arguments**: `horizon` (7), `setting` ("A").
+"""Invariance of 20 agents: `invariance-v0` with `n_agents` = 20.
 
 **Versions**: v0, first.
 """

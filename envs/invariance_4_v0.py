@@ -1,6 +1,4 @@
-"""Invariance of 4 agents: `invariance_v0` with `n_agents` = 4, whose page describes it.
-
-**Arguments**: `horizon` (7), `setting` ("A").
+"""Invariance of 4 agents: `invariance-v0` with `n_agents` = 4.
 
 **Versions**: v0, first.
 """

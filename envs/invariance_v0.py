@@ -1,31 +1,9 @@
 """Invariance of any number of agents (IV-N): every agent must stay in a safe interval up to the horizon.
 
-| | |
-|---|---|
-| Import | `from certigym.envs import invariance_v0` |
-| Make | `pettingzoo.make("parallel", "certigym/invariance-v0", n_agents=8)` |
-| Actions | continuous |
-| Agents | `['agent_0', ..., 'agent_{N-1}']` |
-| Action shape, values | `(1,)`, [-2, 2]; values beyond are clipped |
-| Observation shape, values | `(1 + 2 + 1,)`: own state in [-10, 10], automaton state one-hot, fraction of time left |
-| State shape, values | `(N + 2 + 1,)`: all states, then as above |
+Two settings from the literature: "A" pulls towards 0 (a = .9, b = .5, variance .25), "B" drifts freely with much noise
+(a = b = 1, variance 1). The verdict is known at the horizon.
 
-**Dynamics** of each agent, workspace [-10, 10]: setting "A": `x' = .9 x + .5 u + w`, `w ~ N(0, .25)`; setting "B":
-`x' = x + u + w`, `w ~ N(0, 1)`. The second argument of N is the variance.
-
-**Propositions**: the family `safe`: each agent in [-5, 5).
-
-**Task**, finite-trace: `G all(safe)` over times 0 to the horizon. The automaton has two states: safe so far, or not.
-
-**Rewards**: 1 to every agent on satisfaction, which is known at the horizon, else 0.
-
-**Start**: 0 for every agent.
-
-**Episode ends**: (1) an agent leaves the safe interval or the workspace: terminated; (2) horizon: truncated.
-
-**Arguments**: `n_agents` (4), `horizon` (7), `setting` ("A").
-
-**Versions**: v0, first. `invariance-4-v0` and `invariance-20-v0` are this problem with the number of agents fixed.
+**Versions**: v0, first.
 """
 
 from __future__ import annotations

@@ -1,20 +1,18 @@
-"""Package delivery with less noise: `package_delivery_v0`, whose page describes it, with the variance .01.
-
-**Arguments**: `horizon` (20).
+"""Package delivery with less noise: `package-delivery-v0` with the variance .01.
 
 **Versions**: v0, first.
 """
 
 from __future__ import annotations
 
-from .package_delivery_v0 import make
+from .package_delivery_v0 import coordinate, delivery
 from .problem import Problem
 from .suite import environments
 
 
 def problem(horizon: int = 20) -> Problem:
     """Return the eased package delivery."""
-    return make("package-delivery-eased-v0", horizon, variance=0.01)
+    return delivery("package-delivery-eased-v0", horizon, coordinate(variance=0.01))
 
 
 parallel_env, env, raw_env = environments("package-delivery-eased-v0")

@@ -1,43 +1,19 @@
 """Package delivery by four robots (PD8): pick up together, cross two corridors, deliver each to its own slot.
 
-| | |
-|---|---|
-| Import | `from certigym.envs import package_delivery_v0` |
-| Make | `pettingzoo.make("parallel", "certigym/package-delivery-v0")` |
-| Actions | continuous |
-| Agents | `['x_0', 'y_0', ..., 'x_3', 'y_3']`: the coordinates of robots A, B, C, D |
-| Action shape, values | `(1,)`, [-5, 5]; values beyond are clipped |
-| Observation shape, values | `(1 + 4 + 1,)`: own state in [-20, 5], automaton state one-hot, fraction of time left |
-| State shape, values | `(8 + 4 + 1,)`: all states, then as above |
-
-**Dynamics** of each coordinate: `x' = .9 x + .5 u + w`, `w ~ N(0, .25)` (variance .25); workspace [-20, 5].
-
-**Propositions**: families over the robots' y: `pickup` [0, 5], `center` [-5, 5], `row` [-10, -5), `low` [-15, -10),
-`delivery` [-20, -15); over their x: `column` [-10, -5); the slots of x, each of its own robot: `slot_a` [-20, -14),
-`slot_b` [-14, -8), `slot_c` [-8, -2), `slot_d` [-2, 5]. A robot with row and column is in the *loss square*.
-
-**Task**, co-safe, an automaton by hand:
+The agents x_k and y_k are the coordinates of robot k. A robot with row and column at once is in the *loss square*.
 
 | state | letter | next |
 |---|---|---|
-| init | no robot in pick-up | init |
-| init | all robots in pick-up | carrying |
+| init | no robot in pickup | init |
+| init | all robots in pickup | carrying |
 | carrying | all y in center, or all y in low | carrying |
 | carrying | all y in the row, no x in the column | carrying |
 | carrying | some robot in the loss square | init |
 | carrying | all robots delivered in their slots | done (accepting) |
 | any | any other letter | failed |
 
-**Rewards**: 1 to every agent on satisfaction, else 0.
-
-**Start**: (x, y) of A, B, C, D: (-17.8375, 3.2875), (-16.8625, 3.2875), (1.4125, 3.2875), (3.3625, 3.2875).
-
-**Episode ends**: (1) done: terminated; (2) a coordinate leaves the workspace: terminated; (3) failed: terminated;
-(4) horizon: truncated.
-
-**Arguments**: `horizon` (20).
-
-**Versions**: v0, first. `package-delivery-eased-v0` has the variance .01.
+**Versions**: v0, first. `package-delivery-eased-v0` has the variance .01; `package-delivery-kinematic-v0` has robots
+with velocities.
 """
 
 from __future__ import annotations
@@ -78,29 +54,34 @@ _TRANSITIONS = (
 
 def problem(horizon: int = 20) -> Problem:
     """Return the problem PD8 of the module docstring."""
-    return make("package-delivery-v0", horizon, variance=0.25)
+    return delivery("package-delivery-v0", horizon, coordinate(variance=0.25))
 
 
-def make(name: str, horizon: int, variance: float) -> Problem:
-    """Return a package delivery with another noise variance."""
+def coordinate(variance: float) -> LinearAgent:
+    """Return one coordinate of a robot of PD8, with another noise variance."""
+    return LinearAgent(
+        name="robot",
+        A=[[0.9]],
+        B=[[0.5]],
+        noise_covariance=[[variance]],
+        state_low=[-20.0],
+        state_high=[5.0],
+        input_low=[-5.0],
+        input_high=[5.0],
+    )
+
+
+def delivery(name: str, horizon: int, agent: LinearAgent) -> Problem:
+    """Return a package delivery by four robots, whose coordinates move as `agent`; its first state is the position."""
+    rest, low, high = [0.0] * (agent.n_states - 1), agent.state_low.tolist()[1:], agent.state_high.tolist()[1:]
     agents = [
-        LinearAgent(
-            name=f"{axis}_{robot}",
-            A=[[0.9]],
-            B=[[0.5]],
-            noise_covariance=[[variance]],
-            state_low=[-20.0],
-            state_high=[5.0],
-            input_low=[-5.0],
-            input_high=[5.0],
-            initial_state=[_START[2 * robot + (axis == "y")]],
-        )
+        agent.replace(name=f"{axis}_{robot}", initial_state=[_START[2 * robot + (axis == "y")], *rest])
         for robot in range(4)
         for axis in "xy"
     ]
-    propositions = {key: Proposition(agent, [low], [high]) for key, (agent, low, high) in _FAMILIES.items()}
-    for robot, (key, (low, high)) in enumerate(_SLOTS.items()):
-        propositions[key] = Proposition(f"x_{robot}", [low], [high])
+    propositions = {key: Proposition(who, [a, *low], [b, *high]) for key, (who, a, b) in _FAMILIES.items()}
+    for robot, (key, (a, b)) in enumerate(_SLOTS.items()):
+        propositions[key] = Proposition(f"x_{robot}", [a, *low], [b, *high])
     members = {key: tuple(f"{key}_{robot}" for robot in range(4)) for key in _FAMILIES}
     automaton = Automaton.from_transitions(
         [*(name for family in members.values() for name in family), *_SLOTS],

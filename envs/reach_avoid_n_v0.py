@@ -1,30 +1,6 @@
 """Reach-avoid of any number of agents (RA-N): all stay safe until one of them reaches the target.
 
-| | |
-|---|---|
-| Import | `from certigym.envs import reach_avoid_n_v0` |
-| Make | `pettingzoo.make("parallel", "certigym/reach-avoid-n-v0", n_agents=8)` |
-| Actions | continuous |
-| Agents | `['agent_0', ..., 'agent_{N-1}']` |
-| Action shape, values | `(1,)`, [-2, 2]; values beyond are clipped |
-| Observation shape, values | `(1 + 3 + 1,)`: own state in [-10, 10], automaton state one-hot, fraction of time left |
-| State shape, values | `(N + 3 + 1,)`: all states, then as above |
-
-**Dynamics** of each agent: `x' = x + u + w`, `w ~ N(0, 1)`; workspace [-10, 10].
-
-**Propositions**: the families `safe`: an agent in [-5, 5), and `target`: an agent in [-2, 2).
-
-**Task**, co-safe: `all(safe) U (any(target) & all(safe))`, within the horizon. The automaton has three states:
-undecided, accepted, and one from which acceptance is out of reach.
-
-**Rewards**: 1 to every agent on satisfaction, else 0.
-
-**Start**: 4 for every agent.
-
-**Episode ends**: (1) satisfied: terminated; (2) an agent leaves the safe interval or the workspace first: terminated;
-(3) horizon: truncated.
-
-**Arguments**: `n_agents` (4), `horizon` (6).
+A scaling family: one more agent is one more that can help, and one more that can fail.
 
 **Versions**: v0, first.
 """

@@ -1,31 +1,8 @@
-"""Two-agent reach-avoid (RA2): one agent must reach its goal; two agents must not be in two places at once on the way.
+"""Two-agent reach-avoid (RA2): agent_0 must reach its goal, and on the way the two must not be in two places at once.
 
-| | |
-|---|---|
-| Import | `from certigym.envs import reach_avoid_v0` |
-| Make | `pettingzoo.make("parallel", "certigym/reach-avoid-v0")` |
-| Actions | continuous |
-| Agents | `['agent_0', 'agent_1']` |
-| Action shape, values | `(1,)`, [-5, 5]; values beyond are clipped |
-| Observation shape, values | `(1 + 3 + 1,)`: own state in [-20, 5], automaton state one-hot, fraction of time left |
-| State shape, values | `(2 + 3 + 1,)`: both states, then as above |
-
-**Dynamics** of each agent: `x' = .9 x + .5 u + w`, `w ~ N(0, .25)` (variance .25, standard deviation .5); workspace
-[-20, 5].
-
-**Propositions**: `p1`: agent_0 in [0, 5]; `p2`: agent_0 in [-5, 0); `p3`: agent_1 in [-20, -15).
-
-**Task**, co-safe: `(!p2 | !p3) U p1`, within the horizon. The automaton has three states: undecided, accepted, and
-one from which acceptance is out of reach.
-
-**Rewards**: 1 to both agents on satisfaction, else 0.
-
-**Start**: uniform in agent_0 in [-20, 0), agent_1 in [-5, -2.5).
-
-**Episode ends**: (1) satisfied: terminated; (2) an agent leaves its workspace: terminated; (3) `p2` and `p3` hold
-before `p1`: terminated; (4) horizon: truncated.
-
-**Arguments**: `horizon` (7).
+The running example of the literature on certified multi-agent synthesis. The edges of neighbouring regions belong to
+the upper one: at 0 agent_0 is in p1, not in p2. Here the noise `w` has the variance .25, that is a standard deviation
+of .5; published tables were computed with a standard deviation of .25.
 
 **Versions**: v0, first.
 """

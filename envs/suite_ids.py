@@ -2,12 +2,43 @@
 
 NAMESPACE = "certigym"
 
-MODULES = {
-    "invariance-20-v0": "invariance_20_v0",
-    "invariance-4-v0": "invariance_4_v0",
-    "invariance-v0": "invariance_v0",
-    "package-delivery-eased-v0": "package_delivery_eased_v0",
-    "package-delivery-v0": "package_delivery_v0",
-    "reach-avoid-n-v0": "reach_avoid_n_v0",
-    "reach-avoid-v0": "reach_avoid_v0",
-}
+IDS = (
+    "building-automation-v0",
+    "car-park-planar-v0",
+    "car-park-v0",
+    "cyclic-delivery-v0",
+    "decoupled-chain-14-v0",
+    "decoupled-chain-v0",
+    "door-formation-v0",
+    "integrator-chain-v0",
+    "invariance-20-v0",
+    "invariance-4-v0",
+    "invariance-b-100-v0",
+    "invariance-b-20-v0",
+    "invariance-v0",
+    "meeting-v0",
+    "package-delivery-eased-v0",
+    "package-delivery-kinematic-v0",
+    "package-delivery-single-v0",
+    "package-delivery-v0",
+    "patrol-recharge-v0",
+    "reach-avoid-20-v0",
+    "reach-avoid-kinematic-v0",
+    "reach-avoid-n-v0",
+    "reach-avoid-planar-v0",
+    "reach-avoid-v0",
+)
+
+MODULES = {id: id.replace("-", "_") for id in IDS}
+
+
+def gymnasium_id(id: str) -> str:
+    """Return the name of a suite problem's centralised environment in Gymnasium.
+
+    Examples
+    --------
+    >>> gymnasium_id("invariance-b-20-v0")
+    'certigym/InvarianceB20-v0'
+    """
+    *words, version = id.split("-")
+    return f"{NAMESPACE}/{''.join(word.capitalize() for word in words)}-{version}"

@@ -133,8 +133,9 @@ def test_batched_letters_are_the_letters_of_single_states(id: str) -> None:
     high = np.concatenate([agent.state_high for agent in problem.agents])
     joint = np.round(low + rng.random((200, low.size)) * (high - low))  # integers: many lie on edges
     batch = core.letters(dynamics, core.split_joint(dynamics, joint))
+    ends = np.cumsum([agent.n_states for agent in problem.agents])[:-1]
     for world, row in enumerate(joint):
-        assert (problem.labeling.letter([[x] for x in row]) == batch[:, world]).all()
+        assert (problem.labeling.letter(np.split(row, ends)) == batch[:, world]).all()
 
 
 def test_initial_automaton_state_is_known_where_the_start_has_one_letter() -> None:

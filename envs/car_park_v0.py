@@ -1,0 +1,39 @@
+"""Park a car on a line: come to rest in the bay without having touched the forbidden stretch behind it.
+
+A classic of the field for a single agent, with more noise than its small inputs can undo at once.
+
+**Versions**: v0, first.
+"""
+
+from __future__ import annotations
+
+from .agent import LinearAgent
+from .labeling import Proposition
+from .problem import Problem
+from .specification import Specification
+from .suite import environments
+
+
+def problem(horizon: int = 60) -> Problem:
+    """Return the problem CarPark1 of the literature."""
+    car = LinearAgent(
+        name="car",
+        A=[[0.9]],
+        B=[[0.5]],
+        noise_covariance=[[1.0]],
+        state_low=[-10.0],
+        state_high=[10.0],
+        input_low=[-1.0],
+        input_high=[1.0],
+        initial_state=[-4.0],
+    )
+    return Problem(
+        name="car-park-v0",
+        horizon=horizon,
+        agents=[car],
+        propositions={"p1": Proposition("car", [4.75], [6.0]), "p2": Proposition("car", [6.0], [10.0])},
+        specification=Specification("!p2 U p1", "co-safe"),
+    )
+
+
+parallel_env, env, raw_env = environments("car-park-v0")
