@@ -32,11 +32,16 @@ class Episode:
     discount : float
         Of the learner, for the shaped reward; between 0 and 1.
     render_mode : None, "ansi", "rgb_array" or "human"
+    caption : str
+        A line in pictures.
     """
 
-    def __init__(self, problem: Problem, reward: str, discount: float, render_mode: str | None) -> None:
+    def __init__(
+        self, problem: Problem, reward: str, discount: float, render_mode: str | None, caption: str = ""
+    ) -> None:
         self.problem = problem
         self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
+        self.caption = caption
         self.discount = checked_discount(discount)
         self.dynamics = core.Dynamics.of(problem)
         self.one_world = OneWorld.of(self.dynamics)
@@ -142,7 +147,7 @@ class Episode:
 
     def _frame(self) -> np.ndarray:
         if self._picture is None:
-            self._picture = Picture(self.problem)
+            self._picture = Picture(self.problem, self.caption)
         track = [[number for x in world.states for number in x] for world in self._track]
         world = self.world
         return self._picture.frame(np.array(track), world.q, self.one_world.names(world.letter), self._verdict())

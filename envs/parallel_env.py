@@ -58,6 +58,8 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     dtype : "float64" or "float32"
         Of the observations.
     actions : "input" or "unit"
+    caption : str
+        A line in pictures.
     """
 
     metadata: dict[str, Any]
@@ -72,6 +74,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         discount: float = 1.0,
         dtype: str = "float64",
         actions: str = "input",
+        caption: str = "",
     ) -> None:
         self.metadata = {
             "name": problem.name.replace("-", "_"),
@@ -83,7 +86,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.render_mode = render_mode
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []
-        self._episode = Episode(problem, reward, discount, render_mode)
+        self._episode = Episode(problem, reward, discount, render_mode, caption)
         self._rng: np.random.Generator | None = None
         self._scope = checked_option(observation, "observation", SCOPES)
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
@@ -209,7 +212,7 @@ def parallel_env(problem: Problem | str | Path, render_mode: str | None = None, 
     return ProblemEnv(resolve(problem, arguments), render_mode, **options)
 
 
-OPTIONS = ("observation", "reward", "discount", "dtype", "actions")
+OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "caption")
 """Arguments of `parallel_env` that say how a problem is shown, not which."""
 
 

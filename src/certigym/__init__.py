@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .envs.agent import LinearAgent as LinearAgent
     from .envs.automaton import Automaton as Automaton
     from .envs.box import Box as Box
+    from .envs.central_env import central_env as central_env
     from .envs.formula import FormulaError as FormulaError
     from .envs.hoa import automaton_from_hoa as automaton_from_hoa
     from .envs.labeling import Proposition as Proposition
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from .envs.suite import make_problem as make_problem
     from .envs.suite import problem_ids as problem_ids
     from .envs.translate import translate as translate
+    from .envs.vector_env import vector_env as vector_env
     from .synthesis.abstraction import abstract as abstract
     from .synthesis.certificate import Certificate as Certificate
     from .synthesis.certificate_file import load_certificate as load_certificate
@@ -67,6 +69,7 @@ _EXPORTS = {
     "abstract": "synthesis.abstraction",
     "aec_env": "envs.parallel_env",
     "automaton_from_hoa": "envs.hoa",
+    "central_env": "envs.central_env",
     "check": "synthesis.check",
     "load_certificate": "synthesis.certificate_file",
     "load_problem": "envs.problem_file",
@@ -78,6 +81,7 @@ _EXPORTS = {
     "synthesize": "synthesis.synthesize",
     "translate": "envs.translate",
     "validate": "validation.validate",
+    "vector_env": "envs.vector_env",
 }
 
 __all__ = ["__version__", *sorted(_EXPORTS)]

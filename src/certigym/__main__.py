@@ -52,6 +52,15 @@ def build_parser() -> argparse.ArgumentParser:
     check.add_argument("--problem", metavar="ID|FILE", help="the certificate must be about this problem")
     check.add_argument("--horizon", type=int, metavar="T", help="horizon of --problem")
     _json(check)
+    render = commands.add_parser("render", help="show an episode under certified controllers as a GIF or MP4")
+    render.add_argument("problem", metavar="ID|FILE|CERT", help="suite id, TOML problem file or certificate (.npz)")
+    render.add_argument("--horizon", type=int, metavar="T", help="control steps (default: the problem's)")
+    _start(render)
+    _synthesis(render)
+    render.add_argument("--out", metavar="PICTURE", required=True, help="file to write (.gif, .mp4 or .png)")
+    render.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the episode (default: 0)")
+    render.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second (default: 4)")
+    _json(render)
     return parser
 
 

@@ -15,6 +15,7 @@ from .envs.agent import LinearAgent
 from .envs.problem import Problem
 from .envs.problem_file import load_problem
 from .envs.suite import make_problem, problem_ids
+from .rendering_command import render_rollout
 from .synthesis.certificate import Certificate
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.check import check as check_certificate
@@ -109,6 +110,21 @@ def check(options: Namespace) -> int:
     status = _write(options, {"valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed,
                               "failures": list(report.failures), "fingerprint": certificate.fingerprint})  # fmt: skip
     return status if report else 1
+
+
+def render(options: Namespace) -> int:
+    """Show an episode under certified controllers."""
+    if options.problem.endswith(".npz"):
+        if options.horizon is not None or options.initial_state is not None or options.cells is not None:
+            raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate has its own; leave them out")
+        certificate = load_certificate(options.problem)
+    else:
+        certificate = _synthesize(options).certificate
+    shown = render_rollout(certificate, options.out, options.seed, options.fps)
+    if options.json != "-":
+        verdict = "satisfied" if shown["satisfied"] else "not satisfied"
+        print(f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}")
+    return _write(options, shown)
 
 
 def _synthesize(options: Namespace) -> Synthesis:
