@@ -15,6 +15,7 @@ United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a')
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -207,8 +208,11 @@ def _check_inputs(certificate: Certificate) -> list[str]:
     return failures
 
 
-def regrow(certificate: Certificate) -> Terms:
-    """Grow the value tree again from the policies and the list of its vertices: value function at time 0."""
+def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None = None) -> Terms:
+    """Grow the value tree again from the policies and the list of its vertices: value function at time 0.
+
+    ``each(t, terms)`` is called with the value function at every time t = T - 1 .. 0 as it is grown.
+    """
     accepting = certificate.problem.automaton.accepting
     co_safe = certificate.problem.automaton.semantics == "co-safe"
     goals = np.flatnonzero(accepting)
@@ -240,6 +244,8 @@ def regrow(certificate: Certificate) -> Terms:
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(values)
         factors, index = [np.concatenate(s) for s in stacks], rows
+        if each is not None:
+            each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
 
 
