@@ -22,12 +22,13 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from .best_response import Law, best_targets
+from .best_response import best_choices
+from .choices import Law
 from .grid import FloatArray
 from .joint import JointModel
 from .occupancy import Occupancy, push
 from .terms import IndexArray, Merges, Terms, compress
-from .value import Candidates, assemble, candidates, gather, terminal_terms
+from .value import Candidates, Loss, assemble, candidates, gather, terminal_terms
 
 Laws = tuple[NDArray[np.int32], ...]
 """Per agent (T, Q, S_i): target of each cell by time and automaton state; -1 where none is admissible."""
@@ -98,7 +99,7 @@ class Sweep:
 def resting_laws(joint: JointModel) -> Laws:
     """Every agent stays where it is, at all times and states."""
     shape = (joint.horizon, joint.n_states, 1)
-    return tuple(np.tile(model.resting_law, shape) for model in joint.models)
+    return tuple(np.tile(model.choices.resting_law, shape) for model in joint.models)
 
 
 def forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
@@ -121,7 +122,9 @@ def start_value(start: Occupancy, terms: Terms) -> float:
     return total
 
 
-def sweep(joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool) -> Sweep:
+def sweep(
+    joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool, loss: Loss | None = None
+) -> Sweep:
     """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
 
     Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
@@ -140,7 +143,7 @@ def sweep(joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [np.ones((1, n)) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
-        options = candidates(joint.guards, joint.masks, joint.models, terms)
+        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
         parts, kept = [], []
         for q in range(joint.n_states):
             if joint.absorbing[q]:
@@ -153,8 +156,8 @@ def sweep(joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits
                 stage.improve()
                 for law, better in zip(laws, stage.laws, strict=True):
                     law[t, q] = better
-            keep, loss = stage.prune(limits)
-            dropped += loss
+            keep, charge = stage.prune(limits)
+            dropped += charge
             parts.append(stage.part(keep))
             kept.append(options.row[q][keep])
         terms = assemble(parts, joint.n_cells)
@@ -176,7 +179,7 @@ class _Stage:
         for i, law in enumerate(self.laws):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
-            self.values.append(gather(table, law))
+            self.values.append(gather(table, self.models[i].choices.points(law)))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
         if self.is_met:
@@ -204,15 +207,17 @@ class _Stage:
             if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
                 key = (id(model), self.smoothed[i].tobytes(), self.laws[i].tobytes())
                 if key not in answers:
-                    answers[key] = best_targets(model, np.ones((model.n_cells, 1)), self.smoothed[i], self.laws[i])
+                    answers[key] = best_choices(
+                        model.choices, np.ones((model.n_cells, 1)), self.smoothed[i], self.laws[i]
+                    )
                 self.laws[i] = answers[key]
             else:
                 weights = self.mass[i].T @ _collect(met.product(), chosen[:, i], n_mass, self.rows[:, i], n_values)
                 unmet = ~np.any(weights > 0, axis=1)
                 if unmet.any():
                     weights[unmet] = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
-                self.laws[i] = best_targets(model, weights, self.smoothed[i], self.laws[i])
-            self.values[i] = gather(self.smoothed[i], self.laws[i])
+                self.laws[i] = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
+            self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
             met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
             anywhere.replace(self.values[i].mean(axis=1)[self.rows[:, i]])
 

@@ -1,18 +1,38 @@
-"""From a computed value to a certified number.
+"""From computed values to certified numbers.
 
-``nominal``: all relations have delta = 0, so the satisfaction probability of the continuous closed loop is at least the
-value of the abstraction, ``P >= V`` (THEORY section 4), and equal to it where nothing was lost at edges, to pruning or
-to rounding (section 1). What floating point may have added to a nonnegative sum of products of n operations is below
-``gamma(n) = n u / (1 - n u)`` of the value (section 9), and is taken off.
+``nominal``       all delta are 0: the probability of the continuous closed loop is at least the value, ``P >= V``, and
+                  equal to it where nothing was lost at edges, to pruning or to rounding (THEORY sections 1 and 4).
+``a-posteriori``  couple both systems: success can fail only if the relation is lost at a step that finds the run
+                  undecided, and each such step costs at most ``Delta``. So ``P >= V - Delta * Theta`` with Theta the
+                  expected number of undecided steps of the masked abstract chain, which is the sum over time of the
+                  alive mass. The paper's own form counts steps until acceptance only and reads them off the depths of
+                  the tree, ``sum_z v(z) (1 + Delta (T - depth z)) - Delta T``; it is never larger.
+``robust tree``   every factor loses ``delta_i`` times its largest value at every step. The paper's plain
+                  ``- delta_i`` is the same only while no factor exceeds 1, which is checked as it is computed.
+
+Agents couple with independent coins: ``Delta = 1 - prod (1 - delta_i)``. What must be an upper bound is rounded up.
+What floating point may have added to a nonnegative sum of products of n operations is below
+``gamma(n) = n u / (1 - n u)`` of it (THEORY section 9), and is taken off.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .ascent import Sweep
+import numpy as np
+from numpy.typing import NDArray
+
+from .abstraction import AgentModel
+from .ascent import Skeleton, Sweep
+from .guards import Guards
 from .joint import JointModel
 from .kernel import UNIT
+from .occupancy import Occupancy
+
+INFLATE = 1.0 + 1e-9
+"""Factor on what is subtracted, far above the rounding of what it is subtracted from."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +47,25 @@ class Bound:
         Lower bound on the satisfaction probability of the continuous closed loop.
     gap : float or None
         If not None, ``lower + gap`` is an upper bound on the same probability.
-    rounding : float
-        What was taken off ``value`` for floating point.
     """
 
     name: str
     lower: float
-    gap: float | None
-    rounding: float
+    gap: float | None = None
+
+
+def joint_delta(deltas: Sequence[float]) -> float:
+    """Upper bound on the probability, per step, that any agent's relation is lost.
+
+    Examples
+    --------
+    >>> round(joint_delta([0.002, 0.002]), 6)
+    0.003996
+    """
+    if max(deltas) >= 1.0:
+        return 1.0
+    total = -math.expm1(sum(math.log1p(-delta) for delta in deltas))
+    return min(1.0, total * (1 + 1e-14 * (len(deltas) + 4)))
 
 
 def relative_rounding(joint: JointModel, rank: int) -> float:
@@ -54,5 +85,76 @@ def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool) -> Bound:
     relative = relative_rounding(joint, sweep.rank)
     lower = min(1.0, max(0.0, sweep.value * (1.0 - relative)))
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
-    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss if aligned else None
-    return Bound("nominal", lower, None if gap is None else min(gap * (1 + 1e-12), 1.0 - lower), sweep.value - lower)
+    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss
+    return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
+
+
+def a_posteriori_bound(joint: JointModel, sweep: Sweep, undecided: float) -> Bound:
+    """``V - Delta * Theta``; ``undecided`` is an upper bound on Theta."""
+    delta = joint_delta([model.delta for model in joint.models])
+    value = sweep.value * (1.0 - relative_rounding(joint, sweep.rank))
+    return Bound("a-posteriori", min(1.0, max(0.0, value - delta * undecided * INFLATE)))
+
+
+def robust_bound(joint: JointModel, sweep: Sweep) -> Bound:
+    """Bound of a value grown with ``robust_loss``."""
+    return Bound("robust tree", min(1.0, max(0.0, sweep.value * (1.0 - relative_rounding(joint, sweep.rank)))))
+
+
+def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> float:
+    """Upper bound on Theta, the expected number of steps that find the task undecided, from the alive mass by time."""
+    missing = sum(model.kernel.loss for model in joint.models)
+    total = 0.0
+    for t, occupancy in enumerate(occupancies):
+        mass = sum(float(occupancy.masses(q).sum()) for q in range(joint.n_states) if not joint.absorbing[q])
+        total += min(1.0, mass * INFLATE + occupancy.leftover + t * missing)
+    return total * INFLATE
+
+
+def robust_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray:
+    """Smoothed factors (n, Z) less ``delta`` times the largest value of the masked factors (n, S), at least 0.
+
+    A lower bound on what a factor is worth to the continuous agent, whatever its scale.
+    """
+    if model.delta == 0.0:
+        return smoothed
+    largest = masked.max(axis=1, initial=0.0)[:, None]
+    return np.maximum(0.0, smoothed - largest * (model.delta * INFLATE + 1e-11))
+
+
+def plain_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray:
+    """The paper's operator: smoothed factors less ``delta``, at least 0; sound while no factor exceeds 1.
+
+    Raises
+    ------
+    ValueError
+        If a factor exceeds 1.
+    """
+    if model.delta == 0.0:
+        return smoothed
+    if masked.max(initial=0.0) > 1.0:
+        raise ValueError("`masked`: the plain robust operator is unsound for factors above 1; use the scale-free form")
+    return np.maximum(0.0, smoothed - (model.delta * INFLATE + 1e-11))
+
+
+def term_depths(
+    skeleton: Sequence[Skeleton], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], ...]:
+    """Steps to acceptance of every term at time 0, per automaton state; united terms carry the larger depth."""
+    depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in accepting]
+    for step in reversed(skeleton):
+        following = []
+        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
+            if absorbing[q]:
+                following.append(np.zeros(int(accepting[q]), dtype=np.int64))
+                continue
+            own = np.zeros(len(origin), dtype=np.int64)
+            targets = guards.target[origin[:, 0]]
+            for target in np.unique(targets):
+                here = targets == target
+                own[here] = depths[target][origin[here, 1]] + 1
+            for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
+                own[into] = max(own[into], own[absorbed])
+            following.append(own[kept])
+        depths = following
+    return tuple(depths)

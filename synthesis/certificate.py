@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..envs.agent import LinearAgent
 from ..envs.problem import Problem
+from .abstraction import Relation
 from .ascent import Skeleton
+from .bounds import joint_delta, term_depths
 from .controller import AgentController, Controller
 from .grid import FloatArray, Grid
-from .relation import ExactRelation, exact_relation
+from .guards import Guards
+from .relation_exact import exact_relation
+from .relation_paper import paper_relation
 from .terms import Terms
 
 MAX_JOINT_CELLS = 20_000_000
@@ -31,26 +36,48 @@ EXACT_GAP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class AgentPart:
-    """What a certificate stores of one agent: grid, grid coordinates, lattice, guards' masks on the cells, policy.
+    """What a certificate stores of one agent: grid, relation, lattice, guards' masks on the cells, policy.
 
     Parameters
     ----------
     grid : Grid
     coordinates : (d, d) array
         State = coordinates @ grid coordinates.
+    relation : dict
+        ``{"kind": "exact"}``, or ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``.
     lattice : tuple of (Z_k,) arrays
-        Target means per axis.
-    masks : (K, S) bool array
-        Factors of the guards on the cells.
+        Means per axis.
+    masks, start_masks : (K, S), (K0, S) bool arrays
+        Factors of the guards on the cells, for arriving and for starting in them.
     law : (T, Q, S) int32 array
-        Target of each cell, -1 for none.
+        Choice of each cell, -1 for none: a lattice point (``exact``) or an input (``paper``).
+    menu : (S, A) int32 array or None
+        Lattice point that each input of each cell leads to.
     """
 
     grid: Grid
     coordinates: FloatArray
+    relation: dict[str, Any]
     lattice: tuple[FloatArray, ...]
     masks: NDArray[np.bool_]
+    start_masks: NDArray[np.bool_]
     law: NDArray[np.int32]
+    menu: NDArray[np.int32] | None = None
+
+    def relation_of(self, agent: LinearAgent) -> Relation:
+        """The relation of ``agent`` that is described, its numbers computed anew."""
+        if self.relation["kind"] == "exact":
+            return exact_relation(agent, self.coordinates)
+        settings = {name: self.relation[name] for name in ("epsilon", "feedback", "inputs", "delta")}
+        return paper_relation(agent, self.grid.edges[0], **settings)
+
+    def points(self, t: int, q: int) -> NDArray[Any]:
+        """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
+        law = self.law[t, q]
+        if self.menu is None:
+            return law
+        chosen = np.take_along_axis(self.menu, np.maximum(law, 0)[:, None].astype(np.int64), axis=1)[:, 0]
+        return np.where(law < 0, -1, chosen)
 
     @property
     def lattice_shape(self) -> tuple[int, ...]:
@@ -69,7 +96,9 @@ class Certificate:
     method : str
         Relation, bound and policy search, in words.
     bound : str
-        Name of the bound that gives ``lower_bound``.
+        Name of the bound that gives ``lower_bound``: ``nominal``, ``a-posteriori`` or ``robust tree`` (see ``bounds``).
+    bounds : dict
+        All bounds that were computed, by name.
     start : str
         ``"point"``: the bound holds from the problem's initial state; ``"mean"``: on average over a start drawn
         uniformly from the initial boxes.
@@ -86,6 +115,10 @@ class Certificate:
         Automaton states that each guard connects.
     guard_mask : (G, I) int32 array
         Factor of each agent in each guard, an index into ``agents[i].masks``.
+    start_target : (G0,) int32 array
+        Automaton state after the letter of time 0.
+    start_mask : (G0, I) int32 array
+        The same for reading that letter, an index into ``agents[i].start_masks``.
     skeleton : tuple of Skeleton
         Vertices of the value tree, by time.
     terms : Terms
@@ -99,6 +132,7 @@ class Certificate:
     problem: Problem
     method: str
     bound: str
+    bounds: dict[str, float]
     start: str
     lower_bound: float
     gap: float | None
@@ -108,6 +142,8 @@ class Certificate:
     guard_source: NDArray[np.int32]
     guard_target: NDArray[np.int32]
     guard_mask: NDArray[np.int32]
+    start_target: NDArray[np.int32]
+    start_mask: NDArray[np.int32]
     skeleton: tuple[Skeleton, ...]
     terms: Terms
     rank: int
@@ -122,12 +158,17 @@ class Certificate:
     def controller(self) -> Controller:
         """The controllers the bound belongs to."""
         parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
-        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law) for a, p, r in parts)
+        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law, p.menu) for a, p, r in parts)
         return Controller(self.problem, tuple(controllers))
 
+    @property
+    def delta(self) -> float:
+        """Upper bound on the probability, per step, that any relation is lost."""
+        return joint_delta([relation.delta for relation in self._relations])
+
     @cached_property
-    def _relations(self) -> tuple[ExactRelation, ...]:
-        return tuple(exact_relation(a, p.coordinates) for a, p in zip(self.problem.agents, self.agents, strict=True))
+    def _relations(self) -> tuple[Relation, ...]:
+        return tuple(part.relation_of(a) for a, part in zip(self.problem.agents, self.agents, strict=True))
 
     def at(self, states: Any) -> FloatArray:
         """Lower bounds (M,) on the satisfaction probability from each of M joint initial states.
@@ -157,7 +198,7 @@ class Certificate:
         for state in np.unique(q):
             here = np.flatnonzero(inside & (q == state))
             for chunk in np.array_split(here, max(1, len(here) * len(self.terms.index[state]) // 2_000_000 + 1)):
-                values[chunk] = self.terms.at(int(state), cells[chunk])
+                values[chunk] = self._corrected.at(int(state), cells[chunk])
         return self._rounded(values)
 
     def mean(self, low: Any, high: Any) -> float:
@@ -195,29 +236,51 @@ class Certificate:
         return float(self._rounded(np.array([smallest if count else 0.0]))[0])
 
     @cached_property
+    def _correction(self) -> float:
+        """What lost relations may cost a run that is undecided to the end: ``Delta T`` of the a-posteriori bound."""
+        return self.delta * self.problem.horizon * (1 + 1e-9) if self.bound == "a-posteriori" else 0.0
+
+    @cached_property
+    def _corrected(self) -> Terms:
+        """Value function; under the a-posteriori bound each term gains ``Delta`` per step saved by accepting early."""
+        if self._correction == 0.0:
+            return self.terms
+        guards = Guards(tuple(p.masks for p in self.agents), self.guard_source, self.guard_target, self.guard_mask)
+        automaton = self.problem.automaton
+        co_safe = automaton.semantics == "co-safe"
+        absorbing = automaton.dead | automaton.accepting if co_safe else automaton.dead
+        depths = term_depths(self.skeleton, guards, automaton.accepting, absorbing)
+        horizon = self.problem.horizon
+        worth = self.delta * (1 - 1e-9) if co_safe else 0.0
+        gains = [np.asarray(1.0 + worth * (horizon - depth)) for depth in depths]
+        factors, index = list(self.terms.factors), [rows.astype(np.int64) for rows in self.terms.index]
+        scaled = [factors[0][rows[:, 0]] * np.reshape(gain, (-1, 1)) for rows, gain in zip(index, gains, strict=True)]
+        ends = np.cumsum([0, *(len(part) for part in scaled)])
+        for rows, first in zip(index, ends, strict=False):
+            rows[:, 0] = first + np.arange(len(rows))
+        return Terms((np.concatenate(scaled), *factors[1:]), tuple(index))
+
+    @cached_property
     def _unread(self) -> Terms:
-        """Value before the first letter is read, as terms of a single state: the guards out of the initial state."""
-        initial = self.problem.automaton.initial
+        """Value before the first letter is read, as terms of a single state: the start guards and what they lead to."""
+        initial, terms = self.problem.automaton.initial, self._corrected
         if self.problem.automaton.semantics == "co-safe" and self.problem.automaton.accepting[initial]:
-            return Terms(self.terms.factors, (self.terms.index[initial],))
-        chosen = np.flatnonzero(self.guard_source == initial)
-        counts = [len(self.terms.index[q]) for q in self.guard_target[chosen]]
-        guard = np.repeat(chosen, counts)
-        child = np.concatenate(
-            [self.terms.index[q] for q in self.guard_target[chosen]] or [np.zeros((0, len(self.agents)), int)]
-        )
+            return Terms(terms.factors, (terms.index[initial],))
+        counts = [len(terms.index[q]) for q in self.start_target]
+        guard = np.repeat(np.arange(len(counts)), counts)
+        none = np.zeros((0, len(self.agents)), dtype=np.int64)
+        child = np.concatenate([terms.index[q] for q in self.start_target] or [none])
         factors, rows = [], np.zeros(child.shape, dtype=np.int64)
         for i, part in enumerate(self.agents):
-            pairs, rows[:, i] = np.unique(
-                self.guard_mask[guard, i].astype(np.int64) * len(self.terms.factors[i]) + child[:, i],
-                return_inverse=True,
-            )
-            mask, factor = np.divmod(pairs, max(1, len(self.terms.factors[i])))
-            factors.append(part.masks[mask] * self.terms.factors[i][factor])
+            key = self.start_mask[guard, i].astype(np.int64) * len(terms.factors[i]) + child[:, i]
+            pairs, rows[:, i] = np.unique(key, return_inverse=True)
+            mask, factor = np.divmod(pairs, max(1, len(terms.factors[i])))
+            factors.append(part.start_masks[mask] * terms.factors[i][factor])
         return Terms(tuple(factors), (rows,))
 
     def _rounded(self, values: FloatArray) -> FloatArray:
-        return np.clip(values * (1.0 - self.relative_rounding), 0.0, 1.0)
+        """Certified values: rounding and, under the a-posteriori bound, lost relations taken off."""
+        return np.clip(values * (1.0 - self.relative_rounding) - self._correction, 0.0, 1.0)
 
     def _joint_states(self, states: Any) -> FloatArray:
         """States as an (M, D) array."""

@@ -43,6 +43,7 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
         "settings": certificate.settings,
         "agents": [_put_agent(pool, part) for part in certificate.agents],
         "guards": [pool.put(a) for a in (certificate.guard_source, certificate.guard_target, certificate.guard_mask)],
+        "start_guards": [pool.put(certificate.start_target), pool.put(certificate.start_mask)],
         "skeleton": [_put_skeleton(pool, step) for step in certificate.skeleton],
         "terms": {
             "factors": [pool.put(a) for a in certificate.terms.factors],
@@ -54,7 +55,7 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
         np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
 
 
-_NUMBERS = ("method", "bound", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
+_NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
 
 
 def load_certificate(path: str | Path) -> Certificate:
@@ -126,8 +127,11 @@ def _put_agent(pool: _Pool, part: AgentPart) -> dict[str, Any]:
         "edges": [pool.put(a) for a in part.grid.edges],
         "coordinates": pool.put(part.coordinates),
         "lattice": [pool.put(a) for a in part.lattice],
+        "relation": part.relation,
         "masks": pool.put(part.masks),
+        "start_masks": pool.put(part.start_masks),
         "law": pool.put(part.law),
+        "menu": None if part.menu is None else pool.put(part.menu),
     }
 
 
@@ -157,6 +161,10 @@ class _Reader:
         mask = self._integers(header["guards"][2], (len(source), self.n_agents), None)
         if len(target) != len(source) or any(mask[:, i].max(initial=-1) >= len(a.masks) for i, a in enumerate(agents)):
             raise ValueError("its guards are inconsistent")
+        start_target = self._integers(header["start_guards"][0], (None,), self.n_states)
+        start_mask = self._integers(header["start_guards"][1], (len(start_target), self.n_agents), None)
+        if any(start_mask[:, i].max(initial=-1) >= len(a.start_masks) for i, a in enumerate(agents)):
+            raise ValueError("its start guards are inconsistent")
         numbers = {name: header[name] for name in _NUMBERS}
         _check_numbers(numbers)
         return Certificate(
@@ -165,6 +173,8 @@ class _Reader:
             guard_source=source,
             guard_target=target,
             guard_mask=mask,
+            start_target=start_target,
+            start_mask=start_mask,
             skeleton=tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
             terms=self._terms(agents),
             settings=dict(header["settings"]),
@@ -202,14 +212,19 @@ class _Reader:
             raise ValueError("an agent has the wrong number of axes")
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
-        points = int(np.prod([float(len(axis)) for axis in lattice]))
+        points = math.prod(len(axis) for axis in lattice)
         shape = (self.problem.horizon, self.n_states, grid.n_cells)
+        menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
+        _check_relation(entry["relation"], menu)
         return AgentPart(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),
             lattice=lattice,
+            relation=entry["relation"],
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
-            law=self._integers(entry["law"], shape, points, least=-1),
+            start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
+            law=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
+            menu=menu,
         )
 
     def _step(self, entry: Any) -> Skeleton:
@@ -241,10 +256,24 @@ class _Reader:
         return Terms(factors, index)
 
 
+def _check_relation(relation: Any, menu: NDArray | None) -> None:
+    """A relation is of a known kind, with the numbers that belong to it."""
+    if not isinstance(relation, dict) or relation.get("kind") not in ("exact", "paper"):
+        raise ValueError("it has a relation of an unknown kind")
+    if (relation["kind"] == "paper") != (menu is not None):
+        raise ValueError("a relation and its choices do not belong together")
+    numbers = [relation[name] for name in ("epsilon", "feedback", "inputs", "delta")] if menu is not None else []
+    if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
+        raise ValueError("a relation has settings that are no numbers")
+
+
 def _check_numbers(numbers: dict[str, Any]) -> None:
     """Types and ranges of the numbers in the header."""
     lower, gap, relative = numbers["lower_bound"], numbers["gap"], numbers["relative_rounding"]
     texts = all(isinstance(numbers[k], str) for k in ("method", "bound", "start"))
+    bounds = numbers["bounds"]
+    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
+        raise ValueError("its bounds are no numbers")
     if (
         not texts
         or not isinstance(numbers["exact"], bool)

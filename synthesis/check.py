@@ -5,10 +5,11 @@ the input box, and the value tree is grown again vertex by vertex with a kernel 
 keeps, its sum is a lower bound; so a certificate is right if
 
 1. its grids tile the workspaces and its noise coordinates make the noise independent;
-2. guards out of one state are disjoint, and every letter of a guard's cells leads to its target (or, for co-safe
-   tasks, to acceptance);
-3. every target can be commanded from every point of its cell;
-4. the regrown value at the start is at least ``lower_bound``, and no stored factor exceeds its regrown one.
+2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
+3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
+   (or, for co-safe tasks, to acceptance);
+4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
+   exceeds its regrown one.
 
 United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
 """
@@ -23,9 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
+from ..envs.agent import LinearAgent
 from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate
+from .relation_paper import PaperRelation
 from .terms import Terms
+from .verify_relation import verify_relation
 
 FloatArray = NDArray[Any]
 
@@ -83,7 +87,7 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     else:
-        for step in (_check_grids, _check_guards, _check_inputs):
+        for step in (_check_grids, _check_relations, _check_guards):
             failures += step(certificate)
             if failures:
                 break
@@ -121,36 +125,62 @@ def _grid_noise(covariance: FloatArray, coordinates: FloatArray) -> FloatArray:
     return np.asarray(inverse @ covariance @ inverse.T)
 
 
-def _cell_boxes(part: AgentPart) -> tuple[FloatArray, FloatArray]:
-    """Boxes in state space around the cells (the cells themselves in state coordinates)."""
+def _cell_boxes(agent: LinearAgent, part: AgentPart, starting: bool) -> tuple[FloatArray, FloatArray]:
+    """Boxes in state space around the states related to each cell; for ``starting`` around the cell itself."""
+    relation = part.relation_of(agent)
+    if isinstance(relation, PaperRelation) and not relation.is_cell and not starting:
+        epsilon = relation.epsilon
+        return part.grid.centres - epsilon - 1e-12, np.nextafter(part.grid.centres + epsilon + 1e-12, np.inf)
     if np.array_equal(part.coordinates, np.eye(len(part.coordinates))):
         return part.grid.low, part.grid.high
     centre, reach = part.grid.centres @ part.coordinates.T, part.grid.half_widths @ np.abs(part.coordinates).T
     return centre - reach * (1 + 1e-12) - 1e-12, centre + reach * (1 + 1e-12) + 1e-12
 
 
+def _check_relations(certificate: Certificate) -> list[str]:
+    """The relation of every agent holds, and its policy asks for nothing beyond the input box."""
+    failures = []
+    seen: set[object] = set()
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        key = (agent.A.tobytes(), agent.B.tobytes(), id(part.grid), part.law.tobytes())
+        if key not in seen:
+            seen.add(key)
+            failures += [f"agent `{agent.name}`: {text}" for text in verify_relation(agent, part)]
+    return failures
+
+
 def _check_guards(certificate: Certificate) -> list[str]:
-    """Guards are disjoint, stay inside the workspace, and every letter of their cells leads where they say."""
+    """Guards are disjoint, stay inside the workspace, and every letter of their states leads where they say."""
+    initial = np.full(len(certificate.start_target), certificate.problem.automaton.initial)
+    arriving = [part.masks for part in certificate.agents], certificate.guard_source, certificate.guard_target
+    starting = [part.start_masks for part in certificate.agents], initial, certificate.start_target
+    failures = _check_guard_set(certificate, *arriving, certificate.guard_mask, starting=False)
+    return failures or _check_guard_set(certificate, *starting, certificate.start_mask, starting=True)
+
+
+def _check_guard_set(
+    certificate: Certificate, masks: list[NDArray], source: NDArray, target: NDArray, mask: NDArray, starting: bool
+) -> list[str]:  # fmt: skip
+    """What is wrong with one set of guards."""
     problem, automaton = certificate.problem, certificate.problem.automaton
-    source, target, mask = certificate.guard_source, certificate.guard_target, certificate.guard_mask
     co_safe = automaton.semantics == "co-safe"
     meets, letters = [], []
-    for i, part in enumerate(certificate.agents):
-        meets.append((part.masks.astype(np.int64) @ part.masks.T.astype(np.int64)) > 0)
-        low, high = _cell_boxes(part)
-        possible = problem.labeling.box_classes(i, low, high)
+    for i, (part, own) in enumerate(zip(certificate.agents, masks, strict=True)):
+        meets.append((own.astype(np.int64) @ own.T.astype(np.int64)) > 0)
         agent = problem.agents[i]
+        low, high = _cell_boxes(agent, part, starting)
+        possible = problem.labeling.box_classes(i, low, high)
         outside = np.any((low < agent.workspace.low) | (high > agent.workspace.high), axis=1)
-        if part.masks[:, outside].any():
+        if own[:, outside].any():
             return [f"a guard uses cells of agent `{agent.name}` that reach beyond its workspace"]
         classes = problem.labeling.classes[i]
-        letters.append([classes[possible[own].any(axis=0)] for own in part.masks])
+        letters.append([classes[possible[cells].any(axis=0)] for cells in own])
     for q in np.unique(source):
-        own = np.flatnonzero(source == q)
-        overlap = np.ones((len(own), len(own)), dtype=bool)
+        rows = np.flatnonzero(source == q)
+        overlap = np.ones((len(rows), len(rows)), dtype=bool)
         for i, both in enumerate(meets):
-            overlap &= both[np.ix_(mask[own, i], mask[own, i])]
-        if np.any(overlap & ~np.eye(len(own), dtype=bool)):
+            overlap &= both[np.ix_(mask[rows, i], mask[rows, i])]
+        if np.any(overlap & ~np.eye(len(rows), dtype=bool)):
             return [f"guards out of automaton state {q} overlap"]
         if co_safe and automaton.accepting[q]:
             return [f"guards leave the accepting state {q}"]
@@ -184,30 +214,6 @@ def _targets(problem: Problem, q: int, classes: list[NDArray[np.bool_]]) -> set[
     return {-1 - entry for entry in frontier}
 
 
-def _check_inputs(certificate: Certificate) -> list[str]:
-    """Every commanded target is reached by an admissible input from every point of its cell."""
-    failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        inverse = np.linalg.inv(part.coordinates)
-        A, B, offset = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
-        middle = 0.5 * (agent.input_box.low + agent.input_box.high)
-        to_input = np.linalg.pinv(B)
-        if np.max(np.abs(B @ to_input - np.eye(len(B)))) > 1e-9:
-            failures.append(f"the inputs of agent `{agent.name}` do not reach every mean")
-            continue
-        spread = part.grid.half_widths @ np.abs(to_input @ A).T
-        rows = part.law.reshape(-1, part.law.shape[-1])
-        for law in np.unique(rows, axis=0) if len(rows) > 1 else rows:
-            index = np.unravel_index(np.maximum(law, 0), part.lattice_shape)
-            goal = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
-            inputs = (goal - part.grid.centres @ A.T - offset - B @ middle) @ to_input.T + middle
-            low, high = inputs - spread, inputs + spread
-            if np.any(((low < agent.input_box.low) | (high > agent.input_box.high)) & (law >= 0)[:, None]):
-                failures.append(f"agent `{agent.name}` is asked for inputs beyond its input box")
-                break
-    return failures
-
-
 def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None = None) -> Terms:
     """Grow the value tree again from the policies and the list of its vertices: value function at time 0.
 
@@ -223,6 +229,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         for a, p in zip(certificate.problem.agents, certificate.agents, strict=True)
     ]
     ones = [np.ones((1, part.grid.n_cells)) for part in certificate.agents]
+    deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
@@ -240,7 +247,11 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
                 vertex = _unite(part.masks, factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
                 distinct, where = _distinct(vertex, kept)
-                values = _smooth(distinct, kernels[i])[:, np.maximum(part.law[t, q], 0)] * (part.law[t, q] >= 0)
+                points = part.points(t, q)
+                values = _smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
+                if certificate.bound == "robust tree":
+                    values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
+                values = values * (points >= 0)
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(values)
         factors, index = [np.concatenate(s) for s in stacks], rows
@@ -316,16 +327,62 @@ def _smooth(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
 
 
 def _start_value(certificate: Certificate, terms: Terms) -> float:
-    """Regrown value at the problem's start."""
-    regrown = _with_terms(certificate, terms)
+    """Regrown value at the problem's start, less what lost relations can cost."""
+    delta = certificate.delta if certificate.bound == "a-posteriori" else 0.0
+    if certificate.bound == "nominal" and certificate.delta > 0:
+        return float("nan")  # the nominal value proves nothing then
+    plain = replace(certificate, terms=terms, relative_rounding=0.0, bound="nominal")
     boxes = [agent.initial for agent in certificate.problem.agents]
     low, high = (np.concatenate([getattr(b, side) for b in boxes]) for side in ("low", "high"))
-    value = float(regrown.at(low)[0]) if np.array_equal(low, high) else regrown.mean(low, high)
-    return value
+    value = float(plain.at(low)[0]) if np.array_equal(low, high) else plain.mean(low, high)
+    return value - delta * _undecided(certificate) * (1 + 1e-9) if delta else value
 
 
-def _with_terms(certificate: Certificate, terms: Terms) -> Certificate:
-    return replace(certificate, terms=terms, relative_rounding=0.0)
+def _undecided(certificate: Certificate) -> float:
+    """Upper bound on the expected number of undecided steps: alive mass pushed forward, dropped mass in full."""
+    problem, agents = certificate.problem, certificate.agents
+    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    kernels = [_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
+    settled = problem.automaton.dead.copy()
+    if problem.automaton.semantics == "co-safe":
+        settled |= problem.automaton.accepting
+    shares = [p.grid.overlap(a.initial.low, a.initial.high) for a, p in zip(problem.agents, agents, strict=True)]
+    alive: list[tuple[int, list[FloatArray]]] = []
+    if all(np.array_equal(a.initial.low, a.initial.high) for a in problem.agents):
+        alive = [(problem.initial_q, shares)] if problem.initial_q is not None else []
+    else:
+        for target, masks in zip(certificate.start_target, certificate.start_mask, strict=True):
+            alive.append((int(target), [p.start_masks[m] * s for p, m, s in zip(agents, masks, shares, strict=True)]))
+    dropped, total = 0.0, 0.0
+    for t in range(problem.horizon):
+        alive = [(q, f) for q, f in alive if not settled[q]]
+        masses = np.array([np.prod([own.sum() for own in f]) for _, f in alive])
+        small = np.zeros(len(alive), dtype=bool)
+        order = np.argsort(masses)
+        small[order[np.cumsum(masses[order]) <= 1e-9 * masses.sum()]] = True
+        dropped += float(masses[small].sum())
+        total += min(1.0, float(masses.sum()) + dropped + 1e-9)
+        alive = _step([pair for pair, out in zip(alive, small, strict=True) if not out], certificate, kernels, t)
+    return total
+
+
+def _step(
+    alive: list[tuple[int, list[FloatArray]]], certificate: Certificate, kernels: list[list[FloatArray]], t: int
+) -> list[tuple[int, list[FloatArray]]]:
+    """Alive products one step later."""
+    following = []
+    for q, factors in alive:
+        moved = []
+        for part, own, (table,) in zip(certificate.agents, factors, kernels, strict=True):
+            points = part.points(t, q)
+            on_lattice = np.bincount(points[points >= 0], weights=own[points >= 0], minlength=len(table))
+            moved.append(on_lattice @ table)
+        for g in np.flatnonzero(certificate.guard_source == q):
+            masks = (part.masks[m] for part, m in zip(certificate.agents, certificate.guard_mask[g], strict=True))
+            product = [own * mask for own, mask in zip(moved, masks, strict=True)]
+            if all(own.any() for own in product):
+                following.append((int(certificate.guard_target[g]), product))
+    return following
 
 
 def _check_values(certificate: Certificate, terms: Terms, recomputed: float) -> list[str]:

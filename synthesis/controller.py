@@ -1,14 +1,21 @@
 """Per-agent finite-memory controllers that carry out a policy on the continuous system.
 
-Each agent sees its own state, the shared automaton state and the time, looks up the target mean of its cell and applies
-the relation's input (THEORY section 6). Controllers are total: outside the workspace, in states and at times that no
-certificate speaks of, the input is the one of the nearest cell, and always admissible.
+Each agent sees its own state, the shared automaton state and the time (THEORY section 6).
+
+``exact``   the cell of its state decides the target mean, and the input puts the mean of the next state on it.
+``paper``   the agent remembers the abstract state xhat. From the next state it recovers the noise ``w``, draws the
+            abstract noise from the coupling, ``what = w + F e`` with probability ``min(1, phi(what)/phi(w))`` and its
+            mirror image otherwise, and moves xhat as the finite model does. When ``x - xhat`` leaves the relation the
+            certificate claims nothing any more; the agent starts again from the cell of its state.
+
+Controllers are total: outside the workspace, in states and at times that no certificate speaks of, the input is the one
+of the nearest cell, and always admissible.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,44 +24,96 @@ from numpy.typing import NDArray
 
 from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
+from .abstraction import Relation
 from .grid import FloatArray, Grid
-from .relation import ExactRelation
+from .relation_exact import ExactRelation
+from .relation_paper import PaperRelation
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What coupled agents remember between steps; arrays (n, M), agents of a group by worlds.
+
+    Parameters
+    ----------
+    cells : (n, M) int array
+        Abstract states xhat, as cells.
+    states, inputs, means : (n, M) arrays
+        State and input of the last step, and the mean of the abstract successor.
+    lost : (n, M) bool array
+        Whether the relation was ever lost.
+    """
+
+    cells: NDArray[Any]
+    states: FloatArray
+    inputs: FloatArray
+    means: FloatArray
+    lost: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class AgentController:
-    """Controller of one agent: ``input = relation(target of (time, automaton state, cell), state)``.
+    """Controller of one agent, or of n agents that share grid and relation.
 
     Parameters
     ----------
     name : str
     grid : Grid
     lattice : tuple of (Z_k,) arrays
-        Target means per axis, in grid coordinates.
-    relation : ExactRelation
-    law : (T, Q, S) int32 array
-        Target of each cell as a flat lattice index; -1 where no target is admissible.
+        Means per axis, in grid coordinates.
+    relation : Relation
+    law : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
+        Choice in each cell by time and automaton state; -1 where there is none.
+    menu : (S, A) int32 array or None
+        Lattice point that each input of each cell leads to (``paper``).
     """
 
     name: str
     grid: Grid
     lattice: tuple[FloatArray, ...]
-    relation: ExactRelation
+    relation: Relation
     law: NDArray[np.int32]
+    menu: NDArray[np.int32] | None = None
 
-    def act(self, state: FloatArray, q: int, time: int) -> FloatArray:
-        """Input (m,) at one state (d,), automaton state and time."""
-        inputs = self.inputs(np.asarray(state, dtype=float)[:, None], np.array([q]), time)
-        return np.ascontiguousarray(inputs[:, 0])
+    @property
+    def is_coupled(self) -> bool:
+        """Whether it remembers an abstract state."""
+        return isinstance(self.relation, PaperRelation)
 
-    def inputs(self, states: FloatArray, q: NDArray[np.integer], time: int) -> FloatArray:
-        """Inputs (m, M) at states (d, M) and automaton states (M,), the same bits for any M."""
+    @cached_property
+    def _laws(self) -> NDArray[np.int32]:
+        return self.law if self.law.ndim == 4 else self.law[None]
+
+    def begin(self, states: FloatArray) -> Memory | None:
+        """Memory at time 0 for states (d, n, M): the cells of the states."""
+        if not self.is_coupled:
+            return None
+        n, worlds = states.shape[1:]
+        nothing = np.zeros((n, worlds))
+        cells = self.grid.cell_of(self.project(states))
+        return Memory(cells, nothing, nothing, nothing, np.zeros((n, worlds), dtype=bool))
+
+    def act(
+        self, states: FloatArray, q: NDArray[Any], time: int, memory: Memory | None, uniform: FloatArray | None = None
+    ) -> tuple[FloatArray, Memory | None]:
+        """Inputs (m, n, M) at states (d, n, M) and automaton states (M,), the same bits for any number of worlds.
+
+        Coupled agents take ``uniform`` (n, M), one auxiliary draw per step.
+        """
+        if memory is not None and isinstance(self.relation, PaperRelation):
+            if time > 0 and uniform is not None:
+                memory = follow(self.relation, self.grid, memory, states[0], uniform)
+            return self._coupled(self.relation, memory, states, q, time)
         points = self.project(states)
-        cells = self.grid.cell_of(points)
-        return self.towards(self.law[min(time, len(self.law) - 1), q, cells], points)
+        law = self._laws[np.arange(states.shape[1])[:, None], self._time(time), q, self.grid.cell_of(points)]
+        return self._towards(law, points), None
 
-    def towards(self, targets: NDArray[np.integer], points: FloatArray) -> FloatArray:
-        """Inputs (m, M) that put the mean of the next state on lattice points (M,) from points (d, M) of the grid."""
+    def _time(self, time: int) -> int:
+        return min(time, self._laws.shape[1] - 1)
+
+    def _towards(self, targets: NDArray[Any], points: FloatArray) -> FloatArray:
+        """Inputs that put the mean of the next state on lattice points (n, M) from points (d, n, M) of the grid."""
+        assert isinstance(self.relation, ExactRelation)
         shape = tuple(len(axis) for axis in self.lattice)
         indices = np.unravel_index(np.maximum(targets, 0), shape)
         goal = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)])
@@ -64,6 +123,18 @@ class AgentController:
             inputs[:, idle] = self.relation.input_centre[:, None]
         return inputs
 
+    def _coupled(
+        self, relation: PaperRelation, memory: Memory, states: FloatArray, q: NDArray[Any], time: int
+    ) -> tuple[FloatArray, Memory]:
+        """Inputs ``uhat + K e`` and the memory of this step."""
+        assert self.menu is not None
+        choice = np.maximum(self._laws[np.arange(len(memory.cells))[:, None], self._time(time), q, memory.cells], 0)
+        centres = self.grid.centres[memory.cells, 0]
+        error = np.clip(np.nan_to_num(states[0] - centres), -relation.epsilon, relation.epsilon)
+        inputs = relation.inputs[choice] + relation.feedback * error
+        means = self.lattice[0][self.menu[memory.cells, choice]]
+        return inputs[None], Memory(memory.cells, states[0], inputs, means, memory.lost)
+
     def project(self, states: FloatArray) -> FloatArray:
         """Grid coordinates of the states, moved into the grid where they are outside; NaN goes to the low edge."""
         points = self.relation.to_grid(states)
@@ -72,12 +143,38 @@ class AgentController:
         return points
 
 
+def follow(relation: PaperRelation, grid: Grid, memory: Memory, states: FloatArray, uniform: FloatArray) -> Memory:
+    """Move the abstract states along with the continuous ones, now at ``states`` (n, M), by the lifted coupling."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        noise = states - relation.a * memory.states - relation.b * memory.inputs - relation.drift
+        error = memory.states - grid.centres[memory.cells, 0]
+        abstract_noise = couple(noise, relation.coupling * error, relation.deviation, uniform)
+        landed = memory.means + abstract_noise
+        edges = grid.edges[0]
+        inside = (edges[0] <= landed) & (landed <= edges[-1])
+        cells = grid.cell_of(np.where(inside, landed, edges[0])[None])
+        kept = inside & (np.abs(states - grid.centres[cells, 0]) <= relation.epsilon * (1 + 1e-12))
+    again = grid.cell_of(np.clip(np.nan_to_num(states, nan=edges[0]), edges[0], edges[-1])[None])
+    return Memory(np.where(kept, cells, again), states, memory.inputs, memory.means, memory.lost | ~kept)
+
+
+def couple(noise: FloatArray, shift: FloatArray, deviation: float, uniform: FloatArray) -> FloatArray:
+    """Noise of the abstract system, normal like ``noise`` and equal to ``noise + shift`` as often as can be.
+
+    Maximal coupling by reflection: ``noise + shift`` is accepted with probability ``min(1, phi(noise + shift) /
+    phi(noise))``, otherwise the noise is mirrored at 0 along the shift (in one dimension: its sign changes).
+    """
+    whitened, move = noise / deviation, shift / deviation
+    accepted = np.log(np.maximum(uniform, 1e-300)) <= -(whitened * move + 0.5 * move * move)
+    return np.where(accepted, noise + shift, -noise)
+
+
 @dataclass(frozen=True, eq=False)
 class Controller:
     """Controllers of all agents of a problem, usable in a PettingZoo loop and in batched rollouts.
 
-    The information structure is that of the certificate: own state, shared automaton state, time. There is no other
-    memory, so ``reset`` only checks that the environment is the one the controller was made for.
+    The information structure is that of the certificate: own state, shared automaton state, time, and per coupled
+    agent its abstract state.
 
     Parameters
     ----------
@@ -87,13 +184,18 @@ class Controller:
 
     problem: Problem
     agents: tuple[AgentController, ...]
+    _episode: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _by_name(self) -> dict[str, AgentController]:
         return {agent.name: agent for agent in self.agents}
 
-    def reset(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> None:
+    def reset(
+        self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
+    ) -> None:
         """Begin an episode with the observations of ``env.reset``.
+
+        ``seed`` fixes the auxiliary draws of coupled agents; there are none under the ``exact`` relation.
 
         Raises
         ------
@@ -106,6 +208,9 @@ class Controller:
                 f"`observations`: expected exactly the agents of problem {self.problem.name!r}, got a mismatch at "
                 f"{', '.join(strangers[:5])}; reset the controller of this environment's own problem"
             )
+        if seed is not None or "rng" not in self._episode:
+            self._episode["rng"] = np.random.default_rng(seed)
+        self._episode["memory"] = {}
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
         """Action of every agent observed: name -> (m,) float64.
@@ -118,18 +223,29 @@ class Controller:
             agent = self._by_name[name]
             info = infos.get(name) if infos is not None else None
             if info is not None and "state" in info:
-                actions[name] = agent.act(info["state"], int(info["automaton_state"]), int(info["time"]))
+                state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
             else:
-                actions[name] = agent.act(*self._read(agent, np.asarray(observation, dtype=float)))
+                state, q, time = self._read(agent, np.asarray(observation, dtype=float))
+            actions[name] = self._act_one(agent, np.asarray(state, dtype=float)[:, None, None], q, time)
         return actions
+
+    def _act_one(self, agent: AgentController, state: FloatArray, q: int, time: int) -> FloatArray:
+        """Action of one agent, its memory kept between calls of one episode."""
+        if not agent.is_coupled:
+            return np.ascontiguousarray(agent.act(state, np.array([q]), time, None)[0][:, 0, 0])
+        memories, rng = self._episode.setdefault("memory", {}), self._episode.setdefault("rng", np.random.default_rng())
+        if time == 0 or agent.name not in memories:
+            memories[agent.name] = agent.begin(state)
+        inputs, memories[agent.name] = agent.act(state, np.array([q]), time, memories[agent.name], rng.random((1, 1)))
+        return np.ascontiguousarray(inputs[:, 0, 0])
 
     def _read(self, agent: AgentController, observation: FloatArray) -> tuple[FloatArray, int, int]:
         """State, automaton state and time in an observation (own state, one-hot automaton state, fraction left)."""
         d, n_q = len(agent.grid.edges), self.problem.automaton.n_states
         if observation.shape != (d + n_q + 1,):
             raise ValueError(
-                f"`observations`: expected {d + n_q + 1} numbers for agent `{agent.name}` (state, automaton "
-                f"state, time left), got shape {observation.shape}"
+                f"`observations`: expected {d + n_q + 1} numbers for agent `{agent.name}` (state, automaton state, "
+                f"time left), got shape {observation.shape}"
             )
         q = int(np.argmax(observation[d : d + n_q]))
         return observation[:d], q, round((1.0 - float(observation[-1])) * self.problem.horizon)
@@ -140,21 +256,32 @@ class Controller:
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
-    """Agents of one block with the same grid and lattice, stacked; arrays as in ``envs.dynamics.Block``."""
+class Group:
+    """Agents of one block that share grid and relation: their places in the block, and their common controller."""
 
     members: NDArray[np.int64]
-    grid: Grid
-    lattice: tuple[FloatArray, ...]
-    relation: ExactRelation
-    law: NDArray[np.int32]
+    controller: AgentController
+
+
+@dataclass(frozen=True, eq=False)
+class BatchMemory:
+    """Memory of a batch: one entry per group of each block, and the generator of auxiliary draws."""
+
+    groups: tuple[tuple[Memory | None, ...], ...]
+    rng: np.random.Generator
+
+    @property
+    def lost(self) -> NDArray[np.bool_] | None:
+        """(M,) whether any agent's relation was ever lost; None if there is nothing to lose."""
+        flags = [memory.lost.any(axis=0) for block in self.groups for memory in block if memory is not None]
+        return np.logical_or.reduce(flags) if flags else None
 
 
 @dataclass(frozen=True, eq=False)
 class BatchController:
     """Controllers arranged for batches: agents with the same grid and relation act in one call."""
 
-    blocks: tuple[tuple[_Group, ...], ...]
+    blocks: tuple[tuple[Group, ...], ...]
     shapes: tuple[tuple[int, int], ...]
 
     @classmethod
@@ -169,36 +296,36 @@ class BatchController:
             shapes.append((block.B.shape[1], len(block.agents)))
         return cls(tuple(blocks), tuple(shapes))
 
-    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
-        """Nothing is remembered: cell, automaton state and time are read off the worlds."""
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> BatchMemory:
+        """Memory at time 0; coupled agents take one auxiliary draw per step and world from ``rng``."""
+        pairs = zip(self.blocks, worlds.states, strict=True)
+        memory = tuple(tuple(g.controller.begin(states[:, g.members]) for g in groups) for groups, states in pairs)
+        return BatchMemory(memory, rng)
 
-    def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
-        """Inputs (m, n, M) per block."""
-        result = []
-        for groups, (m, n), states in zip(self.blocks, self.shapes, worlds.states, strict=True):
-            inputs = np.empty((m, n, worlds.n_worlds))
-            for group in groups:
-                inputs[:, group.members] = _stacked_inputs(group, states[:, group.members], worlds.q, worlds.time)
+    def act(self, worlds: Worlds, memory: BatchMemory) -> tuple[tuple[FloatArray, ...], BatchMemory]:
+        """Inputs (m, n, M) per block, and the memory for the next step."""
+        result, remembered = [], []
+        for groups, memories, (m, n), states in zip(
+            self.blocks, memory.groups, self.shapes, worlds.states, strict=True
+        ):
+            inputs, kept = np.empty((m, n, worlds.n_worlds)), []
+            for group, own in zip(groups, memories, strict=True):
+                uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if own is not None else None
+                here = states if len(group.members) == n else states[:, group.members]
+                inputs[:, group.members], own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
+                kept.append(own)
             result.append(inputs)
-        return tuple(result), None
+            remembered.append(tuple(kept))
+        return tuple(result), BatchMemory(tuple(remembered), memory.rng)
 
 
 def _signature(agent: AgentController) -> object:
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
-    return tuple(a.tobytes() for a in arrays)
+    return (agent.relation.kind, *(a.tobytes() for a in arrays))
 
 
-def _group(agents: Sequence[AgentController], block: NDArray[np.integer], members: list[int]) -> _Group:
+def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> Group:
     first = agents[block[members[0]]]
     law = np.stack([agents[block[k]].law for k in members])
-    return _Group(np.array(members), first.grid, first.lattice, first.relation, law)
-
-
-def _stacked_inputs(group: _Group, states: FloatArray, q: NDArray[np.integer], time: int) -> FloatArray:
-    """Inputs (m, n, M) of agents that share grid and relation, at states (d, n, M)."""
-    d, n, n_worlds = states.shape
-    agent = AgentController("", group.grid, group.lattice, group.relation, group.law[0])
-    points = agent.project(states.reshape(d, -1))
-    cells = group.grid.cell_of(points).reshape(n, n_worlds)
-    targets = group.law[np.arange(n)[:, None], min(time, group.law.shape[1] - 1), q[None, :], cells].reshape(-1)
-    return agent.towards(targets, points).reshape(-1, n, n_worlds)
+    shared = AgentController("", first.grid, first.lattice, first.relation, law, first.menu)
+    return Group(np.array(members), shared)

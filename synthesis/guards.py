@@ -14,7 +14,7 @@ split in order, an agent with a single live cofactor first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,8 +58,10 @@ class Guards:
         return np.flatnonzero(self.source == q)
 
 
-def compile_guards(problem: Problem, label_sets: Sequence[BoolArray]) -> Guards:
+def compile_guards(problem: Problem, label_sets: Sequence[BoolArray], states: Collection[int] | None = None) -> Guards:
     """Disjoint guards of ``problem``'s automaton over the label sets (n_i, C_i) that occur in each agent's cells.
+
+    Only those out of the automaton ``states`` that are given, by default out of all.
 
     Raises
     ------
@@ -70,6 +72,8 @@ def compile_guards(problem: Problem, label_sets: Sequence[BoolArray]) -> Guards:
     source, target, rows = [], [], []
     absorbing = problem.automaton.accepting if problem.automaton.semantics == "co-safe" else None
     for q, root in enumerate(robust.roots):
+        if states is not None and q not in states:
+            continue
         if problem.automaton.dead[q] or (absorbing is not None and absorbing[q]):
             continue
         cubes = _merge_neighbours(robust.cubes(root))

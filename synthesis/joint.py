@@ -32,6 +32,8 @@ class JointModel:
         Disjoint guards between automaton states.
     masks : tuple of (K_i, S_i) arrays
         Guards' factors on the cells of each agent.
+    start_guards, start_masks
+        The same for reading the letter of time 0, where the state is known to be in the cell itself.
     accepting : (Q,) bool array
     absorbing : (Q,) bool array
         States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
@@ -42,6 +44,8 @@ class JointModel:
     models: tuple[AgentModel, ...]
     guards: Guards
     masks: tuple[NDArray, ...]
+    start_guards: Guards
+    start_masks: tuple[NDArray, ...]
     accepting: NDArray[np.bool_]
     absorbing: NDArray[np.bool_]
     horizon: int
@@ -60,12 +64,16 @@ class JointModel:
 def join(problem: Problem, abstraction: Abstraction) -> JointModel:
     """Compile the guards of ``problem`` over the cells of ``abstraction``."""
     automaton = problem.automaton
-    guards = compile_guards(problem, [model.label_sets for model in abstraction.models])
+    models = abstraction.models
+    guards = compile_guards(problem, [model.labels.sets for model in models])
+    start_guards = compile_guards(problem, [model.start_labels.sets for model in models], [automaton.initial])
     goal = automaton.accepting if automaton.semantics == "co-safe" else np.zeros(automaton.n_states, dtype=bool)
     return JointModel(
-        models=abstraction.models,
+        models=models,
         guards=guards,
-        masks=cell_masks(guards, abstraction.models),
+        masks=cell_masks(guards, [model.labels for model in models]),
+        start_guards=start_guards,
+        start_masks=cell_masks(start_guards, [model.start_labels for model in models]),
         accepting=np.asarray(automaton.accepting, dtype=bool),
         absorbing=np.asarray(goal | automaton.dead, dtype=bool),
         horizon=problem.horizon,
@@ -102,17 +110,17 @@ def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray
 
 def _cell(model: AgentModel, state: FloatArray) -> int:
     """Cell of one state (d,)."""
-    return int(model.grid.cell_of(np.linalg.solve(model.relation.coordinates, state)[:, None])[0])
+    return int(model.grid.cell_of(model.relation.to_grid(state)[:, None])[0])
 
 
 def _overlap(model: AgentModel, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Share (S,) of the start box in each cell inside the workspace."""
+    """Share (S,) of the start box in each cell."""
     if not model.relation.has_state_coordinates:
         raise ValueError(
             "`initial_low`, `initial_high`: expected an `initial_state` for an agent with correlated noise, got a box; "
             "its cells are no boxes in state space, so give a point"
         )
-    return model.grid.overlap(low, high) * (model.labels >= 0)
+    return model.grid.overlap(low, high)
 
 
 def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:
@@ -123,8 +131,8 @@ def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[Fl
         alive = bool(joint.accepting[initial])
         per_state = [np.zeros((int(alive and q == initial), n_agents), dtype=np.int64) for q in range(joint.n_states)]
         return Occupancy(Terms(tuple(f[None] for f in factors), tuple(per_state)), 0.0)
-    masked = tuple(mask * factor for mask, factor in zip(joint.masks, factors, strict=True))
-    guards = joint.guards
+    masked = tuple(mask * factor for mask, factor in zip(joint.start_masks, factors, strict=True))
+    guards = joint.start_guards
     index = []
     for q in range(joint.n_states):
         chosen = np.flatnonzero((guards.source == initial) & (guards.target == q))

@@ -11,6 +11,7 @@ are small, the error of the special function and of its argument is subtracted, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,18 +69,79 @@ def gaussian_masses(means: FloatArray, edges: FloatArray, std: float) -> tuple[F
 
 
 @dataclass(frozen=True, eq=False)
+class AxisTable:
+    """Masses (Z, S) of one axis, stored where they are not 0: blocks of lattice points, each with a range of cells.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Lattice points Z and cells S.
+    blocks : tuple of (z0, z1, s0, s1, (z1 - z0, s1 - s0) array)
+        Entries of lattice points z0 .. z1 - 1 and cells s0 .. s1 - 1; the ranges of lattice points tile 0 .. Z.
+    """
+
+    shape: tuple[int, int]
+    blocks: tuple[tuple[int, int, int, int, NDArray], ...]
+
+    @classmethod
+    def dense(cls, table: NDArray) -> AxisTable:
+        """All entries in one block; any numeric dtype (``fractions.Fraction`` objects in exact tests)."""
+        return cls(table.shape, ((0, table.shape[0], 0, table.shape[1], table),))
+
+    def toarray(self) -> NDArray:
+        """The table as one (Z, S) array."""
+        table = np.zeros(self.shape, dtype=self.blocks[0][-1].dtype)
+        for z0, z1, s0, s1, entries in self.blocks:
+            table[z0:z1, s0:s1] = entries
+        return table
+
+    def smooth(self, values: NDArray) -> NDArray:
+        """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
+        parts = [values[..., s0:s1] @ entries.T for _, _, s0, s1, entries in self.blocks]
+        return np.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
+
+    def push(self, masses: NDArray) -> NDArray:
+        """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
+        pushed = np.zeros((*masses.shape[:-1], self.shape[1]))
+        for z0, z1, s0, s1, entries in self.blocks:
+            pushed[..., s0:s1] += masses[..., z0:z1] @ entries
+        return pushed
+
+
+REACH = 9.0
+"""Standard deviations beyond which masses count as 0; both tails together hold less than 3e-19."""
+
+BLOCK = 128
+"""Lattice points per block of a table."""
+
+
+def gaussian_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[AxisTable, float]:
+    """Lower bounds on the cell masses around increasing ``means``, banded; else like ``gaussian_masses``."""
+    blocks, loss = [], 0.0
+    for z0 in range(0, len(means), BLOCK):
+        own = means[z0 : z0 + BLOCK]
+        s0 = max(0, int(np.searchsorted(edges, own[0] - REACH * std)) - 1)
+        s1 = min(len(edges) - 1, int(np.searchsorted(edges, own[-1] + REACH * std)))
+        s0, s1 = min(s0, len(edges) - 2), max(s1, 1)
+        masses, missing = gaussian_masses(own, edges[s0 : s1 + 1], std)
+        blocks.append((z0, z0 + len(own), s0, s1, masses))
+        loss = max(loss, missing)
+    return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss + 3e-19
+
+
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """Separable kernel from lattice points to cells, as one table per axis.
 
     Parameters
     ----------
-    tables : tuple of (Z_k, S_k) arrays
-        Lower bounds on the masses; any numeric dtype (``fractions.Fraction`` objects in exact tests).
+    tables : tuple of AxisTable
+        Lower bounds on the masses.
     loss : float
         Upper bound on the mass that one application loses to rounding, per row.
     """
 
-    tables: tuple[NDArray, ...]
+    tables: tuple[AxisTable, ...]
     loss: float = 0.0
 
     @property
@@ -94,7 +156,7 @@ class Kernel:
 
     def smooth(self, factors: NDArray) -> NDArray:
         """``sum_s P(s | z) v[s]`` for every lattice point z: (n, S) -> (n, Z)."""
-        return _along_axes(factors, self.shape, [table.T for table in self.tables])
+        return _along_axes(factors, self.shape, [table.smooth for table in self.tables])
 
     def push(self, masses: FloatArray, law: NDArray[np.integer]) -> FloatArray:
         """Distribution after one step: (n, S) masses under the lattice points ``law`` (S,) -> (n, S).
@@ -109,15 +171,14 @@ class Kernel:
             cells = np.arange(len(slot))
             scatter = scipy.sparse.csr_array((np.ones(len(slot)), (slot, cells)), shape=(n_lattice + 1, len(slot)))
             on_lattice = (scatter @ masses.T).T
-        return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, list(self.tables))
+        return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, [table.push for table in self.tables])
 
 
-def _along_axes(values: NDArray, shape: tuple[int, ...], matrices: list[NDArray]) -> NDArray:
-    """Multiply each axis of (n, prod(shape)) values by its (in, out) matrix; returns (n, prod(out))."""
-    n = len(values)
-    if len(matrices) == 1:
-        return values @ matrices[0]
-    tensor = values.reshape(n, *shape)
-    for axis, matrix in enumerate(matrices, start=1):
-        tensor = np.moveaxis(np.moveaxis(tensor, axis, -1) @ matrix, -1, axis)
-    return tensor.reshape(n, int(np.prod(tensor.shape[1:])))
+def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[NDArray], NDArray]]) -> NDArray:
+    """Apply a linear map of the last axis to each axis of (n, prod(shape)) values in turn; returns (n, prod(out))."""
+    if len(maps) == 1:
+        return maps[0](values)
+    tensor = values.reshape(len(values), *shape)
+    for axis, transform in enumerate(maps, start=1):
+        tensor = np.moveaxis(transform(np.moveaxis(tensor, axis, -1)), -1, axis)
+    return tensor.reshape(len(values), math.prod(tensor.shape[1:]))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .abstraction import AgentModel
-from .best_response import Law
+from .choices import Law
 from .guards import Guards
 from .terms import Terms, compress, distinct, merge_rows
 
@@ -91,7 +91,7 @@ def _step(
     pushed = np.empty((len(pushes), model.n_cells))
     for q in set(state.tolist()):
         here = state == q
-        pushed[here] = model.kernel.push(factors[factor[here]], laws[q])
+        pushed[here] = model.kernel.push(factors[factor[here]], model.choices.points(laws[q]))
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..envs.problem import Problem
 from .abstraction import AgentModel
 from .ascent import Laws
+from .choices import TargetWindows
 
 FAILED = -1
 MAX_ENTRIES = 50_000_000
@@ -39,7 +40,7 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> N
         for q in range(len(value)):
             expected = _read(problem, value, outcome[q])
             for i, table in enumerate(transitions):
-                law = laws[i][t, q]
+                law = models[i].choices.points(laws[i][t, q])
                 matrix = table[np.maximum(law, 0)] * (law >= 0)[:, None]
                 expected = np.moveaxis(np.tensordot(matrix, expected, axes=(1, i)), 0, i)
             following[q] = expected
@@ -53,7 +54,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     Admissible targets must be products of intervals (scaled permutation inputs); the joint maximum over a product of
     windows is then taken one axis after the other.
     """
-    if not all(model.relation.is_box for model in models):
+    if not all(isinstance(m.choices, TargetWindows) and m.choices.relation.is_box for m in models):
         raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models).astype(float)
@@ -78,22 +79,22 @@ def joint_outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np
         )
     automaton, labeling = problem.automaton, problem.labeling
     goal = automaton.accepting if automaton.semantics == "co-safe" else np.zeros(automaton.n_states, dtype=bool)
-    table = np.full((automaton.n_states, *(len(m.label_sets) + 1 for m in models)), FAILED, dtype=np.int64)
-    for sets in product(*(range(len(m.label_sets)) for m in models)):
-        classes = [labeling.classes[i][models[i].label_sets[n]] for i, n in enumerate(sets)]
+    table = np.full((automaton.n_states, *(len(m.labels.sets) + 1 for m in models)), FAILED, dtype=np.int64)
+    for sets in product(*(range(len(m.labels.sets)) for m in models)):
+        classes = [labeling.classes[i][models[i].labels.sets[n]] for i, n in enumerate(sets)]
         letters = np.array([np.concatenate(rows) for rows in product(*classes)]).T
         for q in range(automaton.n_states):
             reached = {int(r) for r in automaton.next_state(np.full(letters.shape[1], q), letters)}
             beside = {r for r in reached if not goal[r]}
             if len(beside) <= 1:
                 table[(q, *sets)] = beside.pop() if beside else reached.pop()
-    labels = np.ix_(*(model.labels for model in models))  # -1 picks the last, failed entry
+    labels = np.ix_(*(model.labels.number for model in models))  # -1 picks the last, failed entry
     return np.stack([own[labels] for own in table])
 
 
 def _terminal(problem: Problem, outcome: NDArray, models: Sequence[AgentModel]) -> NDArray:
     """Value with no step to go."""
-    dtype = models[0].kernel.tables[0].dtype
+    dtype = models[0].kernel.tables[0].blocks[0][-1].dtype
     value = np.zeros(outcome.shape, dtype=dtype)
     value[problem.automaton.accepting] = 1
     return value
@@ -116,8 +117,8 @@ def _read(problem: Problem, value: NDArray, outcome: NDArray) -> NDArray:
 
 def _full_table(model: AgentModel) -> NDArray:
     """Masses (Z, S) over all axes."""
-    table = model.kernel.tables[0]
-    for axis in model.kernel.tables[1:]:
+    table, *rest = (own.toarray() for own in model.kernel.tables)
+    for axis in rest:
         table = np.einsum("as,bt->abst", table, axis).reshape(len(table) * len(axis), -1)
     return table
 
@@ -125,11 +126,13 @@ def _full_table(model: AgentModel) -> NDArray:
 def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Expected values (.., S) of an agent turned into the best over its admissible targets (.., S)."""
     lead = values.shape[:-1]
+    windows = model.choices
+    assert isinstance(windows, TargetWindows)
     on_lattice = model.kernel.smooth(values.reshape(-1, model.n_cells))
     best = np.zeros((len(on_lattice), model.n_cells))
-    tensor = on_lattice.reshape(-1, *model.lattice_shape)
+    tensor = on_lattice.reshape(-1, *windows.shape)
     for s in range(model.n_cells):
-        window = tuple(slice(a, b) for a, b in zip(model.window_low[s], model.window_high[s], strict=True))
+        window = tuple(slice(a, b) for a, b in zip(windows.low[s], windows.high[s], strict=True))
         part = tensor[(slice(None), *window)].reshape(len(tensor), -1)
         if part.shape[1]:
             best[:, s] = part.max(axis=1)

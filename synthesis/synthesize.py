@@ -5,16 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..envs.problem import Problem
-from .abstraction import Abstraction, Cells, abstract
-from .ascent import Limits, Sweep, resting_laws, sweep
-from .bounds import Bound, nominal_bound
+from .abstraction import Abstraction, Cells, Relation, abstract
+from .ascent import Limits, Sweep, forward, resting_laws, sweep
+from .bounds import (
+    Bound,
+    a_posteriori_bound,
+    nominal_bound,
+    relative_rounding,
+    robust_bound,
+    robust_loss,
+    undecided_steps,
+)
 from .certificate import EXACT_GAP, AgentPart, Certificate
+from .choices import InputMenu
 from .controller import Controller
 from .joint import JointModel, join, start_of
+from .relation_paper import PaperRelation
 
 FINAL = Limits(contribution=1e-12, elsewhere=1e-6, mass=1e-12, rank=4000)
 """What the last pass, with frozen policies, may leave out."""
@@ -29,7 +40,7 @@ class Synthesis:
     certificate : Certificate
     controller : Controller
     stats : dict
-        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``rounding``, ``dropped``.
+        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``dropped``.
     """
 
     certificate: Certificate
@@ -41,57 +52,54 @@ def synthesize(
     problem: Problem,
     cells: Cells = None,
     *,
-    targets_per_cell: int = 1,
+    relation: str = "exact",
     max_sweeps: int = 8,
     limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,
+    **settings: Any,
 ) -> Synthesis:
     """Per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
 
     Parameters
     ----------
     problem : Problem
-        Agents with full-row-rank ``B`` and positive definite noise.
+        Agents with positive definite noise, to whom the relation applies.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
-    targets_per_cell : int
-        Target means per cell and axis.
+    relation : str
+        ``"exact"`` (B of full row rank) or ``"paper"`` (scalar agents), see ``abstract``.
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
         Pruning during the search.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
+    **settings
+        Further settings of the relation, passed to ``abstract``.
 
     Returns
     -------
     Synthesis
-        ``certificate.lower_bound`` holds from the problem's start: its initial state, or on average over its box.
+        ``certificate.lower_bound`` holds from the problem's start: its initial state, or on average over its box. With
+        delta > 0 all bounds that apply are computed and the best one is reported.
 
     Raises
     ------
     ValueError
-        If the problem has no start, or the ``exact`` relation does not apply to an agent.
+        If the problem has no start, or the relation does not apply to an agent.
     """
     began = time.perf_counter()
     if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
         raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
-    abstraction = abstract(problem, cells, targets_per_cell)
+    abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
     joint = join(problem, abstraction)
     search = Limits() if limits is None else limits
     best, values = improve(problem, joint, search, max_sweeps, progress)
-    bound = nominal_bound(joint, best, abstraction.is_exact)
-    settings = {**abstraction.settings, "max_sweeps": max_sweeps, "limits": vars(search), "final_limits": vars(FINAL)}
-    certificate = certify(problem, abstraction, joint, best, bound, settings)
+    used = {**abstraction.settings, "max_sweeps": max_sweeps, "limits": vars(search), "final_limits": vars(FINAL)}
+    certificate = certify(problem, abstraction, joint, best, used, "occupancy-weighted coordinate ascent")
     seconds = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
-    stats = {
-        "seconds": seconds,
-        "sweeps": values,
-        "rank": best.rank,
-        "rounding": bound.rounding,
-        "dropped": best.dropped,
-    }
+    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
     return Synthesis(certificate, certificate.controller, stats)
 
 
@@ -125,30 +133,65 @@ def improve(
 
 
 def certify(
-    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep, bound: Bound, settings: dict
-) -> Certificate:  # fmt: skip
-    """Put everything a certificate holds together."""
-    parts = [
-        AgentPart(model.grid, model.relation.coordinates, model.lattice, mask.astype(bool), law)
-        for model, mask, law in zip(joint.models, joint.masks, best.laws, strict=True)
-    ]
+    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep, settings: dict[str, Any], search: str
+) -> Certificate:
+    """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
+    grown, bound, bounds = best_bound(problem, abstraction, joint, best)
+    parts = []
+    for i, model in enumerate(joint.models):
+        part = AgentPart(
+            grid=model.grid,
+            coordinates=model.relation.coordinates,
+            relation=_described(model.relation),
+            lattice=model.lattice,
+            masks=joint.masks[i],
+            start_masks=joint.start_masks[i],
+            law=best.laws[i],
+            menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
+        )
+        parts.append(part)
     point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)
-    relative = 1.0 - bound.lower / best.value if best.value > 0 else 0.0
     return Certificate(
         problem=problem,
-        method="exact relation, occupancy-weighted coordinate ascent",
+        method=f"{settings['relation']} relation, {search}",
         bound=bound.name,
+        bounds=bounds,
         start="point" if point else "mean",
         lower_bound=bound.lower,
         gap=bound.gap,
         exact=bound.gap is not None and bound.gap <= EXACT_GAP,
-        relative_rounding=max(relative, 0.0),
+        relative_rounding=relative_rounding(joint, grown.rank),
         agents=tuple(parts),
         guard_source=joint.guards.source,
         guard_target=joint.guards.target,
         guard_mask=joint.guards.mask,
-        skeleton=best.skeleton,
-        terms=best.terms,
-        rank=best.rank,
+        start_target=joint.start_guards.target,
+        start_mask=joint.start_guards.mask,
+        skeleton=grown.skeleton,
+        terms=grown.terms,
+        rank=grown.rank,
         settings=settings,
     )
+
+
+def best_bound(
+    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
+) -> tuple[Sweep, Bound, dict[str, float]]:
+    """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
+    if all(model.delta == 0.0 for model in joint.models):
+        bound = nominal_bound(joint, best, abstraction.is_exact)
+        return best, bound, {bound.name: bound.lower}
+    start = start_of(problem, joint)
+    undecided = undecided_steps(joint, forward(joint, best.laws, start, FINAL))
+    robust = sweep(joint, best.laws, start, FINAL, improve=False, loss=robust_loss)
+    found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
+    grown, bound = max(found, key=lambda pair: pair[1].lower)
+    return grown, bound, {other.name: other.lower for _, other in found}
+
+
+def _described(relation: Relation) -> dict[str, Any]:
+    """Settings from which a certificate computes the relation anew."""
+    if isinstance(relation, PaperRelation):
+        return {"kind": "paper", "epsilon": relation.epsilon, "feedback": relation.feedback,
+                "inputs": len(relation.inputs), "delta": relation.delta}  # fmt: skip
+    return {"kind": "exact"}

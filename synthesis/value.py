@@ -17,7 +17,7 @@ code also runs on arrays of ``fractions.Fraction``, which is how the tests compa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,10 @@ from numpy.typing import NDArray
 
 from .abstraction import AgentModel
 from .guards import Guards
+from .labels import CellLabels
 from .terms import IndexArray, Merges, Terms, compress, distinct, merge_rows
+
+Loss = Callable[[AgentModel, NDArray, NDArray], NDArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +56,13 @@ class Candidates:
     row: tuple[IndexArray, ...]
 
 
-def cell_masks(guards: Guards, models: Sequence[AgentModel]) -> tuple[NDArray, ...]:
+def cell_masks(guards: Guards, cells: Sequence[CellLabels]) -> tuple[NDArray, ...]:
     """Per agent (K_i, S_i) indicator of each mask on the cells; cells that may be outside the workspace are 0."""
     masks = []
-    for sets, model in zip(guards.masks, models, strict=True):
-        on_cells = np.zeros((len(sets), model.n_cells), dtype=bool)
-        inside = model.labels >= 0
-        on_cells[:, inside] = sets[:, model.labels[inside]]
+    for sets, labels in zip(guards.masks, cells, strict=True):
+        on_cells = np.zeros((len(sets), len(labels.number)), dtype=bool)
+        inside = labels.number >= 0
+        on_cells[:, inside] = sets[:, labels.number[inside]]
         masks.append(on_cells)
     return tuple(masks)
 
@@ -72,8 +75,14 @@ def terminal_terms(accepting: NDArray[np.bool_], n_cells: Sequence[int], dtype: 
     return Terms(ones, tuple(rows))
 
 
-def candidates(guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentModel], value: Terms) -> Candidates:
-    """All products of a guard with a term of its target state, masked, united where possible, and smoothed."""
+def candidates(
+    guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentModel], value: Terms, loss: Loss | None = None
+) -> Candidates:
+    """All products of a guard with a term of its target state, masked, united where possible, and smoothed.
+
+    ``loss`` turns a smoothed factor into a lower bound that holds in spite of lost relations (robust tree); it is
+    called with an agent's model, the masked factors (n, S) and the smoothed ones (n, Z).
+    """
     n_states, n_agents = len(value.index), len(models)
     counts = np.array([len(value.index[q]) for q in guards.target], dtype=np.int64)
     guard = np.repeat(np.arange(len(counts)), counts)
@@ -96,7 +105,10 @@ def candidates(guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentM
     kept, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
     for i in range(n_agents):
         factors[i], rows[kept, i] = compress(factors[i], rows[kept, i])
-    return _per_state(_smooth(models, factors), n_states, guards, guard, child, rows, kept, merges)
+    smoothed = _smooth(models, factors)
+    if loss is not None:
+        smoothed = tuple(loss(m, before, after) for m, before, after in zip(models, factors, smoothed, strict=True))
+    return _per_state(smoothed, n_states, guards, guard, child, rows, kept, merges)
 
 
 def _per_state(

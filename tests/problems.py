@@ -10,9 +10,11 @@ import numpy as np
 
 from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.abstraction import AgentModel
+from certigym.synthesis.choices import TargetWindows
 from certigym.synthesis.grid import Grid
-from certigym.synthesis.kernel import Kernel
-from certigym.synthesis.relation import exact_relation
+from certigym.synthesis.kernel import AxisTable, Kernel
+from certigym.synthesis.labels import CellLabels
+from certigym.synthesis.relation_exact import exact_relation
 
 
 def scalar_agent(name: str, **changes: Any) -> LinearAgent:
@@ -53,16 +55,11 @@ def exact_model(problem: Problem, agent: int, tables: Any, labels: Sequence[int]
     n_lattice, n_cells = table.shape
     model = problem.agents[agent]
     edges = np.linspace(model.state_low[0], model.state_high[0], n_cells + 1)
-    return AgentModel(
-        grid=Grid((edges,)),
-        lattice=(np.linspace(-1.0, 1.0, n_lattice),),
-        relation=exact_relation(model, np.eye(1)),
-        kernel=Kernel((table,)),
-        window_low=np.zeros((n_cells, 1), dtype=np.int32),
-        window_high=np.full((n_cells, 1), n_lattice, dtype=np.int32),
-        labels=np.array(labels, dtype=np.int32),
-        label_sets=np.array(label_sets, dtype=bool),
-    )
+    grid, lattice, relation = Grid((edges,)), (np.linspace(-1.0, 1.0, n_lattice),), exact_relation(model, np.eye(1))
+    low, high = np.zeros((n_cells, 1), dtype=np.int32), np.full((n_cells, 1), n_lattice, dtype=np.int32)
+    windows = TargetWindows(grid, lattice, relation, low, high)
+    known = CellLabels(np.array(labels, dtype=np.int32), np.array(label_sets, dtype=bool))
+    return AgentModel(grid, lattice, relation, Kernel((AxisTable.dense(table),)), windows, known, known)
 
 
 def fractions(weights: Sequence[Sequence[int]], total: int) -> list[list[Fraction]]:

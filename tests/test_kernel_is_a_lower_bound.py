@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from certigym.synthesis.kernel import Kernel, gaussian_masses
+from certigym.synthesis.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
 
 mpmath.mp.dps = 50
 
@@ -46,10 +46,24 @@ def test_pushing_and_smoothing_are_adjoint_in_two_dimensions() -> None:
     rng = np.random.default_rng(3)
     first, _ = gaussian_masses(np.linspace(-1, 1, 7), np.linspace(-1, 1, 6), 0.4)
     second, _ = gaussian_masses(np.linspace(0, 1, 4), np.linspace(0, 1, 4), 0.2)
-    kernel = Kernel((first, second))
+    kernel = Kernel((AxisTable.dense(first), AxisTable.dense(second)))
     values, masses = rng.random((2, 15)), rng.random((3, 15))
     law = rng.integers(-1, 28, size=15)
     expected = kernel.smooth(values)[:, np.maximum(law, 0)] * (law >= 0)
     np.testing.assert_allclose(masses @ expected.T, kernel.push(masses, law) @ values.T, rtol=1e-13)
     table = np.einsum("as,bt->abst", first, second).reshape(28, 15)
     np.testing.assert_allclose(kernel.smooth(values), values @ table.T, rtol=1e-13)
+
+
+@pytest.mark.parametrize("std", [0.05, 0.5, 30.0])
+def test_banded_tables_are_the_dense_ones(std: float) -> None:
+    edges, means = np.linspace(-20.0, 5.0, 501), np.sort(np.random.default_rng(0).uniform(-25, 9, 700))
+    dense, missing = gaussian_masses(means, edges, std)
+    banded, loss = gaussian_table(means, edges, std)
+    table = banded.toarray()
+    assert np.all(table <= dense) and np.max(dense - table) < 1e-18 and loss < 1e-11 and missing < 1e-11
+    rng = np.random.default_rng(1)
+    values, masses = rng.random((3, 500)), rng.random((2, 700))
+    np.testing.assert_allclose(banded.smooth(values), values @ table.T, rtol=1e-13)
+    np.testing.assert_allclose(banded.push(masses), masses @ table, rtol=1e-13)
+    assert std > 1 or sum(entries.size for *_, entries in banded.blocks) < 0.7 * dense.size

@@ -142,11 +142,13 @@ def test_batched_and_single_controllers_agree_to_the_last_bit() -> None:
 
     rng = np.random.default_rng(0)
     worlds = core.initial_at(dynamics, rng.uniform(-4, 4, size=(50, 3)))
-    batch, _ = controller.batch(dynamics).act(worlds, None)
+    policy = controller.batch(dynamics)
+    batch, _ = policy.act(worlds, policy.begin(worlds, rng))
     for i, agent in enumerate(problem.agents):
         block, place = dynamics.position[i]
         for w in range(50):
-            single = controller.agents[i].act(worlds.states[block][:, place, w], int(worlds.q[w]), 0)
+            state = worlds.states[block][:, [place]][:, :, [w]]
+            single = controller.agents[i].act(state, worlds.q[[w]], 0, None)[0][:, 0, 0]
             np.testing.assert_array_equal(single, batch[block][:, place, w])
             assert np.all(agent.input_low <= single) and np.all(single <= agent.input_high)
 

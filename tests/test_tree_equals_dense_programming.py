@@ -71,8 +71,8 @@ def exact_problems(draw: Any) -> tuple[Problem, list[AgentModel], tuple[np.ndarr
 def tree_value(problem: Problem, models: list[AgentModel], laws: tuple[np.ndarray, ...]) -> Terms:
     """The value tree without pruning, on whatever numbers the kernels hold."""
     automaton = problem.automaton
-    guards = compile_guards(problem, [model.label_sets for model in models])
-    masks = cell_masks(guards, models)
+    guards = compile_guards(problem, [model.labels.sets for model in models])
+    masks = cell_masks(guards, [model.labels for model in models])
     n_cells = [model.n_cells for model in models]
     terms = terminal_terms(automaton.accepting, n_cells, dtype=object)
     for t in reversed(range(problem.horizon)):
@@ -134,7 +134,7 @@ def test_without_pruning_a_sweep_never_lowers_the_value(seed: int) -> None:
     start = start_of(problem, joint)
     rng = np.random.default_rng(seed)
     laws = tuple(
-        np.where(law < 0, law, rng.integers(m.window_low[:, 0], m.window_high[:, 0], size=law.shape)).astype(np.int32)
+        np.where(law < 0, law, rng.integers(m.choices.low[:, 0], m.choices.high[:, 0], size=law.shape)).astype(np.int32)
         for law, m in zip(resting_laws(joint), joint.models)
     )
     values = [sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False).value]

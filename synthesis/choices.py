@@ -1,0 +1,130 @@
+"""What an abstract agent can choose between in each cell.
+
+A law (S,) gives one choice per cell; -1 where there is none. ``points`` turns a law into the lattice points (means)
+that the kernel table is read at: the law of the next state depends on the point alone.
+
+``TargetWindows``  the choice is the lattice point itself (``exact`` relation: every mean can be commanded); admissible
+                   are the points of a window around each cell.
+``InputMenu``      the choice is one of A abstract inputs, each of which leads to a lattice point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import FloatArray, Grid
+from .relation_exact import ExactRelation
+
+Law = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetWindows:
+    """Target means inside a window around each cell.
+
+    Parameters
+    ----------
+    grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Lattice axes; a point is numbered in C order.
+    relation : ExactRelation
+    low, high : (S, d) int32 arrays
+        Bounding box ``low <= index < high`` of the admissible targets of each cell.
+    """
+
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    relation: ExactRelation
+    low: NDArray[np.int32]
+    high: NDArray[np.int32]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)
+
+    @cached_property
+    def reserve(self) -> FloatArray:
+        """(S, m) input half widths left for the target in each cell."""
+        return self.relation.reserve(self.grid.half_widths)
+
+    @cached_property
+    def central_means(self) -> FloatArray:
+        """(S, d) mean from the cell centre under the central input."""
+        return self.relation.means(self.grid.centres)
+
+    def points(self, law: Law) -> NDArray[Any]:
+        """Lattice points of a law: the law itself."""
+        return law
+
+    def admissible(self, cells: NDArray[Any], law: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether flat lattice point ``law`` is an admissible target of ``cells``; the two broadcast."""
+        indices = np.unravel_index(law, self.shape)
+        targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
+        wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
+        return np.all(wanted <= self.reserve[cells], axis=-1)
+
+    @cached_property
+    def resting_law(self) -> Law:
+        """(S,) admissible target nearest to the cell itself; -1 where no target is admissible.
+
+        The choice at cells, states and times for which nothing better is known; it makes every policy total.
+        """
+        targets = []
+        for k, axis in enumerate(self.lattice):
+            nearest = np.clip(np.searchsorted(axis, self.grid.centres[:, k]), 0, len(axis) - 1)
+            targets.append(np.clip(nearest, self.low[:, k], self.high[:, k] - 1))
+        empty = np.any(self.low >= self.high, axis=1)
+        flat = np.ravel_multi_index([np.where(empty, 0, t) for t in targets], self.shape)
+        admissible = ~empty & self.admissible(np.arange(self.grid.n_cells), flat)
+        return np.where(admissible, flat, -1).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class InputMenu:
+    """A abstract inputs per cell, each with the lattice point it leads to.
+
+    Parameters
+    ----------
+    leads_to : (S, A) int32 array
+        Flat lattice point of each cell and input.
+    resting_law : (S,) int32 array
+        The input that stays nearest to the cell.
+    """
+
+    leads_to: NDArray[np.int32]
+    resting_law: Law
+
+    def points(self, law: Law) -> NDArray[Any]:
+        """Lattice points of a law."""
+        chosen = np.take_along_axis(self.leads_to, np.maximum(law, 0)[:, None], axis=1)[:, 0]
+        return np.where(law < 0, -1, chosen)
+
+
+Choices = TargetWindows | InputMenu
+
+
+def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+    """Admissible targets of the ``exact`` relation; windows are empty where the input reserve is used up.
+
+    ``z - mean = B v`` with ``|v|_j <= reserve_j`` bounds each axis; for a scaled permutation the box is the window.
+    """
+    means, reserve = relation.means(grid.centres), relation.reserve(grid.half_widths)
+    reach = np.maximum(reserve, 0.0) @ np.abs(relation.B).T
+    low, high = np.empty(means.shape, dtype=np.int32), np.empty(means.shape, dtype=np.int32)
+    for k, axis in enumerate(lattice):
+        low[:, k] = np.searchsorted(axis, means[:, k] - reach[:, k], side="left")
+        high[:, k] = np.searchsorted(axis, means[:, k] + reach[:, k], side="right")
+        if relation.is_box:  # the comparison above rounds; admissible is decided by one inequality everywhere
+            j = int(np.flatnonzero(relation.right_inverse[:, k])[0])
+            gain = abs(relation.right_inverse[j, k])
+            for index, step in ((low, 1), (high, -1)):
+                edge = np.clip(index[:, k] if step == 1 else index[:, k] - 1, 0, len(axis) - 1)
+                index[:, k] += step * (np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j])
+    high = np.where(np.any(reserve < 0, axis=1)[:, None], low, high)
+    return TargetWindows(grid, lattice, relation, low, high)
