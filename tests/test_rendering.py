@@ -1,0 +1,175 @@
+"""Every problem can be drawn; pictures are quick, show what moves, and ask clearly for what is not installed."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+import fake_pygame
+from certigym.__main__ import main
+from certigym.envs.scene import panels
+from sample_problems import mixed_problem
+
+TASK = """
+name = "hop"
+horizon = 3
+[[agents]]
+name = "left"
+A = [[0.9]]
+B = [[0.5]]
+noise_covariance = [[0.25]]
+state_low = [-4.0]
+state_high = [4.0]
+input_low = [-4.0]
+input_high = [4.0]
+initial_state = [-1.0]
+[propositions]
+goal = { agent = "left", low = [2.0], high = [4.0] }
+[specification]
+formula = "F goal"
+semantics = "co-safe"
+"""
+
+
+def step(env: Any) -> None:
+    env.step({agent: env.action_space(agent).low for agent in env.agents})
+
+
+@pytest.mark.parametrize("name", [*cg.problem_ids(), "mixed"])
+def test_every_problem_is_drawn(name: str) -> None:
+    env = cg.parallel_env(mixed_problem() if name == "mixed" else name, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    assert isinstance(first, np.ndarray) and first.shape == (480, 720, 3) and first.dtype == np.uint8
+    step(env)
+    second = env.render()
+    assert isinstance(second, np.ndarray) and (first != second).any()
+    env.reset(seed=0)
+    assert np.array_equal(np.asarray(env.render()), first)
+    twin = pickle.loads(pickle.dumps(env))
+    assert (twin.render() == first).all()
+
+
+def test_scalar_agents_are_tracks_and_planar_ones_share_a_map() -> None:
+    def shapes(id: str) -> list[tuple[bool, int]]:
+        return [(panel.is_map, len(panel.curves)) for panel in panels(cg.make_problem(id))]
+
+    assert shapes("reach-avoid-v0") == [(False, 1), (False, 1)]
+    assert shapes("reach-avoid-kinematic-v0") == [(False, 1), (False, 1)]  # position over time, no region on velocity
+    assert shapes("invariance-20-v0") == [(False, 20)]
+    assert shapes("building-automation-v0") == [(False, 2)]
+    assert shapes("meeting-v0") == [(True, 2)]
+    assert shapes("package-delivery-v0") == [(True, 4)]  # x_k and y_k are one robot
+    assert shapes("package-delivery-kinematic-v0") == [(True, 4)]
+    (plane,) = panels(cg.make_problem("package-delivery-v0"))
+    assert [curve.name for curve in plane.curves] == ["robot 0", "robot 1", "robot 2", "robot 3"]
+    joint = np.arange(8.0)
+    assert (plane.curves[2].rows @ joint).tolist() == [4.0, 5.0]
+    lost = [region for region in plane.regions if region.name == "column"]
+    assert lost[0].low == (-10.0, -20.0) and lost[0].high == (-5.0, 5.0)
+
+
+def test_the_marker_of_an_agent_is_where_the_agent_is() -> None:
+    env = cg.parallel_env("car-park-planar-v0", render_mode="rgb_array", initial_state=[0.0, 0.0])
+    env.reset(seed=0)
+    frame = env.render()
+    assert isinstance(frame, np.ndarray)
+    rows, columns = np.nonzero((frame == (31, 119, 180)).all(axis=-1))
+    # the map spans 34..500 by 16..456 pixels and -10..10 on both axes; the name stands to the right of the marker
+    assert abs(np.median(rows) - 236) <= 2 and abs(columns.min() + 5 - 267) <= 2
+
+
+def test_pictures_are_quick() -> None:
+    """Hundreds a second here; a tenth of that is asked for, so that a slow machine passes as well."""
+    env = cg.parallel_env("reach-avoid-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    began = time.process_time()
+    for _ in range(20):
+        env.render()
+    assert 20.0 / (time.process_time() - began) > 40.0
+
+
+def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = fake_pygame.install(monkeypatch)
+    env = cg.central_env("meeting-v0", render_mode="human")
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+    assert len(shown) == 2 and shown[0].shape == (480, 720, 3) and env.render() is None
+    env.close()
+    env.close()
+    parallel = cg.parallel_env("meeting-v0", render_mode="human")
+    parallel.reset(seed=0)
+    assert len(shown) == 3
+    parallel.close()
+
+
+def test_what_is_not_installed_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match="pip install pygame"):
+        cg.parallel_env("meeting-v0", render_mode="human").reset(seed=0)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    env = cg.parallel_env("meeting-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    with pytest.raises(ImportError, match=r"certigym\[viz\]"):
+        env.render()
+
+
+def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from PIL import Image
+
+    task, certificate, out = tmp_path / "task.toml", tmp_path / "c.npz", tmp_path / "x.gif"
+    task.write_text(TASK)
+    assert main(["render", str(task), "--cells", "40", "--out", str(out), "--seed", "1"]) == 0
+    said = capsys.readouterr().out
+    steps = int(said.split(": ")[1].split()[0])
+    with Image.open(out) as picture:
+        assert picture.n_frames == steps + 1 and picture.size == (720, 480)  # type: ignore[attr-defined]
+    assert main(["synthesize", str(task), "--cells", "40", "--out", str(certificate)]) == 0
+    assert main(["render", str(certificate), "--out", str(tmp_path / "y.gif"), "--seed", "1"]) == 0
+    assert (tmp_path / "y.gif").read_bytes() == out.read_bytes()
+    assert main(["render", str(certificate), "--out", str(tmp_path / "y.png")]) == 0
+
+
+def test_the_command_says_what_it_cannot_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import certigym.rendering_command as command
+
+    task = tmp_path / "task.toml"
+    task.write_text(TASK)
+    monkeypatch.setattr(command.shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    for out, extra, message in (
+        ("x.mp4", [], "MP4 needs ffmpeg"),
+        ("x.avi", [], "expected a file that ends in .gif, .mp4 or .png"),
+        ("x.gif", ["--fps", "0"], "expected 1 to 60"),
+    ):
+        assert main(["render", str(task), "--cells", "20", "--out", str(tmp_path / out), *extra]) == 2
+        assert message in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in for ffmpeg counts the bytes it is given: whole pictures, the last one held."""
+    import certigym.rendering_command as command
+
+    task, tool = tmp_path / "task.toml", tmp_path / "ffmpeg"
+    task.write_text(TASK)
+    tool.write_text(
+        f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'w').write(str(len(sys.stdin.buffer.read())))\n"
+    )
+    tool.chmod(0o755)
+    monkeypatch.setattr(command.shutil, "which", lambda name: str(tool))
+    out = tmp_path / "x.mp4"
+    assert main(["render", str(task), "--cells", "20", "--out", str(out)]) == 0
+    pictures, rest = divmod(int(out.read_text()), 480 * 720 * 3)
+    assert rest == 0 and 2 + 6 <= pictures <= 4 + 6
+    tool.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit('no such codec')\n")
+    assert main(["render", str(task), "--cells", "20", "--out", str(out)]) == 2

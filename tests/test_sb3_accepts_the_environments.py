@@ -1,0 +1,17 @@
+"""Stable-Baselines3 accepts the centralised environment of every id, without a warning."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import certigym as cg
+
+env_checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `rl`")
+
+
+@pytest.mark.parametrize("options", [{}, {"dtype": "float32"}, {"reward": "shaped"}], ids=str)
+@pytest.mark.parametrize("id", cg.problem_ids())
+def test_env_checker(id: str, options: dict[str, Any]) -> None:
+    env_checker.check_env(cg.central_env(id, **options), warn=True)

@@ -1,0 +1,115 @@
+"""Shaping adds what no policy influences: the discounted return is the sparse one less the start's potential."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.envs.central_env import CentralEnv
+from certigym.envs.shaping import Potential
+
+IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "invariance-4-v0"]
+
+
+def run(env: CentralEnv, seed: int) -> tuple[list[float], bool]:
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    rewards: list[float] = []
+    while True:
+        _, reward, terminated, truncated, info = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape))
+        rewards.append(reward)
+        if terminated or truncated:
+            return rewards, info["is_success"]
+
+
+def start_potential(problem: cg.Problem, seed: int) -> float:
+    env = cg.central_env(problem)
+    state = env.reset(seed=seed)[1]["state"]
+    dynamics = core.Dynamics.of(problem)
+    return float(Potential.of(dynamics).at(core.initial_at(dynamics, state[None]))[0])
+
+
+@pytest.mark.parametrize("id", IDS)
+@pytest.mark.parametrize("discount", [1.0, 0.9])
+def test_the_return_differs_from_the_sparse_one_by_the_potential_of_the_start(id: str, discount: float) -> None:
+    problem = cg.make_problem(id)
+    shaped = cg.central_env(problem, reward="shaped", discount=discount)
+    satisfied = set()
+    for seed in range(40):
+        rewards, success = run(shaped, seed)
+        satisfied.add(success)
+        weights = discount ** np.arange(len(rewards))
+        sparse = weights[-1] * success
+        assert abs(weights @ rewards - (sparse - start_potential(problem, seed))) < 1e-12
+    assert len(satisfied) == 2 or id != "reach-avoid-v0"
+
+
+def test_a_start_that_decides_pays_the_same_way() -> None:
+    problem = cg.make_problem("reach-avoid-v0", initial_state=[0.0, -4.0])
+    rewards, success = run(cg.central_env(problem, reward="shaped"), 0)
+    assert success and len(rewards) == 1 and rewards[0] == pytest.approx(1.0 - start_potential(problem, 0))
+
+
+def test_a_potential_that_outlives_the_episode_would_favour_some_policies() -> None:
+    """Sabotage: without the zero at the end, failing in one place pays more than failing in another."""
+    problem = cg.make_problem("reach-avoid-v0", initial_state=[-10.0, -4.0], horizon=1)
+    dynamics = core.Dynamics.of(problem)
+    broken = []
+    for action in (-1.0, 1.0):
+        env = cg.central_env(problem, reward="shaped")
+        env.reset(seed=0)
+        _, reward, _, truncated, info = env.step(np.array([action, 0.0]))
+        assert truncated and reward == pytest.approx(-start_potential(problem, 0))
+        broken.append(reward + Potential.of(dynamics).at(core.initial_at(dynamics, info["state"][None]))[0])
+    assert abs(broken[0] - broken[1]) > 0.01
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("id", IDS)
+def test_batch_parallel_and_centralised_environments_pay_alike(id: str, mode: AutoresetMode) -> None:
+    options: dict[str, Any] = {"reward": "shaped", "discount": 0.95, "horizon": 5}
+    envs = cg.vector_env(id, 1, autoreset_mode=mode, **options)
+    central, parallel = cg.central_env(id, **options), cg.parallel_env(id, actions="unit", **options)
+    envs.reset(seed=2), central.reset(seed=2), parallel.reset(seed=2)
+    slices = np.cumsum([agent.n_inputs for agent in central.problem.agents])[:-1]
+    rng, ends = np.random.default_rng(0), 0
+    while ends < 3:
+        action = rng.uniform(-1.0, 1.0, central.action_space.shape)
+        _, rewards, terminated, truncated, _ = envs.step(action[None])
+        split = dict(zip(parallel.possible_agents, np.split(action, slices)))
+        _, reward, *_ = central.step(action)
+        assert rewards[0] == reward and set(parallel.step(split)[1].values()) == {reward}
+        if terminated[0] or truncated[0]:
+            ends += 1
+            central.reset(), parallel.reset()
+            if mode is AutoresetMode.NEXT_STEP:
+                assert envs.step(action[None])[1][0] == 0.0
+
+
+@pytest.mark.parametrize("id", cg.problem_ids())
+def test_the_potential_lies_between_0_and_1_and_knows_the_ends(id: str) -> None:
+    problem = cg.make_problem(id)
+    dynamics = core.Dynamics.of(problem)
+    potential = Potential.of(dynamics)
+    rng = np.random.default_rng(0)
+    low = np.concatenate([agent.state_low for agent in problem.agents])
+    high = np.concatenate([agent.state_high for agent in problem.agents])
+    joint = low + (high - low) * rng.uniform(-0.1, 1.1, (300, low.size))
+    worlds = core.initial_at(dynamics, joint)
+    values = potential.at(worlds)
+    assert ((0.0 <= values) & (values <= 1.0)).all()
+    assert not values[worlds.failed | problem.automaton.dead[worlds.q]].any()
+    assert (values[~worlds.failed & problem.automaton.accepting[worlds.q]] == 1.0).all()
+
+
+def test_the_potential_rises_towards_the_goal() -> None:
+    dynamics = core.Dynamics.of(cg.make_problem("reach-avoid-v0"))
+    states = np.column_stack([np.array([-20.0, -15.0, -10.0, -1.0, 1.0]), np.full(5, -4.0)])
+    values = Potential.of(dynamics).at(core.initial_at(dynamics, states))
+    assert (np.diff(values) > 0.0).all() and values[-1] == 1.0
+    assert values[0] == (1.0 - 20.0 / 25.0) / 2.0  # one automaton step to go of at most one, 20 of 25 away
