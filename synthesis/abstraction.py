@@ -96,7 +96,7 @@ def abstract(
     cells: Cells = None,
     *,
     relation: str = "exact",
-    targets_per_cell: int = 1,
+    targets_per_cell: int | None = None,
     epsilon: float = 0.1,
     feedback: float = 0.0,
     inputs: int = 10,
@@ -112,7 +112,8 @@ def abstract(
     relation : str
         ``"exact"``: B of full row rank, delta = 0. ``"paper"``: scalar agents, delta >= 0 in closed form.
     targets_per_cell : int
-        ``exact``: lattice points per cell and axis. More of them lose less of the admissible inputs to rounding.
+        ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
+        Default: 2 for scalar agents, 1 for others.
     epsilon, feedback, inputs, delta
         ``paper``: half width of the relation, K of the interface, number of abstract inputs, and a failure probability
         to be used instead of the (smaller) closed form.
@@ -122,7 +123,8 @@ def abstract(
     ValueError
         If the relation does not apply to an agent, or a number is out of range.
     """
-    if isinstance(targets_per_cell, bool) or not isinstance(targets_per_cell, int) or targets_per_cell < 1:
+    number = 1 if targets_per_cell is None else targets_per_cell
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {targets_per_cell!r}")
     if relation not in ("exact", "paper"):
         raise ValueError(f"`relation`: expected 'exact' or 'paper', got {relation!r}")
@@ -135,7 +137,8 @@ def abstract(
         same = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
         if same not in bare:
             exact = relation == "exact"
-            bare[same] = _exact(agent, grid, coordinates, targets_per_cell) if exact else _paper(agent, grid, paper)
+            per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
+            bare[same] = _exact(agent, grid, coordinates, per_cell) if exact else _paper(agent, grid, paper)
         start_labels = cell_labels(problem, i, grid, coordinates)
         labels = start_labels
         follows = bare[same][0]

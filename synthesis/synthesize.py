@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..envs.problem import Problem
 from .abstraction import Abstraction, Cells, Relation, abstract
-from .ascent import Limits, Sweep, forward, resting_laws, sweep
+from .ascent import Laws, Limits, Sweep, forward, resting_laws, sweep
 from .bounds import (
     Bound,
     a_posteriori_bound,
@@ -26,6 +26,7 @@ from .choices import InputMenu
 from .controller import Controller
 from .joint import JointModel, join, start_of
 from .relation_paper import PaperRelation
+from .seeds import best_paths, path_laws, staged_paths
 
 FINAL = Limits(contribution=1e-12, elsewhere=1e-6, mass=1e-12, rank=4000)
 """What the last pass, with frozen policies, may leave out."""
@@ -103,6 +104,10 @@ def synthesize(
     return Synthesis(certificate, certificate.controller, stats)
 
 
+SOLVED = 0.99
+"""Value from which the naive start is good enough and no further ones are tried."""
+
+
 def improve(
     problem: Problem,
     joint: JointModel,
@@ -112,24 +117,40 @@ def improve(
 ) -> tuple[Sweep, list[float]]:
     """Best policies found by coordinate ascent, evaluated with frozen laws; and the value after each sweep.
 
-    The first sweep has no occupancy to go by and weighs all cells alike; every later one starts from the policies of
-    the one before. The best policies are kept, whatever pruning did to a later sweep.
+    The first start weighs all cells alike. If it leaves much to be gained, starts with synchronised jumps follow (see
+    ``seeds``): one sweep each, and the best of them to the end. The best policies are kept, whatever pruning did to a
+    later sweep.
     """
     start = start_of(problem, joint)
-    best = sweep(joint, resting_laws(joint), None, limits, improve=True)
-    best = replace(best, value=-1.0)
-    current, values = best, []
-    for k in range(max_sweeps):
-        current = sweep(joint, current.laws, start, limits, improve=True)
-        values.append(current.value)
-        if progress is not None:
-            progress(f"sweep {k + 1}", max(current.value, best.value))
-        gained = current.value > best.value * (1 + 1e-9)
-        if current.value > best.value:
-            best = current
-        if not gained:
-            break
-    return sweep(joint, best.laws, start, FINAL, improve=False), values
+    naive = sweep(joint, resting_laws(joint), None, limits, improve=True).laws
+    values: list[float] = []
+
+    def run(laws: Laws, sweeps: int, best: Sweep | None, name: str) -> Sweep | None:
+        """Sweep from ``laws`` until nothing improves; the better of what comes out and ``best``."""
+        last = -1.0
+        for _ in range(sweeps):
+            found = sweep(joint, laws, start, limits, improve=True)
+            values.append(found.value)
+            best = found if best is None or found.value > best.value else best
+            if progress is not None:
+                progress(name, best.value)
+            if found.value <= last * (1 + 1e-7):
+                break
+            last, laws = found.value, found.laws
+        return best
+
+    best = run(naive, max_sweeps, None, "naive start")
+    if best is not None and best.value < SOLVED and max_sweeps > 1:
+        paths = best_paths(joint, start, width=32, count=1)
+        tried = [
+            run(path_laws(joint, p, naive), 1, None, "staged start")
+            for path in paths
+            for p in staged_paths(joint, path)
+        ]
+        for found in sorted((f for f in tried if f is not None), key=lambda f: -f.value)[:2]:
+            best = run(found.laws, max_sweeps - 1, max(best, found, key=lambda f: f.value), "staged start")
+    laws = naive if best is None else best.laws
+    return sweep(joint, laws, start, FINAL, improve=False), values
 
 
 def certify(
