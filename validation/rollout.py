@@ -2,14 +2,20 @@
 
 Worlds are simulated in chunks of fixed size. Each chunk draws its starts and its noise from a generator of its own,
 ``SeedSequence(seed, spawn_key=(chunk,))``, and draws them whatever the policy does: results do not depend on the order
-in which chunks are computed, and two policies with one seed meet the same noise (common random numbers). Auxiliary
-draws of a policy come from a stream of their own, ``spawn_key=(chunk, 1)``. The chunk size is part of the record.
+in which chunks are computed nor on where, and two policies with one seed meet the same noise (common random numbers).
+Auxiliary draws of a policy come from a stream of their own, ``spawn_key=(chunk, 1)``. The chunk size is part of the
+record. Memory is that of the chunks under way, whatever the number of episodes.
+
+Actuators saturate: an input beyond the input box acts as the nearest admissible one. Controllers of certificates never
+ask for that; episodes in which one did (before it was decided) are counted as ``inadmissible``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,6 +24,8 @@ from numpy.typing import NDArray
 from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
+from ..spread import Executor, in_order
+from .mismatch import Mismatch, degraded, disturbed
 
 CHUNK = 2000
 """Worlds per chunk: large enough for numpy, small enough for the cache."""
@@ -51,11 +59,14 @@ class Rollouts:
     seed : int
     chunk : int
         Worlds per chunk; with the seed it determines every number drawn.
+    inadmissible : int
+        Episodes in which an input beyond the input box was asked for before the episode was decided.
     """
 
     success: NDArray[np.bool_]
     seed: int
     chunk: int
+    inadmissible: int = 0
 
     @property
     def episodes(self) -> int:
@@ -68,6 +79,52 @@ class Rollouts:
         return int(self.success.sum())
 
 
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed loop and its random record: everything that determines the outcome of an episode.
+
+    Parameters
+    ----------
+    problem : Problem
+    controller : object with ``batch(dynamics)``
+    seed : int
+    chunk : int
+        Worlds per chunk.
+    starts : (N, D) array, optional
+        Joint initial states; episode r begins at ``starts[r % N]``. Default: the problem's own start.
+    mismatch : Mismatch, optional
+        How the system differs from the model.
+    """
+
+    problem: Problem
+    controller: Batchable
+    seed: int
+    chunk: int = CHUNK
+    starts: NDArray[Any] | None = None
+    mismatch: Mismatch | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("chunk", 1)):
+            _check_whole(name, getattr(self, name), least)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The worlds of a chunk at one time, and what the policy remembers once it has seen them (None at the horizon)."""
+
+    worlds: Worlds
+    memory: Any
+    inadmissible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkResult:
+    """Success (n,) of the episodes of one chunk, and how many of them asked for an inadmissible input."""
+
+    success: NDArray[np.bool_]
+    inadmissible: int
+
+
 def rollout(
     problem: Problem,
     controller: Batchable,
@@ -76,9 +133,11 @@ def rollout(
     *,
     initial_state: Any = None,
     chunk: int = CHUNK,
+    mismatch: Mismatch | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Rollouts:
-    """Simulate ``episodes`` episodes of the continuous system under ``controller``.
+    """Simulate ``episodes`` episodes of the continuous system under ``controller``, the same for any executor.
 
     Parameters
     ----------
@@ -92,6 +151,10 @@ def rollout(
         Start of every episode, as in ``Problem.replace``; default: the problem's own start.
     chunk : int
         Worlds per chunk.
+    mismatch : Mismatch, optional
+        How the system differs from the model.
+    executor : Executor, optional
+        Where chunks are computed; default: here.
     progress : callable, optional
         Called with the number of episodes finished since the last call.
 
@@ -100,30 +163,119 @@ def rollout(
     ValueError
         If a number is out of range.
     """
-    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("chunk", chunk, 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise ValueError(f"`{name}`: expected a whole number of at least {least}, got {value!r}")
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
-    dynamics = Dynamics.of(problem)
-    policy = controller.batch(dynamics)
-    success = np.empty(episodes, dtype=bool)
-    for number, first in enumerate(range(0, episodes, chunk)):
-        worlds = min(chunk, episodes - first)
-        success[first : first + worlds] = run_chunk(dynamics, policy, seed, number, chunk)[:worlds]
+    loop = Loop(problem, controller, seed, chunk, mismatch=mismatch)
+    parts = []
+    for part in stream(loop, episodes, executor):
+        parts.append(part)
         if progress is not None:
-            progress(worlds)
-    return Rollouts(success, int(seed), int(chunk))
+            progress(len(part.success))
+    success = np.concatenate([part.success for part in parts])
+    return Rollouts(success, int(seed), int(chunk), sum(part.inadmissible for part in parts))
+
+
+def stream(loop: Loop, episodes: int, executor: Executor | None = None) -> Generator[ChunkResult, None, None]:
+    """Outcomes chunk by chunk in index order, ``episodes`` in all; nothing is kept."""
+    return in_order(chunk_result, loop, chunks_of(episodes, loop.chunk), executor)
+
+
+def chunks_of(episodes: int, chunk: int) -> Iterator[tuple[int, int]]:
+    """Numbers of the chunks and how many of their worlds count."""
+    _check_whole("episodes", episodes, 1)
+    return ((number, min(chunk, episodes - first)) for number, first in enumerate(range(0, episodes, chunk)))
+
+
+def chunk_result(loop: Loop, job: tuple[int, int]) -> ChunkResult:
+    """Outcomes of one chunk (number, worlds that count)."""
+    number, count = job
+    dynamics, policy = arranged(loop)
+    (last,) = deque(frames(loop, dynamics, policy, number), maxlen=1)
+    success = np.asarray(core.satisfied(dynamics, last.worlds))[:count]
+    return ChunkResult(success, int(last.inadmissible[:count].sum()))
+
+
+@lru_cache(maxsize=4)
+def arranged(loop: Loop) -> tuple[Dynamics, BatchPolicy]:
+    """Dynamics and policy of a loop, arranged once and not once per chunk."""
+    dynamics = Dynamics.of(loop.problem)
+    return dynamics, loop.controller.batch(dynamics)
 
 
 def run_chunk(dynamics: Dynamics, policy: BatchPolicy, seed: int, number: int, size: int) -> NDArray[np.bool_]:
     """Success of the worlds of one chunk, always ``size`` of them, so that every episode keeps its noise."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-    worlds = core.initial(dynamics, rng, size)
-    memory = policy.begin(worlds, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1))))
+    loop = Loop(dynamics.problem, _Arranged(policy), seed, size)
+    return chunk_result(loop, (number, size)).success
+
+
+@dataclass(frozen=True, eq=False)
+class _Arranged:
+    """A batch policy where something to arrange is asked for."""
+
+    policy: BatchPolicy
+
+    def batch(self, dynamics: Dynamics) -> BatchPolicy:
+        return self.policy
+
+
+def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Iterator[Frame]:
+    """The worlds of one chunk, time after time, until all of them are decided; always ``loop.chunk`` of them."""
+    rng, auxiliary, channel = (
+        np.random.default_rng(np.random.SeedSequence(loop.seed, spawn_key=(number, *tail))) for tail in ((), (1,), (2,))
+    )
+    size, mismatch = loop.chunk, loop.mismatch
+    if loop.starts is None:
+        worlds = core.initial(dynamics, rng, size)
+    else:
+        rows = np.arange(number * size, (number + 1) * size) % len(loop.starts)
+        worlds = core.initial_at(dynamics, loop.starts[rows])
+    if mismatch is not None:
+        policy = degraded(policy, mismatch, channel)
+    memory = policy.begin(worlds, auxiliary)
+    inadmissible = np.zeros(size, dtype=bool)
     for _ in range(dynamics.problem.horizon):
         if np.all(worlds.failed | worlds.accepted):
             break
         inputs, memory = policy.act(worlds, memory)
-        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, size))
-    return np.asarray(core.satisfied(dynamics, worlds))
+        yield Frame(worlds, memory, inadmissible)
+        inadmissible = inadmissible | (_beyond(dynamics, inputs) & ~(worlds.failed | worlds.accepted))
+        normals = core.noise(dynamics, rng, size)
+        if mismatch is not None:
+            inputs, normals = disturbed(dynamics, mismatch, inputs, normals)
+        worlds = core.transition(dynamics, worlds, _saturated(dynamics, inputs), normals)
+    yield Frame(worlds, None, inadmissible)
+
+
+def paths(loop: Loop, episodes: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """States (T + 1, M, D) of the first episodes up to their decision (NaN afterwards), and their success (M,)."""
+    dynamics, policy = arranged(loop)
+    states = np.full((loop.problem.horizon + 1, episodes, loop.problem.n_states), np.nan)
+    decided = np.zeros(episodes, dtype=bool)
+    number, _ = next(chunks_of(episodes, loop.chunk))
+    count, last = min(episodes, loop.chunk), None
+    for time, last in enumerate(frames(loop, dynamics, policy, number)):
+        going = np.flatnonzero(~decided[:count])
+        states[time, going] = core.joint(dynamics, last.worlds)[:count][going]
+        decided[:count] |= (last.worlds.failed | last.worlds.accepted)[:count]
+    assert last is not None
+    return states[:, :count], np.asarray(core.satisfied(dynamics, last.worlds))[:count]
+
+
+def _beyond(dynamics: Dynamics, inputs: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
+    """Whether any agent asks for an input outside its box (not a number counts)."""
+    result = np.zeros(inputs[0].shape[-1], dtype=bool)
+    for block, u in zip(dynamics.blocks, inputs, strict=True):
+        result |= ~((block.input_low <= u) & (u <= block.input_high)).all(axis=(0, 1))
+    return result
+
+
+def _saturated(dynamics: Dynamics, inputs: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], ...]:
+    return tuple(
+        np.minimum(np.maximum(u, block.input_low), block.input_high)
+        for block, u in zip(dynamics.blocks, inputs, strict=True)
+    )
+
+
+def _check_whole(name: str, value: Any, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"`{name}`: expected a whole number of at least {least}, got {value!r}")
