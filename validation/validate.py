@@ -12,10 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from ..envs.problem import Problem
+from ..spread import Executor
 from ..synthesis.certificate import Certificate
 from ..synthesis.synthesize import Synthesis
-from .rollout import CHUNK, rollout
-from .verdict import REFUTED, clopper_pearson, verdict
+from .mismatch import Mismatch
+from .rollout import CHUNK, Loop, stream
+from .sequential import SequentialState, confidence_sequence
+from .verdict import CONSISTENT, REFUTED, check_confidence, clopper_pearson, verdict
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,8 @@ class ValidationReport:
     seconds : dict
         ``abstract``, ``synthesize`` (None if the certificate was loaded) and ``validate``.
     details : dict
-        Start, bound, seed, chunk, fingerprint, version.
+        Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
+        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply.
     """
 
     problem: str
@@ -83,6 +88,13 @@ class ValidationReport:
         claim = shown_bound(self.lower_bound, self.gap)
         times = ", ".join(f"{name} {value:.2f} s" for name, value in self.seconds.items() if value is not None)
         start = {"point": "from the initial state", "mean": "mean over the initial box"}[self.details["start"]]
+        notes = []
+        if "mismatch" in self.details:
+            notes.append(f"mismatch     {self.details['mismatch']}")
+        if self.details.get("inadmissible"):
+            notes.append(f"inputs       inadmissible in {self.details['inadmissible']} episodes (they saturated)")
+        if self.details.get("interrupted"):
+            notes.append("interrupted  this is about the episodes finished by then")
         return "\n".join(
             [
                 f"problem      {self.problem}, horizon {self.horizon}, {start}",
@@ -90,7 +102,8 @@ class ValidationReport:
                 f"certified    {claim}",
                 f"simulated    {self.successes} of {self.episodes} episodes: {self.estimate:.6f}, "
                 f"{100 * self.confidence:g} % limits [{self.ci_low:.6f}, {self.ci_high:.6f}]",
-                f"verdict      {self.verdict}",
+                *notes,
+                f"verdict      {self.verdict}{' (sequential)' if self.details.get('sequential') else ''}",
                 f"times        {times}",
             ]
         )
@@ -104,6 +117,14 @@ def shown_bound(lower: float, gap: float | None) -> str:
     return claim if gap is None else f"{claim} (exact to {gap:.1e})"
 
 
+class ValidationInterrupted(KeyboardInterrupt):
+    """The rollouts were interrupted; ``report`` is about the episodes finished by then, a prefix in index order."""
+
+    def __init__(self, report: ValidationReport) -> None:
+        super().__init__(f"interrupted after {report.episodes} episodes")
+        self.report = report
+
+
 def validate(
     result: Synthesis | Certificate,
     episodes: int = 100_000,
@@ -112,6 +133,9 @@ def validate(
     confidence: float = 0.999,
     initial_state: Any = None,
     chunk: int = CHUNK,
+    sequential: bool = False,
+    mismatch: Mismatch | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> ValidationReport:
     """Test a certified bound with independent rollouts of the continuous system under its own controller.
@@ -120,6 +144,7 @@ def validate(
     ----------
     result : Synthesis or Certificate
     episodes : int
+        The most, if ``sequential``.
     seed : int
     confidence : float
         Of the two-sided limits; a true certificate is refuted with probability at most ``1 - confidence``.
@@ -127,42 +152,91 @@ def validate(
         Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there.
     chunk : int
         Worlds per chunk of the simulation; part of the random record.
+    sequential : bool
+        Stop at the first episode that confirms or refutes the claim. Verdict and limits come from e-processes, which
+        hold at whatever time one stops; the limits are wider than those of a fixed number of episodes.
+    mismatch : Mismatch, optional
+        Simulate a system that differs from the certified model.
+    executor : Executor, optional
+        Where chunks are computed; the report is the same for any.
     progress : callable, optional
         Called with the number of episodes finished.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    ValidationInterrupted
+        On Ctrl-C, with the report so far, if at least one chunk was finished.
     """
-    certificate = result.certificate if isinstance(result, Synthesis) else result
-    synthesis_seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
-    if isinstance(result, Synthesis):
-        synthesis_seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
     began = time.perf_counter()
-    clopper_pearson(0, 1, confidence)
-    lower, gap, start = certificate.lower_bound, certificate.gap if certificate.exact else None, certificate.start
-    problem = certificate.problem
-    if initial_state is not None:
-        problem = problem.replace(initial_state=initial_state)
-        joint = np.concatenate([agent.initial.low for agent in problem.agents])
-        lower, gap, start = float(certificate.at(joint)[0]), None, "point"
-    runs = rollout(problem, certificate.controller, episodes, seed, chunk=chunk, progress=progress)
-    ci_low, ci_high = clopper_pearson(runs.successes, runs.episodes, confidence)
-    seconds = {**synthesis_seconds, "validate": time.perf_counter() - began}
-    return ValidationReport(
+    check_confidence(confidence)
+    certificate = result.certificate if isinstance(result, Synthesis) else result
+    problem, lower, gap, start = claim_at(certificate, initial_state)
+    loop = Loop(problem, certificate.controller, seed, chunk, mismatch=mismatch)
+    state, inadmissible, interrupted = SequentialState(lower, gap, confidence), 0, False
+    chunks = stream(loop, episodes, executor)
+    try:
+        for part in chunks:
+            state = state.advance(part.success) if sequential else state.add(part.success)
+            inadmissible += part.inadmissible
+            if progress is not None:
+                progress(len(part.success))
+            if state.verdict != CONSISTENT:
+                break
+    except KeyboardInterrupt:
+        if state.episodes == 0:
+            raise
+        interrupted = True
+    finally:
+        chunks.close()
+    limits = confidence_sequence if sequential else clopper_pearson
+    ci_low, ci_high = limits(state.successes, state.episodes, confidence)
+    details = _details(certificate, start, seed, chunk) | {"inadmissible": inadmissible, "sequential": sequential}
+    if sequential:
+        details |= {"log_e_refuted": _finite(state.log_refuted), "log_e_confirmed": _finite(state.log_confirmed)}
+    if mismatch is not None:
+        details["mismatch"] = str(mismatch)
+    if interrupted:
+        details["interrupted"] = True
+    seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
+    if isinstance(result, Synthesis):
+        seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
+    report = ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
         method=certificate.method,
         lower_bound=lower,
         exact=gap is not None,
         gap=gap,
-        episodes=runs.episodes,
-        successes=runs.successes,
-        estimate=runs.successes / runs.episodes,
+        episodes=state.episodes,
+        successes=state.successes,
+        estimate=state.successes / state.episodes,
         ci_low=ci_low,
         ci_high=ci_high,
         confidence=confidence,
-        verdict=verdict(lower, gap, ci_low, ci_high),
+        verdict=state.verdict if sequential else verdict(lower, gap, ci_low, ci_high),
         rank=certificate.rank,
-        seconds=seconds,
-        details=_details(certificate, start, runs.seed, runs.chunk),
+        seconds={**seconds, "validate": time.perf_counter() - began},
+        details=details,
     )
+    if interrupted:
+        raise ValidationInterrupted(report)
+    return report
+
+
+def claim_at(certificate: Certificate, initial_state: Any = None) -> tuple[Problem, float, float | None, str]:
+    """Problem with the start, lower bound there, gap if the claim is exact, and ``point`` or ``mean``."""
+    problem = certificate.problem
+    if initial_state is None:
+        return problem, certificate.lower_bound, certificate.gap if certificate.exact else None, certificate.start
+    problem = problem.replace(initial_state=initial_state)
+    joint = np.concatenate([agent.initial.low for agent in problem.agents])
+    return problem, float(certificate.at(joint)[0]), None, "point"
+
+
+def _finite(value: float) -> float:
+    return float(min(max(value, -1e6), 1e6))
 
 
 def _details(certificate: Certificate, start: str, seed: int, chunk: int) -> dict[str, Any]:
