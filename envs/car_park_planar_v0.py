@@ -17,7 +17,7 @@ from .suite import environments
 def problem(horizon: int = 60) -> Problem:
     """Return the problem CarPark2 of the literature."""
     car = LinearAgent(
-        name="car",
+        name="car_0",
         A=[[0.9, 0.0], [0.0, 0.9]],
         B=[[0.7, 0.0], [0.0, 0.7]],
         noise_covariance=[[1.0, 0.0], [0.0, 1.0]],
@@ -32,8 +32,8 @@ def problem(horizon: int = 60) -> Problem:
         horizon=horizon,
         agents=[car],
         propositions={
-            "p1": Proposition("car", [4.0, -4.0], [10.0, 0.0]),
-            "p2": Proposition("car", [4.0, 0.0], [10.0, 4.0]),
+            "p1": Proposition("car_0", [4.0, -4.0], [10.0, 0.0]),
+            "p2": Proposition("car_0", [4.0, 0.0], [10.0, 4.0]),
         },
         specification=Specification("!p2 U p1", "co-safe"),
     )

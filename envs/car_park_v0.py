@@ -17,7 +17,7 @@ from .suite import environments
 def problem(horizon: int = 60) -> Problem:
     """Return the problem CarPark1 of the literature."""
     car = LinearAgent(
-        name="car",
+        name="car_0",
         A=[[0.9]],
         B=[[0.5]],
         noise_covariance=[[1.0]],
@@ -31,7 +31,7 @@ def problem(horizon: int = 60) -> Problem:
         name="car-park-v0",
         horizon=horizon,
         agents=[car],
-        propositions={"p1": Proposition("car", [4.75], [6.0]), "p2": Proposition("car", [6.0], [10.0])},
+        propositions={"p1": Proposition("car_0", [4.75], [6.0]), "p2": Proposition("car_0", [6.0], [10.0])},
         specification=Specification("!p2 U p1", "co-safe"),
     )
 

@@ -24,7 +24,7 @@ def problem(dimension: int = 2, horizon: int = 5) -> Problem:
     d = checked_count(dimension, "dimension", most=20)
     powers = [_PERIOD**k / factorial(k) for k in range(d + 1)]
     chain = LinearAgent(
-        name="chain",
+        name="chain_0",
         A=[[powers[column - row] if column >= row else 0.0 for column in range(d)] for row in range(d)],
         B=[[powers[d - row]] for row in range(d)],
         noise_covariance=[[0.01 if column == row else 0.0 for column in range(d)] for row in range(d)],
@@ -38,7 +38,7 @@ def problem(dimension: int = 2, horizon: int = 5) -> Problem:
         name="integrator-chain-v0",
         horizon=horizon,
         agents=[chain],
-        propositions={"safe": Proposition("chain", [-8.0] * d, [8.0] * d)},
+        propositions={"safe": Proposition("chain_0", [-8.0] * d, [8.0] * d)},
         specification=Specification("G safe", "finite-trace"),
     )
 

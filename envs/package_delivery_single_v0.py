@@ -17,7 +17,7 @@ from .suite import environments
 def problem(horizon: int = 60) -> Problem:
     """Return the single-robot package delivery of the literature."""
     robot = LinearAgent(
-        name="robot",
+        name="robot_0",
         A=[[0.9, 0.0], [0.0, 0.9]],
         B=[[1.0, 0.0], [0.0, 1.0]],
         noise_covariance=[[0.2, 0.0], [0.0, 0.2]],
@@ -32,9 +32,9 @@ def problem(horizon: int = 60) -> Problem:
         horizon=horizon,
         agents=[robot],
         propositions={
-            "p1": Proposition("robot", [5.0, -1.0], [6.0, 1.0]),
-            "p2": Proposition("robot", [0.0, -5.0], [1.0, 1.0]),
-            "p3": Proposition("robot", [-4.0, -4.0], [-2.0, -3.0]),
+            "p1": Proposition("robot_0", [5.0, -1.0], [6.0, 1.0]),
+            "p2": Proposition("robot_0", [0.0, -5.0], [1.0, 1.0]),
+            "p3": Proposition("robot_0", [-4.0, -4.0], [-2.0, -3.0]),
         },
         specification=Specification("F(p1 & (!p2 U p3))", "co-safe"),
     )

@@ -16,6 +16,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import certigym as cg
 import fake_pygame
@@ -141,6 +142,48 @@ def test_rewards_and_observations_stay_in_bounds(id: str, mode: AutoresetMode, r
             _, infos = envs.reset(options={"reset_mask": terminated | truncated})
             assert (infos["time"][terminated | truncated] == 0).all()
             assert (infos["_time"] == (terminated | truncated)).all()
+
+
+@each
+def test_pickled_batches_go_on_alike(id: str) -> None:
+    envs = cg.vector_env(id, 4, autoreset_mode="SameStep", reward="shaped")
+    envs.action_space.seed(0)
+    envs.reset(seed=0)
+    envs.step(envs.action_space.sample())
+    twin = pickle.loads(pickle.dumps(envs))
+    for _ in range(8):
+        action = envs.action_space.sample()
+        for mine, theirs in zip(envs.step(action)[:4], twin.step(action)[:4]):
+            assert np.array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_wrappers_of_gymnasium_count_episodes(mode: AutoresetMode) -> None:
+    envs = RecordEpisodeStatistics(gymnasium.make_vec("certigym/Invariance4-v0", num_envs=3, autoreset_mode=mode))
+    envs.reset(seed=0)
+    returns = []
+    for _ in range(30):
+        *_, infos = envs.step(np.zeros((3, 4)))
+        if "episode" in infos:
+            returns += infos["episode"]["r"][infos["_episode"]].tolist()
+            assert (infos["episode"]["l"][infos["_episode"]] == 7).all()
+    assert len(returns) >= 9 and set(returns) == {1.0}
+    synced = gymnasium.make_vec("certigym/Invariance4-v0", num_envs=2, vectorization_mode="sync")
+    assert isinstance(synced, SyncVectorEnv)
+    assert synced.reset(seed=0)[0].shape == (2, 7)
+
+
+def test_after_an_exit_the_observation_is_the_projection_and_the_info_the_true_state() -> None:
+    problem = cg.make_problem("reach-avoid-v0", initial_state=[-10.0, 4.9])
+    env, envs = cg.central_env(problem), cg.vector_env(problem, 400)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    observations, _, terminated, _, infos = envs.step(np.ones((400, 2)))
+    out = infos["state"][:, 1] > 5.0
+    assert out.sum() > 300 and (terminated == out).all() and (observations[out, 1] == 5.0).all()
+    assert (observations[:, 0] == infos["state"][:, 0]).all()
+    observation, _, terminated_one, _, info = env.step(np.ones(2))
+    assert terminated_one and info["state"][1] > 5.0 and observation[1] == 5.0 and not info["is_success"]
 
 
 def test_after_an_end_the_next_step_starts_anew_and_ignores_the_action() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,196 @@ def test_families_of_any_size(n_agents: int) -> None:
     worlds = core.initial_at(dynamics, points)
     assert worlds.accepted.tolist() == [False, True, False]
     assert problem.automaton.dead[worlds.q].tolist() == [False, False, True]
+
+
+def word(problem: cg.Problem, points: np.ndarray) -> bool:
+    """Whether the task is satisfied by the letters of joint points (T + 1, D), whatever the dynamics."""
+    automaton = problem.automaton
+    letters = core.letters(core.Dynamics.of(problem), core.split_joint(core.Dynamics.of(problem), points))
+    q = np.asarray(automaton.initial)
+    for t in range(len(points)):
+        q = automaton.next_state(q, letters[:, t])
+    return bool(automaton.accepting[q])
+
+
+def within(x: np.ndarray, low: tuple[float, ...], high: tuple[float, ...]) -> bool:
+    return all(a <= value < b for value, a, b in zip(x, low, high))
+
+
+def until(points: np.ndarray, holds: Callable[[np.ndarray], bool], goal: Callable[[np.ndarray], bool]) -> bool:
+    """Whether the goal is met at some point, and the condition at all points before."""
+    for x in points:
+        if goal(x):
+            return True
+        if not holds(x):
+            return False
+    return False
+
+
+def meeting(points: np.ndarray) -> bool:
+    def clear(x: np.ndarray) -> bool:
+        return not any(within(x[k : k + 2], (-2, -2), (2, 4)) for k in (0, 2))
+
+    def met(x: np.ndarray) -> bool:
+        rooms = [((-6, 4), (-3, 7)), ((3, 4), (6, 7))]
+        return any(within(x[:2], *room) and within(x[2:], *room) for room in rooms)
+
+    def home(x: np.ndarray) -> bool:
+        return within(x[:2], (-7, -7), (-4, -4)) and within(x[2:], (4, -7), (7, -4))
+
+    return any(
+        met(points[t]) and all(map(clear, points[:t])) and until(points[t:], clear, home) for t in range(len(points))
+    )
+
+
+def formation(points: np.ndarray) -> bool:
+    robots = [slice(0, 2), slice(2, 4), slice(4, 6)]
+
+    def safe(x: np.ndarray) -> bool:
+        at_wall = [-1 <= x[r][0] < 1 for r in robots]
+        in_door = [wall and -1.5 <= x[r][1] < 1.5 for wall, r in zip(at_wall, robots)]
+        return at_wall == in_door and sum(in_door) <= 1
+
+    def formed(x: np.ndarray) -> bool:
+        slots = [((5, -1), (7, 1)), ((3, 1), (5, 3)), ((3, -3), (5, -1))]
+        return all(within(x[r], *slot) for r, slot in zip(robots, slots))
+
+    def ordered(ahead: slice, behind: slice) -> bool:
+        return until(points, lambda x: not within(x[behind], (-1, -1.5), (1, 1.5)), lambda x: bool(x[ahead][0] >= 1))
+
+    return until(points, safe, formed) and all(ordered(a, b) for a, b in zip(robots[:-1], robots[1:]))
+
+
+def patrol(points: np.ndarray) -> bool:
+    guarded = all(any(-1 <= value < 1 for value in x) for x in points)
+    docked = [(points[:, 0] >= -6) & (points[:, 0] < -3), (points[:, 1] >= 3) & (points[:, 1] < 6)]
+    return guarded and all(dock[t : t + 5].any() for dock in docked for t in range(len(points) - 4))
+
+
+def cyclic(points: np.ndarray) -> bool:
+    carrying = False
+    for x in points:
+        robots = x.reshape(4, 2)
+        if not carrying:
+            carrying = all(within(r, (-2, -2), (2, 2)) for r in robots)
+        elif any(within(r, (-10, -12), (-6, 0)) for r in robots):
+            carrying = False
+        elif all(within(r, (-18, -4), (-14, 0)) for r in robots):
+            return True
+    return False
+
+
+def planar(points: np.ndarray) -> bool:
+    def clear(x: np.ndarray) -> bool:
+        return not within(x[:2], (-2, -2), (2, 2)) and not within(x[2:], (0, 5), (2, 7))
+
+    return until(points, clear, lambda x: within(x[:2], (3, 3), (5, 5)) and within(x[2:], (-5, -5), (-3, -3)))
+
+
+def kinematic(points: np.ndarray) -> bool:
+    return until(points, lambda x: not (-5 <= x[0] < 0 and x[2] < -15), lambda x: bool(x[0] >= 0))
+
+
+def parking(points: np.ndarray) -> bool:
+    return until(points, lambda x: not within(x, (4, 0), (11, 4)), lambda x: within(x, (4, -4), (11, 0)))
+
+
+def single_delivery(points: np.ndarray) -> bool:
+    def delivered(rest: np.ndarray) -> bool:
+        return until(rest, lambda x: not within(x, (0, -5), (1, 1)), lambda x: within(x, (-4, -4), (-2, -3)))
+
+    return any(within(x, (5, -1), (7, 1)) and delivered(points[t:]) for t, x in enumerate(points))
+
+
+PLACES: dict[str, list[tuple[float, ...]]] = {
+    "meeting-v0": [(-5, 5, -5, 5), (4, 5, 4, 5), (-5, 5, 4, 5), (-5, -5, 5, -5), (0, 0, 5, 5), (-7, 0, 7, 0)],
+    "door-formation-v0": [
+        (-3, 0, -5, 0, -7, 0), (0, 0, -5, 0, -7, 0), (3, 0, -2, 0, -5, 0), (3, 0, 0, 0, -5, 0), (6, 0, 4, 2, -2, 0),
+        (6, 0, 4, 2, 0, 0), (6, 0, 4, 2, 4, -2), (0, 0, 0, 0, -7, 0), (0, 3, -5, 0, -7, 0),
+    ],
+    "patrol-recharge-v0": [(0, 0), (0, 4), (-4, 0), (-4, 4), (0.5, 2), (0, 3), (-6, -1)],
+    "cyclic-delivery-v0": [(0,) * 8, (-16, -2) * 4, (-8, -3) * 4, (-12, 2) * 4, (1, -2) * 4, (-14.5, -0.5) * 4],
+    "reach-avoid-planar-v0": [(-4, -4, 4, 4), (0, 0, 4, 4), (4, 4, 1, 6), (4, 4, -4, -4), (2, 2, 2, 7), (3, 3, -5, -5)],
+    "reach-avoid-kinematic-v0": [(-10, 0, 0, 1), (-5, 1, -15, 0), (-5, 1, -16, 0), (0, 2, -20, 0), (-1, 0, -14, 3)],
+    "car-park-planar-v0": [(-4, -5), (4, 0), (5, -2), (10, -4), (10, 3.9), (3.9, -1), (4, 4)],
+    "package-delivery-single-v0": [(-5, -5), (5, 0), (6, 0.9), (0.5, 0), (-3, -3.5), (-2, -3), (2, 2)],
+}  # fmt: skip
+ORACLES = {
+    "meeting-v0": meeting,
+    "door-formation-v0": formation,
+    "patrol-recharge-v0": patrol,
+    "cyclic-delivery-v0": cyclic,
+    "reach-avoid-planar-v0": planar,
+    "reach-avoid-kinematic-v0": kinematic,
+    "car-park-planar-v0": parking,
+    "package-delivery-single-v0": single_delivery,
+}
+
+
+@pytest.mark.parametrize("id", ORACLES)
+def test_tasks_mean_what_their_pages_tell(id: str) -> None:
+    """Random words of places, half of them biased to the order of the list, against the task in plain Python."""
+    problem = cg.make_problem(id)
+    places = np.array(PLACES[id], dtype=float)
+    rng = np.random.default_rng(0)
+    verdicts = []
+    for k in range(600):
+        n = int(rng.integers(1, 12))
+        order = np.sort(rng.integers(0, len(places), n)) if k % 2 else rng.integers(0, len(places), n)
+        points = places[order]
+        if k % 3 == 0:
+            points = points + rng.choice([0.0, 0.0, 0.0, 0.0, 1.0, -1.0], points.shape)
+        low = np.concatenate([agent.state_low for agent in problem.agents])
+        high = np.concatenate([agent.state_high for agent in problem.agents])
+        points = np.clip(points, low, high)
+        verdicts.append(word(problem, points))
+        assert verdicts[-1] == ORACLES[id](points), points
+    assert 15 <= sum(verdicts) <= 585
+
+
+def test_the_chain_keeps_its_known_probabilities() -> None:
+    """Fixed seed, n = 100,000, false alarm 1e-6 over 2 claims (Hoeffding): within .9 % of the known values."""
+    n = 100_000
+    gap = np.sqrt(np.log(2.0 / (1e-6 / 2.0)) / (2.0 * n))
+    for horizon, known in ((6, 0.626213), (10, 0.430846)):
+        dynamics = core.Dynamics.of(cg.make_problem("decoupled-chain-v0", n_agents=1, horizon=horizon))
+        rng = np.random.default_rng(horizon)
+        worlds = core.initial(dynamics, rng, n)
+        still = [np.ones((1, 1, n))]  # any input: B = 0
+        for _ in range(horizon):
+            worlds = core.transition(dynamics, worlds, still, core.noise(dynamics, rng, n))
+        assert abs(core.satisfied(dynamics, worlds).mean() - known) <= gap
+    assert cg.make_problem("decoupled-chain-14-v0").n_agents == 14
+
+
+def test_classics_have_the_numbers_of_the_literature() -> None:
+    zones = cg.make_problem("building-automation-v0").agents
+    whole = np.zeros((4, 4))
+    for k, zone in enumerate(zones):
+        whole[np.ix_([k, k + 2], [k, k + 2])] = zone.A
+    assert whole.tolist() == [
+        [0.6682, 0, 0.02632, 0], [0, 0.683, 0, 0.02096], [1.0005, 0, -0.000499, 0], [0, 0.8004, 0, 0.1996],
+    ]  # fmt: skip
+    assert [zone.offset.tolist() for zone in zones] == [[3.3378, 13.0207], [2.9272, 10.4166]]
+    chain = cg.make_problem("integrator-chain-v0", dimension=3).agents[0]
+    assert np.allclose(chain.A, np.array([[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]])) and chain.n_inputs == 1
+    assert np.allclose(chain.B[:, 0], np.array([0.1**3 / 6, 0.005, 0.1]))
+    assert cg.make_problem("car-park-v0").agents[0].noise_covariance.tolist() == [[1.0]]
+    sizes = {
+        id: cg.make_problem(id).n_agents for id in ("reach-avoid-20-v0", "invariance-b-20-v0", "invariance-b-100-v0")
+    }
+    assert sizes == {"reach-avoid-20-v0": 20, "invariance-b-20-v0": 20, "invariance-b-100-v0": 100}
+    assert cg.make_problem("invariance-b-20-v0").agents[0].A.tolist() == [[1.0]]
+
+
+def test_the_kinematic_delivery_follows_the_table_on_positions() -> None:
+    problem = cg.make_problem("package-delivery-kinematic-v0")
+    assert problem.n_states == 16 and problem.automaton.state_names[problem.initial_q or 0] == "carrying"
+    plain = cg.make_problem("package-delivery-v0")
+    rng = np.random.default_rng(5)
+    positions = rng.integers(-20, 6, (3000, 8)).astype(float)
+    positions[:1000, 1::2] = rng.integers(0, 6, (1000, 4))
+    joint = np.empty((3000, 16))
+    joint[:, 0::2], joint[:, 1::2] = positions, rng.uniform(-5, 5, (3000, 8))
+    for q in ("init", "carrying"):
+        assert read(problem, q, joint) == read(plain, q, positions)
