@@ -15,7 +15,7 @@ from . import dynamics as core
 from .observation import checked_option
 from .one_world import OneWorld, World
 from .problem import Problem
-from .rendering import Picture, checked_render_mode
+from .rendering import Picture, checked_render_mode, verdict_text
 from .shaping import REWARDS, Potential
 
 RENDER_MODES = ("ansi", "rgb_array", "human")
@@ -129,13 +129,8 @@ class Episode:
 
     def _verdict(self) -> str:
         world = self.world
-        if self.one_world.satisfied(world):
-            return "satisfied"
-        if world.failed:
-            return "failed"
-        if self.one_world.settled(world) or world.time >= self.problem.horizon:
-            return "not satisfied"
-        return ""
+        over = self.one_world.settled(world) or world.time >= self.problem.horizon
+        return verdict_text(self.one_world.satisfied(world), world.failed, over)
 
     def _line(self) -> str:
         world = self.world

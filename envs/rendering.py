@@ -38,6 +38,11 @@ def checked_render_mode(value: Any, known: Sequence[str]) -> str | None:
     return None if value is None else str(value)
 
 
+def verdict_text(satisfied: bool, failed: bool, over: bool) -> str:
+    """Return the verdict on an episode in words, "" while it is open."""
+    return "satisfied" if satisfied else "failed" if failed else "not satisfied" if over else ""
+
+
 class Picture:
     """Draws the episodes of one problem.
 

@@ -36,7 +36,7 @@ from .observation import (
     observation_space,
 )
 from .problem import Problem
-from .rendering import checked_render_mode
+from .rendering import Picture, checked_render_mode, verdict_text
 from .shaping import REWARDS, Potential
 from .suite import checked_count, resolve
 
@@ -52,6 +52,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         A problem, the id of a suite problem, or the path of a problem file (`.toml`).
     num_envs : int
         Worlds M.
+    render_mode : None or "rgb_array"
     autoreset_mode : AutoresetMode or str
     reward, discount, dtype, actions
         As for `central_env`.
@@ -81,9 +82,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> None:
         self.problem = resolve(problem, arguments)
         self.num_envs = checked_count(num_envs, "num_envs", most=10_000_000)
-        self.render_mode = checked_render_mode(render_mode, ())
+        self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.discount = checked_discount(discount)
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
@@ -98,6 +99,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._worlds: core.Worlds | None = None
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
+        self._track = np.zeros((0, self.num_envs, self.problem.n_states))
+        if self.render_mode is not None:
+            self._track = np.zeros((self.problem.horizon + 1, self.num_envs, self.problem.n_states))
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -159,6 +163,21 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             infos = self._restarted(ended, infos)
         return joint_observations(self._dynamics, self._worlds, self._dtype), rewards, terminated, truncated, infos
 
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return one picture of every world in the render mode "rgb_array", else None."""
+        if self.render_mode is None:
+            return None
+        worlds, picture = self._present(), Picture(self.problem)
+        holds = core.letters(self._dynamics, worlds.states) & ~worlds.failed
+        names, satisfied = self.problem.automaton.propositions, core.satisfied(self._dynamics, worlds)
+        over = self._settled(worlds) | (worlds.time >= self.problem.horizon)
+        frames = []
+        for k in range(self.num_envs):
+            letter = [names[p] for p in np.flatnonzero(holds[:, k])]
+            verdict = verdict_text(bool(satisfied[k]), bool(worlds.failed[k]), bool(over[k]))
+            frames.append(picture.frame(self._track[: worlds.time[k] + 1, k], int(worlds.q[k]), letter, verdict))
+        return tuple(frames)
+
     def _moved(self, worlds: core.Worlds, inputs: tuple[np.ndarray, ...], moving: np.ndarray) -> core.Worlds:
         """Move some of the worlds; noise is drawn for them alone."""
         if moving.all():
@@ -218,6 +237,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _infos(self, which: np.ndarray) -> dict[str, Any]:
         worlds = self._present()
+        if self.render_mode is not None:
+            self._track[worlds.time, np.arange(self.num_envs)] = core.joint(self._dynamics, worlds)
         values = {
             "automaton_state": worlds.q.copy(),
             "satisfied": np.array(core.satisfied(self._dynamics, worlds)),

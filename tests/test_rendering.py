@@ -97,6 +97,22 @@ def test_pictures_are_quick() -> None:
     assert 20.0 / (time.process_time() - began) > 40.0
 
 
+def test_a_batch_draws_each_of_its_worlds_as_the_scalar_environment_does() -> None:
+    envs = cg.vector_env("meeting-v0", 2, render_mode="rgb_array")
+    env = cg.central_env("meeting-v0", render_mode="rgb_array")
+    envs.reset(seed=0)
+    start = env.reset(seed=0)[1]["state"]
+    frames = envs.render()
+    assert frames is not None and len(frames) == 2 and (frames[0] == env.render()).all()
+    state = envs.step(np.zeros((2, 4)))[4]["state"]
+    assert (state[0] != start).any()
+    frames = envs.render()
+    assert frames is not None and (frames[0] != frames[1]).any()
+    assert cg.vector_env("meeting-v0", 2).render() is None
+    with pytest.raises(ValueError, match="`render_mode`: expected None or 'rgb_array', got 'human'"):
+        cg.vector_env("meeting-v0", 2, render_mode="human")
+
+
 def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = fake_pygame.install(monkeypatch)
     env = cg.central_env("meeting-v0", render_mode="human")
