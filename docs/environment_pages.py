@@ -1,0 +1,303 @@
+"""Write the pages of the environments: `python docs/environment_pages.py`.
+
+Everything on a page comes from the problem itself, from its module's docstring (the story and the versions) or from
+`environments/measured.json` (see `measure_environments.py`), so a page cannot say what the code does not do; a test
+writes all pages again and compares.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from inspect import getdoc, signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import certigym as cg
+from automaton_picture import edges, svg
+from certigym.envs.agent import LinearAgent
+from certigym.envs.suite_ids import MODULES, gymnasium_id
+from certigym.validation.validate import shown_bound
+
+FOLDER = Path(__file__).parent / "environments"
+MEASURED = FOLDER / "measured.json"
+OPTIONS = (
+    ("initial_state", "the problem's", "start of all agents, a point; or a box `initial_low`, `initial_high`"),
+    ("disturbance_scale", "1", "factor on the standard deviations of the noise"),
+    ("render_mode", "None", '"ansi", "rgb_array" or "human"'),
+    ("observation", '"local"', 'PettingZoo only; "full": the states of the other agents too'),
+    ("reward", '"sparse"', '"shaped": potential-based, from the automaton; the same policies are optimal'),
+    ("discount", "1", "of the learner, for the shaped reward"),
+    ("dtype", '"float64"', 'of observations; or "float32"'),
+    ("actions", '"input"; Gymnasium "unit"', '"input": the input box; "unit": scaled to [-1, 1], float32'),
+)
+
+
+def pages() -> dict[str, str]:
+    """Return the text of every file of the folder but the measured numbers."""
+    measured = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
+    result = {"README.md": _index(measured)}
+    for id in cg.problem_ids():
+        problem = cg.make_problem(id)
+        drawn = edges(problem)
+        result[f"{id}.svg"] = svg(problem.automaton, drawn)
+        result[f"{id}.md"] = _page(id, problem, measured.get(id))
+    return result
+
+
+def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
+    title, story, versions = _docstring(id)
+    return "\n\n".join(
+        [
+            f"# {title}",
+            _summary(id, problem),
+            *([story] if story else []),
+            "## Dynamics",
+            "`x' = A x + B u + c + w`, `w ~ N(0, Sigma)` independent over time and agents; Sigma is a covariance. The "
+            "workspace is closed; an agent that leaves it violates the task.",
+            _dynamics(problem),
+            "## Regions",
+            _regions(problem),
+            "## Task",
+            _task(problem),
+            _automaton(id, problem),
+            "## Rewards",
+            "1 to every agent when the task is satisfied, once, and 0 otherwise: the undiscounted return is "
+            'satisfaction, and its mean the satisfaction probability. With `reward="shaped"` differences of a '
+            "potential between 0 and 1 are added, so that rewards lie in [-1, 2].",
+            "## Start",
+            _start(problem),
+            "## Episode ends",
+            _ends(problem),
+            "## Arguments",
+            _arguments(id),
+            "## Certified bound and measured rate",
+            _numbers(problem, measured),
+            "## Versions",
+            versions,
+            "*Written by `python docs/environment_pages.py`; change the code, not this page.*\n",
+        ]
+    )
+
+
+def _docstring(id: str) -> tuple[str, str, str]:
+    """Title, story and versions in the docstring of a suite module."""
+    text = getdoc(import_module(f"certigym.envs.{MODULES[id]}")) or ""
+    title, _, rest = text.partition("\n")
+    story, _, versions = rest.partition("**Versions**:")
+    return title.strip().rstrip("."), story.strip(), versions.strip()
+
+
+def _summary(id: str, problem: cg.Problem) -> str:
+    env = cg.parallel_env(problem)
+    names = env.possible_agents if problem.n_agents <= 8 else [*env.possible_agents[:3], "...", env.possible_agents[-1]]
+    shapes = sorted({str(env.action_space(agent).shape) for agent in env.possible_agents})
+    seen = sorted({str(env.observation_space(agent).shape) for agent in env.possible_agents})
+    rows = [
+        ("PettingZoo", f'`pettingzoo.make("parallel", "certigym/{id}")`'),
+        ("Gymnasium", f'`gymnasium.make("{gymnasium_id(id)}")`'),
+        ("Gymnasium, batched", f'`gymnasium.make_vec("{gymnasium_id(id)}", num_envs=64)`'),
+        ("Import", f"`from certigym.envs import {MODULES[id]}`"),
+        ("Problem", f'`certigym.make_problem("{id}")`'),
+        ("Agents", ", ".join(f"`{name}`" if name != "..." else name for name in names)),
+        ("Actions", "continuous; values beyond the box are clipped"),
+        ("Action Shape", ", ".join(shapes)),
+        ("Action Values", _ranges([(a.input_low, a.input_high) for a in problem.agents])),
+        ("Observation Shape", f"{', '.join(seen)}: own state, {problem.automaton.n_states} automaton "
+         "states one-hot, fraction of time left"),
+        ("Observation Values", f"{_ranges([(a.state_low, a.state_high) for a in problem.agents])}, then [0, 1]"),
+        ("State Shape", f"{env.state_space.shape}: the states of all agents, then as above"),
+        ("State Values", "as the observations"),
+        ("Centralised", f"action {(sum(a.n_inputs for a in problem.agents),)} in [-1, 1], observation = state"),
+    ]  # fmt: skip
+    return "| | |\n|---|---|\n" + "\n".join(f"| {key} | {value} |" for key, value in rows)
+
+
+def _ranges(boxes: list[tuple[np.ndarray, np.ndarray]]) -> str:
+    return "; ".join(dict.fromkeys(_box(low, high) for low, high in boxes))
+
+
+def _box(low: Any, high: Any) -> str:
+    """A box as a product of intervals, equal ones as a power."""
+    axes = [f"[{a:g}, {b:g}]" for a, b in zip(low, high)]
+    if len(axes) > 1 and len(set(axes)) == 1:
+        return f"{axes[0]}^{len(axes)}"
+    return " x ".join(axes)
+
+
+def _matrix(value: np.ndarray) -> str:
+    rows = [", ".join(f"{number:.10g}" for number in row) for row in np.atleast_2d(value)]
+    return "`[" + rows[0] + "]`" if value.ndim == 1 else "`[[" + "], [".join(rows) + "]]`"
+
+
+def _dynamics(problem: cg.Problem) -> str:
+    groups: dict[str, list[LinearAgent]] = {}
+    for agent in problem.agents:
+        data = {key: value for key, value in agent.to_dict().items() if key != "name" and "initial" not in key}
+        groups.setdefault(json.dumps(data), []).append(agent)
+    lines = ["| agents | A | B | c | Sigma | workspace | inputs |", "|---|---|---|---|---|---|---|"]
+    for agents in groups.values():
+        agent = agents[0]
+        cells = [
+            _names([a.name for a in agents]), _matrix(agent.A), _matrix(agent.B), _matrix(agent.offset),
+            _matrix(agent.noise_covariance), _box(agent.state_low, agent.state_high),
+            _box(agent.input_low, agent.input_high),
+        ]  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
+    outputs = [a for a in problem.agents if not a.has_identity_output]
+    lines += [f"\nOutput of `{a.name}`: `y = C x`, C = {_matrix(a.output_matrix)}." for a in outputs]
+    return "\n".join(lines)
+
+
+def _names(names: list[str]) -> str:
+    shown = names if len(names) <= 8 else [*names[:2], "...", names[-1]]
+    return ", ".join(name if name == "..." else f"`{name}`" for name in shown)
+
+
+def _regions(problem: cg.Problem) -> str:
+    if not problem.declared:
+        return "None."
+    lines = ["| proposition | agent | box |", "|---|---|---|"]
+    for name, proposition in problem.declared.items():
+        members = problem.families.get(name)
+        label = f"`{name}`" if members is None else f"`{name}`: {_names(list(members))}"
+        owner = problem.propositions[name if members is None else members[0]].agent
+        box = _region(proposition.low, proposition.high, problem.agents[problem.agent_names.index(owner)])
+        lines.append(f"| {label} | `{proposition.agent}` | {box} |")
+    return "\n".join(lines) + "\n\nA region holds its lower faces, and its upper ones at the edge of the workspace."
+
+
+def _region(low: np.ndarray, high: np.ndarray, agent: LinearAgent) -> str:
+    axes = []
+    for k, (a, b) in enumerate(zip(low, high)):
+        closed = agent.has_identity_output and b >= agent.state_high[k]
+        axes.append(f"[{a:g}, {b:g}{']' if closed else ')'}")
+    return " x ".join(axes)
+
+
+def _task(problem: cg.Problem) -> str:
+    semantics = {
+        "co-safe": "satisfied as soon as the automaton accepts, within the horizon",
+        "finite-trace": "judged by the state of the automaton at the horizon",
+    }[problem.automaton.semantics]
+    formula = problem.specification.formula
+    task = f"`{formula}`" if formula else "An automaton given by hand"
+    return f"{task}; {problem.automaton.semantics}: {semantics}. Horizon {problem.horizon} control steps."
+
+
+def _automaton(id: str, problem: cg.Problem) -> str:
+    automaton = problem.automaton
+    drawn = edges(problem)
+    kinds = {q: [] for q in range(automaton.n_states)}  # type: dict[int, list[str]]
+    kinds[automaton.initial].append("initial")
+    for q in range(automaton.n_states):
+        kinds[q] += ["accepting"] * bool(automaton.accepting[q]) + ["no way to acceptance"] * bool(automaton.dead[q])
+    lines = ["| | state | letter | next |", "|---|---|---|---|"]
+    for number, edge in enumerate(drawn, 1):
+        name = automaton.state_names[edge.source]
+        kind = f" ({', '.join(kinds[edge.source])})" if kinds[edge.source] else ""
+        guard = edge.guard if edge.guard == "otherwise" else " or ".join(
+            part if part.endswith("more cubes") else f"`{part}`" for part in edge.guard.split(" or "))  # fmt: skip
+        lines.append(f"| {number} | {name}{kind} | {guard} | {automaton.state_names[edge.target]} |")
+    first = problem.initial_q
+    begin = "" if first is None else f" The letter of the start leads to {automaton.state_names[first]}."
+    return (
+        f"![The task automaton: {automaton.n_states} states]({id}.svg)\n\n" + "\n".join(lines) +
+        f"\n\nThe first letter read is that of the start.{begin} Letters that no point of the workspace has are left "
+        "out."
+    )  # fmt: skip
+
+
+def _start(problem: cg.Problem) -> str:
+    groups: dict[str, list[str]] = {}
+    for agent in problem.agents:
+        start = agent.initial
+        text = f"({', '.join(f'{v:g}' for v in start.low)})" if start.is_point else "uniform in " + " x ".join(
+            f"[{a:g}, {b:g})" if a < b else f"{{{a:g}}}" for a, b in zip(start.low, start.high))  # fmt: skip
+        groups.setdefault(text, []).append(agent.name)
+    return "; ".join(f"{_names(names)}: {text}" for text, names in groups.items()) + "."
+
+
+def _ends(problem: cg.Problem) -> str:
+    automaton = problem.automaton
+    ends = []
+    if automaton.semantics == "co-safe":
+        ends.append("the task is satisfied: terminated;")
+    ends.append("an agent leaves its workspace: terminated, also where another one completes the task in that step;")
+    dead = [name for q, name in enumerate(automaton.state_names) if automaton.dead[q]]
+    if dead:
+        ends.append(f"the automaton reaches {' or '.join(dead)}, from where it can accept no more: terminated;")
+    judged = ", where the task is judged" if automaton.semantics == "finite-trace" else ""
+    ends.append(f"the horizon, {problem.horizon} steps{judged}: truncated.")
+    return "\n".join(f"{number}. {text}" for number, text in enumerate(ends, 1))
+
+
+def _arguments(id: str) -> str:
+    make = import_module(f"certigym.envs.{MODULES[id]}").problem
+    rows = [(name, json.dumps(p.default), "of the problem") for name, p in signature(make).parameters.items()]
+    lines = ["| argument | default | |", "|---|---|---|"]
+    return "\n".join([*lines, *(f"| `{name}` | {default} | {text} |" for name, default, text in [*rows, *OPTIONS])])
+
+
+def _numbers(problem: cg.Problem, measured: dict[str, Any] | None) -> str:
+    if measured is None:
+        return "Not measured yet."
+    lines = []
+    certificate = measured["certificate"]
+    if certificate is None:
+        lines.append(f"- No certificate yet: {measured['reason']}")
+    elif certificate["lower_bound"] < 1e-12:
+        lines.append("- Certified: nothing worth the name yet; the policies found satisfy the task with P < 1e-12.")
+    else:
+        start = {"point": "from the start", "mean": "on average over the start box"}[certificate["start"]]
+        cells = certificate["cells"] or "the default number of"
+        lines.append(
+            f"- Certified: **{shown_bound(certificate['lower_bound'], None)}** {start} ({certificate['method']}; "
+            f"{certificate['bound']} bound; {cells} cells per axis)."
+        )
+        lines.append(f"- Measured under the certified controllers: {_rate(certificate['rollouts'])}.")
+    lines.append(f"- Measured under inputs drawn uniformly: {_rate(measured['random'])}.")
+    lines.append("\nNumbers of `python docs/measure_environments.py`; the horizon and the start are the defaults.")
+    return "\n".join(lines)
+
+
+def _rate(rollouts: dict[str, Any]) -> str:
+    return (
+        f"{rollouts['successes']} of {rollouts['episodes']} episodes (seed {rollouts['seed']}), "
+        f"{100 * rollouts['confidence']:g} % limits [{rollouts['low']:.5f}, {rollouts['high']:.5f}]"
+    )
+
+
+def _index(measured: dict[str, Any]) -> str:
+    lines = [
+        "# Environments\n",
+        "One page for every problem of the suite. All are cooperative, with linear agents, Gaussian noise and a "
+        "temporal-logic task.\n",
+        "| id | agents | horizon | certified | what it is about |",
+        "|---|---|---|---|---|",
+    ]
+    for id in cg.problem_ids():
+        problem = cg.make_problem(id)
+        certificate = (measured.get(id) or {}).get("certificate")
+        bound = "none yet" if certificate is None else f"{np.floor(certificate['lower_bound'] * 1e4) / 1e4:.4f}"
+        title = _docstring(id)[0]
+        lines.append(f"| [{id}]({id}.md) | {problem.n_agents} | {problem.horizon} | {bound} | {title} |")
+    return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
+
+
+def main() -> None:
+    """Write all pages."""
+    FOLDER.mkdir(exist_ok=True)
+    texts = pages()
+    for name, text in texts.items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+    for path in FOLDER.iterdir():
+        if path.name not in texts and path != MEASURED:
+            path.unlink()
+    print(f"{len(texts)} files in {FOLDER}")
+
+
+if __name__ == "__main__":
+    main()

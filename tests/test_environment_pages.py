@@ -1,0 +1,72 @@
+"""The pages of the environments say what the code does: written again, they are the files in docs."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import certigym as cg
+import environment_pages
+from automaton_picture import edges
+from certigym.envs import dynamics as core
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, str]:
+    return environment_pages.pages()
+
+
+def test_pages_have_not_drifted(texts: dict[str, str]) -> None:
+    present = {path.name for path in environment_pages.FOLDER.iterdir()} - {environment_pages.MEASURED.name}
+    assert present == set(texts)
+    for name, text in texts.items():
+        written = (environment_pages.FOLDER / name).read_text(encoding="utf-8")
+        assert written == text, f"{name} has drifted; run `python docs/environment_pages.py`"
+
+
+def test_measured_numbers_are_about_these_problems() -> None:
+    measured = json.loads(environment_pages.MEASURED.read_text(encoding="utf-8"))
+    assert set(measured) == set(cg.problem_ids())
+    for id, entry in measured.items():
+        remedy = f"{id} has changed; run `python docs/measure_environments.py {id}`"
+        assert entry["fingerprint"] == cg.make_problem(id).fingerprint, remedy
+        if entry["certificate"] is not None:
+            assert entry["certificate"]["lower_bound"] <= entry["certificate"]["rollouts"]["high"]
+
+
+def test_every_page_has_its_parts(texts: dict[str, str]) -> None:
+    for id in cg.problem_ids():
+        page = texts[f"{id}.md"]
+        parts = ("Dynamics", "Regions", "Task", "Rewards", "Start", "Episode ends", "Arguments", "Versions")
+        for part in (*parts, "Certified bound and measured rate"):
+            assert f"\n## {part}\n" in page
+        assert f"![The task automaton: {cg.make_problem(id).automaton.n_states} states]({id}.svg)" in page
+        assert "Not measured yet" not in page
+
+
+def test_pictures_are_well_formed_and_edges_complete(texts: dict[str, str]) -> None:
+    for id in cg.problem_ids():
+        root = ElementTree.fromstring(texts[f"{id}.svg"])
+        automaton = cg.make_problem(id).automaton
+        circles = [item for item in root if item.tag.endswith("circle")]
+        assert len(circles) == automaton.n_states + int(automaton.accepting.sum())
+        seen = {(edge.source, edge.target) for edge in edges(cg.make_problem(id))}
+        assert len(seen) == len(edges(cg.make_problem(id))) and {q for q, _ in seen} == set(range(automaton.n_states))
+
+
+@pytest.mark.parametrize("id", ["reach-avoid-v0", "meeting-v0", "door-formation-v0", "patrol-recharge-v0"])
+def test_the_table_of_an_automaton_has_every_transition_that_points_can_take(id: str) -> None:
+    problem = cg.make_problem(id)
+    dynamics = core.Dynamics.of(problem)
+    rng = np.random.default_rng(0)
+    low = np.concatenate([agent.state_low for agent in problem.agents])
+    high = np.concatenate([agent.state_high for agent in problem.agents])
+    points = low + (high - low) * rng.random((20_000, low.size))
+    letters = core.letters(dynamics, core.split_joint(dynamics, points))
+    seen = {(edge.source, edge.target) for edge in edges(problem)}
+    for q in range(problem.automaton.n_states):
+        targets = problem.automaton.next_state(np.full(len(points), q), letters)
+        assert {(q, int(target)) for target in targets} <= seen
