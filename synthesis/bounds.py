@@ -119,7 +119,7 @@ def robust_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArra
     if model.delta == 0.0:
         return smoothed
     largest = masked.max(axis=1, initial=0.0)[:, None]
-    return np.maximum(0.0, smoothed - largest * (model.delta * INFLATE + 1e-11))
+    return _less(smoothed, largest * (model.delta * INFLATE + 1e-11))
 
 
 def plain_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray:
@@ -134,7 +134,13 @@ def plain_loss(model: AgentModel, masked: NDArray, smoothed: NDArray) -> NDArray
         return smoothed
     if masked.max(initial=0.0) > 1.0:
         raise ValueError("`masked`: the plain robust operator is unsound for factors above 1; use the scale-free form")
-    return np.maximum(0.0, smoothed - (model.delta * INFLATE + 1e-11))
+    return _less(smoothed, model.delta * INFLATE + 1e-11)
+
+
+def _less(smoothed: NDArray, loss: NDArray | float) -> NDArray:
+    """``max(0, smoothed - loss)``, in place: the array is fresh from smoothing and large."""
+    smoothed -= loss
+    return np.maximum(smoothed, 0.0, out=smoothed)
 
 
 def term_depths(
