@@ -32,7 +32,7 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     Parameters
     ----------
     choices : Choices
-    weights : (S, n) array
+    weights : (S, n) array, or (1, n) for the same weights everywhere
         Nonnegative weights of the objectives per cell.
     table : (n, Z) array
         Value of every lattice point under each objective.
@@ -40,6 +40,8 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
         Current choices; -1 where a cell has none. Kept where nothing is better.
     """
     n_cells = len(incumbent)
+    if len(weights) == 1:
+        weights, table = np.ones((n_cells, 1)), weights @ table
     best, score = np.full(n_cells, -1, dtype=np.int64), np.full(n_cells, -np.inf)
     if isinstance(choices, TargetWindows) and len(table) == 1 and len(choices.lattice) == 1 and choices.relation.is_box:
         best = _sliding_argmax(table[0], choices.low[:, 0], choices.high[:, 0])

@@ -124,7 +124,11 @@ def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[floa
     while counts.sum() > cells:
         counts[np.argmin(np.where(counts > 1, share - counts, np.inf))] -= 1
     parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(points[:-1], points[1:], counts, strict=True)]
-    return np.concatenate([*parts, points[-1:]])
+    edges = np.concatenate([*parts, points[-1:]])
+    # round the rest, so that grids which differ in their boundaries only share edges, and with them their kernel
+    decimals = 12 - max(0, math.ceil(math.log10(max(abs(low), abs(high), 1e-12))))
+    rounded = np.round(edges, decimals)
+    return np.where(np.isin(edges, points) | (np.abs(rounded - edges) > 1e-6 * lengths.min() / cells), edges, rounded)
 
 
 def _product(axes: Sequence[FloatArray]) -> FloatArray:

@@ -97,8 +97,13 @@ class AxisTable:
 
     def smooth(self, values: NDArray) -> NDArray:
         """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
-        parts = [values[..., s0:s1] @ entries.T for _, _, s0, s1, entries in self.blocks]
-        return np.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
+        if len(self.blocks) == 1:
+            _, _, s0, s1, entries = self.blocks[0]
+            return values[..., s0:s1] @ entries.T
+        smoothed = np.empty((*values.shape[:-1], self.shape[0]))
+        for z0, z1, s0, s1, entries in self.blocks:
+            np.matmul(values[..., s0:s1], entries.T, out=smoothed[..., z0:z1])
+        return smoothed
 
     def push(self, masses: NDArray) -> NDArray:
         """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def path_laws(joint: JointModel, path: Path, otherwise: Laws) -> Laws:
 
 def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32]) -> NDArray[np.int32]:
     """Best choices for a single objective."""
-    return best_choices(model.choices, np.ones((model.n_cells, 1)), smoothed, incumbent)
+    return best_choices(model.choices, np.ones((1, 1)), smoothed, incumbent)
 
 
 def _terminal(joint: JointModel) -> _Beam:
@@ -157,9 +158,9 @@ def _from_start(beam: _Beam, start: Occupancy) -> FloatArray:
 
 def _reached(joint: JointModel, start: Occupancy) -> list[list[NDArray[np.bool_]]]:
     """Per time and agent: cells that some policy reaches with more than ``REACHED`` of its mass in a step."""
-    now = []
+    now: list[NDArray[Any]] = []
     for factors, model in zip(start.terms.factors, joint.models, strict=True):
-        cells = (factors > 0).any(axis=0)
+        cells: NDArray[Any] = np.asarray(np.any(factors > 0, axis=0))
         now.append(cells if cells.any() else np.ones(model.n_cells, dtype=bool))
     result = [now]
     for _ in range(joint.horizon - 1):

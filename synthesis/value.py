@@ -28,6 +28,9 @@ from .guards import Guards
 from .labels import CellLabels
 from .terms import IndexArray, Merges, Terms, compress, distinct, merge_rows
 
+BATCH = 256
+"""Factors of several agents that are smoothed in one product."""
+
 Loss = Callable[[AgentModel, NDArray, NDArray], NDArray]
 
 
@@ -136,11 +139,27 @@ def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[N
     smoothed: list[NDArray | None] = [None] * len(models)
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
-        stacked = kernel.smooth(np.concatenate([factors[i] for i in users]))
-        ends = np.cumsum([len(factors[i]) for i in users])
-        for i, part in zip(users, np.split(stacked, ends[:-1]), strict=True):
-            smoothed[i] = part
+        for group in _batches(users, factors):
+            stacked = kernel.smooth(
+                np.concatenate([factors[i] for i in group]) if len(group) > 1 else factors[group[0]]
+            )
+            ends = np.cumsum([len(factors[i]) for i in group])
+            for i, part in zip(group, np.split(stacked, ends[:-1]), strict=True):
+                smoothed[i] = part
     return tuple(part for part in smoothed if part is not None)
+
+
+def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
+    """Agents in batches of some hundred factors: enough for a fast product, few enough for memory."""
+    batches: list[list[int]] = []
+    size = 0
+    for i in users:
+        if not batches or size + len(factors[i]) > BATCH:
+            batches.append([])
+            size = 0
+        batches[-1].append(i)
+        size += len(factors[i])
+    return batches
 
 
 def gather(smoothed: NDArray, law: NDArray[np.integer]) -> NDArray:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from certigym import LinearAgent, Problem, Proposition, Specification
 from certigym.synthesis.abstraction import AgentModel, abstract
 from certigym.synthesis.ascent import Limits, forward, resting_laws, sweep
+from certigym.synthesis.choices import TargetWindows
 from certigym.synthesis.guards import compile_guards
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.oracle import dense_optimum, dense_value
@@ -126,6 +127,14 @@ def test_the_ascent_reports_the_value_of_the_policy_it_returns(formula: str, sem
     assert found.value <= dense_optimum(problem, abstraction.models)[(q, *cells)] * (1 + 1e-12)
 
 
+def random_law(model: AgentModel, law: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Admissible targets drawn at random wherever there are any."""
+    windows = model.choices
+    assert isinstance(windows, TargetWindows)
+    drawn = rng.integers(windows.low[:, 0], windows.high[:, 0], size=law.shape)
+    return np.asarray(np.where(law < 0, law, drawn).astype(np.int32))
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_without_pruning_a_sweep_never_lowers_the_value(seed: int) -> None:
     formula, semantics = FORMULAS[seed % len(FORMULAS)]
@@ -133,10 +142,7 @@ def test_without_pruning_a_sweep_never_lowers_the_value(seed: int) -> None:
     joint = join(problem, abstract(problem, 24))
     start = start_of(problem, joint)
     rng = np.random.default_rng(seed)
-    laws = tuple(
-        np.where(law < 0, law, rng.integers(m.choices.low[:, 0], m.choices.high[:, 0], size=law.shape)).astype(np.int32)
-        for law, m in zip(resting_laws(joint), joint.models)
-    )
+    laws = tuple(random_law(model, law, rng) for law, model in zip(resting_laws(joint), joint.models))
     values = [sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False).value]
     for _ in range(4):
         result = sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=True)

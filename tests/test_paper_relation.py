@@ -1,0 +1,225 @@
+"""The paper's relation holds: its coupling has both marginals, it is kept as often as it says, and its bounds are lower
+bounds for the coupled closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, kstest, norm
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.envs.dynamics import Dynamics
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.ascent import Limits, forward, resting_laws, start_value, sweep
+from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
+from certigym.synthesis.choices import InputMenu
+from certigym.synthesis.controller import Memory, couple, follow
+from certigym.synthesis.heuristics import paper_laws, paper_steps
+from certigym.synthesis.joint import join, start_of
+from certigym.synthesis.relation_paper import PaperRelation, coupling_failure, paper_relation
+from certigym.validation.verdict import CONFIRMED, REFUTED, clopper_pearson
+from problems import scalar_agent, two_agents
+
+FALSE_ALARM = 1e-6
+
+
+def test_delta_is_the_closed_form() -> None:
+    """RA2 .0019947, IV .0717, PD8 .000332."""
+    ra = paper_relation(scalar_agent("a"), np.linspace(-20, 5, 1001), 0.1)
+    assert ra.delta == pytest.approx(0.0019947, abs=5e-8)
+    iv = paper_relation(scalar_agent("a"), np.linspace(-10, 10, 101), 0.1)
+    assert iv.delta == pytest.approx(0.0717, abs=5e-5) and iv.is_cell
+    pd = paper_relation(scalar_agent("a"), np.linspace(-20, 5, 1201), 0.1)
+    assert pd.delta == pytest.approx(0.000332, abs=1e-6)
+    still = paper_relation(scalar_agent("a"), np.linspace(-20, 5, 1001), 0.2)
+    assert still.delta == 0.0 and still.coupling == 0.0
+
+
+@pytest.mark.parametrize("feedback", [0.0, -1.0, 0.7])
+@pytest.mark.parametrize("a", [0.9, -1.05, 1.2])
+def test_the_relation_is_invariant(a: float, feedback: float) -> None:
+    relation = paper_relation(scalar_agent("x", A=[[a]]), np.linspace(-4, 4, 161), 0.1, feedback)
+    moved = a + 0.5 * feedback - relation.coupling
+    assert abs(moved) * relation.epsilon + 0.025 <= relation.epsilon * (1 + 1e-12)
+    assert np.all(np.abs(relation.inputs) + abs(feedback) * relation.epsilon <= 2.0)
+
+
+def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None:
+    """Kolmogorov-Smirnov and exact binomial tests at 1e-6 / 3 each; 200,000 draws notice errors of .007."""
+    rng = np.random.default_rng(7)
+    n, deviation, shift = 200_000, 0.5, np.full(200_000, 0.3)
+    noise = deviation * rng.standard_normal(n)
+    abstract_noise = couple(noise, shift, deviation, rng.random(n))
+    level = FALSE_ALARM / 3
+    assert kstest(abstract_noise, norm(scale=deviation).cdf).pvalue > level
+    together = np.isclose(abstract_noise, noise + shift)
+    failure = coupling_failure(0.3, deviation)
+    assert binomtest(int((~together).sum()), n, failure).pvalue > level
+    assert kstest(noise, norm(scale=deviation).cdf).pvalue > level
+
+
+def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None:
+    """Cell frequencies against kernel masses (Holm-free union over cells) and losses against delta, each at 1e-6."""
+    problem = two_agents(horizon=3)
+    model = abstract(problem, 64, relation="paper", epsilon=0.1).models[0]
+    relation, grid = model.relation, model.grid
+    assert isinstance(relation, PaperRelation) and isinstance(model.choices, InputMenu)
+    rng = np.random.default_rng(3)
+    n, cell, choice = 400_000, 40, 7
+    centre = grid.centres[cell, 0]
+    states = np.full((1, n), centre + 0.09)
+    inputs = np.full((1, n), relation.inputs[choice])
+    mean = relation.means(grid.centres[:, 0])[cell, choice]
+    memory = Memory(np.full((1, n), cell), states, inputs, np.full((1, n), mean), np.zeros((1, n), dtype=bool))
+    following = 0.9 * states + 0.5 * inputs + 0.5 * rng.standard_normal((1, n))
+    moved = follow(relation, grid, memory, following, rng.random((1, n)))
+    row = model.kernel.tables[0].toarray()[model.choices.leads_to[cell, choice]]
+    kept = ~moved.lost[0]
+    lost = int((~kept).sum())
+    low, _ = clopper_pearson(lost, n, 1 - FALSE_ALARM)
+    outside = 1 - row.sum()
+    assert low <= relation.delta + outside
+    assert lost > 0.2 * relation.delta * n  # the start is near the edge of the relation: it is lost now and then
+    assert np.all(np.abs(following[0] - grid.centres[moved.cells[0], 0])[kept] <= relation.epsilon * (1 + 1e-9))
+    for s in range(grid.n_cells):
+        count = int((moved.cells[0][kept] == s).sum())
+        assert count <= n and clopper_pearson(count, n, 1 - FALSE_ALARM / 64)[0] <= row[s] + 1e-12
+
+
+@pytest.mark.parametrize("settings", [{"epsilon": 0.1}, {"epsilon": 0.15, "feedback": -0.8}, {"epsilon": 0.0625}])
+def test_bounds_hold_for_the_coupled_closed_loop(settings: dict[str, Any]) -> None:
+    """One-sided at 1e-6 / 3; the bound, and the bound elsewhere, survive 50,000 rollouts and the check."""
+    problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
+    result = cg.synthesize(problem, 64, relation="paper", **settings)
+    certificate = result.certificate
+    assert set(certificate.bounds) in ({"nominal"}, {"a-posteriori", "robust tree"})
+    assert certificate.lower_bound == max(certificate.bounds.values()) > 0.1
+    assert cg.check(certificate), str(cg.check(certificate))
+    report = cg.validate(result, 50_000, seed=1, confidence=1 - FALSE_ALARM / 3)
+    assert report.verdict == CONFIRMED, str(report)
+    elsewhere = cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM / 3, initial_state=[1.5, -2.0])
+    assert elsewhere.verdict != REFUTED
+
+
+def test_claiming_the_nominal_value_in_spite_of_delta_is_refused() -> None:
+    problem = two_agents(horizon=4)
+    certificate = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).certificate
+    assert cg.check(certificate)
+    assert not cg.check(replace(certificate, bound="nominal"))
+    part = replace(certificate.agents[0], relation={**certificate.agents[0].relation, "delta": 1e-5})
+    assert not cg.check(replace(certificate, agents=(part, certificate.agents[1])))
+    part = replace(certificate.agents[0], relation={**certificate.agents[0].relation, "epsilon": 0.2})
+    assert not cg.check(replace(certificate, agents=(part, certificate.agents[1])))
+
+
+def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None:
+    """Theta against 20,000 simulated abstract chains, interval at 1e-6 by Hoeffding (counts in [0, T])."""
+    problem = two_agents(horizon=5, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
+    joint = join(problem, abstract(problem, 40, relation="paper", epsilon=0.2))
+    start = start_of(problem, joint)
+    laws = resting_laws(joint)
+    theta = undecided_steps(joint, forward(joint, laws, start, Limits(0, 0, 0, 10**6)))
+    rng = np.random.default_rng(5)
+    n = 20_000
+    cells = [np.full(n, int(np.flatnonzero(f[0])[0])) for f in start.terms.factors]
+    q, alive, count = np.full(n, problem.initial_q), np.ones(n, dtype=bool), np.zeros(n)
+    for t in range(problem.horizon):
+        count += alive
+        for i, model in enumerate(joint.models):
+            points = model.choices.points(laws[i][t, 0])
+            table = model.kernel.tables[0].toarray()
+            cumulative = np.cumsum(table, axis=1)
+            cells[i] = (cumulative[points[np.minimum(cells[i], len(points) - 1)]] < rng.random(n)[:, None]).sum(axis=1)
+        alive &= np.all([c < m.n_cells for c, m in zip(cells, joint.models)], axis=0)
+        inside = [np.minimum(c, m.n_cells - 1) for c, m in zip(cells, joint.models)]
+        following = np.full(n, -1)
+        for g in range(len(joint.guards.source)):
+            hit = (q == joint.guards.source[g]) & alive
+            for i, own in enumerate(inside):
+                hit &= joint.masks[i][joint.guards.mask[g, i], own]
+            following[hit] = joint.guards.target[g]
+        alive &= following >= 0
+        q = np.where(alive, following, q)
+        alive &= ~joint.absorbing[q]
+    margin = problem.horizon * np.sqrt(np.log(2 / FALSE_ALARM) / (2 * n))
+    assert abs(theta - count.mean()) <= margin + 1e-6
+
+
+def test_plain_robust_operator_is_refused_above_one_where_it_would_be_unsound() -> None:
+    problem = two_agents(horizon=2)
+    model = abstract(problem, 40, relation="paper", epsilon=0.1).models[0]
+    big = np.full((1, model.n_cells), 3.0)
+    with pytest.raises(ValueError, match="above 1"):
+        plain_loss(model, big, model.kernel.smooth(big))
+    small, large = model.kernel.smooth(big / 3), model.kernel.smooth(big)
+    np.testing.assert_allclose(robust_loss(model, big, large), 3 * robust_loss(model, big / 3, small), rtol=1e-9)
+
+
+def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
+    problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
+    values = []
+    for delta in (None, 0.03, 0.2):
+        joint = join(problem, abstract(problem, 64, relation="paper", epsilon=0.1, delta=delta))
+        start = start_of(problem, joint)
+        laws = paper_laws(joint, "base")
+        values.append(sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
+    assert values[0] > values[1] > values[2] >= 0
+    nominal = []
+    for epsilon in (0.0625, 0.3, 0.6):
+        joint = join(problem, abstract(problem, 64, relation="paper", epsilon=epsilon))
+        start = start_of(problem, joint)
+        nominal.append(sweep(joint, resting_laws(joint), start, Limits(0, 0, 0, 10**6), improve=False).value)
+    assert nominal[0] >= nominal[1] >= nominal[2]
+
+
+def test_heuristic_steps_are_evaluations_of_their_policies() -> None:
+    """The value reported with t steps to go is what a frozen evaluation of the same policies gives."""
+    problem = two_agents(horizon=4, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
+    joint = join(problem, abstract(problem, 40, relation="paper", epsilon=0.15))
+    start = start_of(problem, joint)
+    for kind, loss in (("base", None), ("a-posteriori", None), ("robust tree", plain_loss)):
+        *_, last = paper_steps(joint, kind)
+        laws = paper_laws(joint, kind)
+        again = sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False, loss=loss)
+        assert start_value(start, last.terms) == pytest.approx(again.value, rel=1e-9, abs=1e-13)
+        assert all(np.all(depth >= 0) and np.all(depth <= 4) for depth in last.depths)
+    with pytest.raises(ValueError, match="kind"):
+        next(paper_steps(joint, "best"))
+
+
+def test_joint_delta_rounds_up() -> None:
+    assert joint_delta([0.0, 0.0]) == 0.0
+    assert joint_delta([1.0, 0.5]) == 1.0
+    assert joint_delta([0.1] * 20) >= 1 - 0.9**20
+
+
+def test_coupled_controllers_run_in_the_environment_loop() -> None:
+    problem = two_agents(horizon=4)
+    controller = cg.synthesize(problem, 40, relation="paper", epsilon=0.15).controller
+    env = cg.parallel_env(problem)
+    for seed in range(5):
+        observations, infos = env.reset(seed=seed)
+        controller.reset(observations, infos, seed=seed)
+        while env.agents:
+            actions = controller.act(observations, infos)
+            assert all(env.action_space(name).contains(action) for name, action in actions.items())
+            observations, _, _, _, infos = env.step(actions)
+
+
+def test_memory_of_a_batch_shows_lost_relations() -> None:
+    problem = two_agents(horizon=4, noise_covariance=[[0.6]])
+    controller = cg.synthesize(problem, 64, relation="paper", epsilon=0.1).controller
+    dynamics = Dynamics.of(problem)
+    policy, rng = controller.batch(dynamics), np.random.default_rng(0)
+    worlds = core.initial(dynamics, rng, 5000)
+    memory = policy.begin(worlds, np.random.default_rng(1))
+    for _ in range(problem.horizon):
+        inputs, memory = policy.act(worlds, memory)
+        for block, own in zip(dynamics.blocks, inputs):
+            assert np.all((block.input_low <= own) & (own <= block.input_high))
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 5000))
+    assert memory.lost is not None and 0 < memory.lost.mean() < 0.3
