@@ -47,6 +47,12 @@ def build_parser() -> argparse.ArgumentParser:
     _start(validate)
     _validation(validate)
     _json(validate)
+    reproduce = commands.add_parser(
+        "reproduce", help="recompute the paper's figures and tables, published values beside"
+    )
+    reproduce.add_argument("what", choices=["fig3", "fig4", "table1", "table2", "refutation"])
+    reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
+    _json(reproduce)
     check = commands.add_parser("check", help="verify a saved certificate by separate code, without simulation")
     check.add_argument("certificate", metavar="CERT")
     check.add_argument("--problem", metavar="ID|FILE", help="the certificate must be about this problem")

@@ -127,6 +127,32 @@ def render(options: Namespace) -> int:
     return _write(options, shown)
 
 
+def reproduce(options: Namespace) -> int:
+    """Recompute a figure or table of the paper, or refute its certificate."""
+    from .validation import reproduce as figures
+    from .validation.refutation import refute_published
+
+    show = (lambda text: print(text)) if options.json != "-" else (lambda text: None)
+    if options.what == "refutation":
+        result: Any = refute_published()
+        where = ", ".join(f"{x:g}" for x in result["worst_initial_state"])
+        show(
+            f"published certificate at T = {result['T']}: {result['verdict']} at {result['refuted']} of "
+            f"{result['initial_states']} initial states; largest excess {result['worst_excess']:.4f} at ({where})"
+        )
+        show(f"certificates at the right noise: {result['right_noise_verdict']}")
+        if options.out:
+            Path(options.out).mkdir(parents=True, exist_ok=True)
+            (Path(options.out) / "refutation.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    else:
+        folder = Path(options.out or "reproduced")
+        result = getattr(figures, options.what)(folder, progress=show)
+        show(f"written to {folder}")
+        if not options.what.startswith("table") and not (folder / f"{options.what}.png").exists():
+            print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
+    return _write(options, result)
+
+
 def _synthesize(options: Namespace) -> Synthesis:
     problem = _problem(options)
     cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
