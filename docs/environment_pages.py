@@ -33,6 +33,18 @@ OPTIONS = (
     ("dtype", '"float64"', 'of observations; or "float32"'),
     ("actions", '"input"; Gymnasium "unit"', '"input": the input box; "unit": scaled to [-1, 1], float32'),
 )
+USE = """```python
+import certigym as cg
+
+env = cg.parallel_env("meeting-v0", render_mode="rgb_array")  # PettingZoo; also `cg.aec_env`
+env = cg.central_env("meeting-v0", reward="shaped")  # Gymnasium: one learner moves all agents
+envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")  # Gymnasium, in one batch
+env = cg.parallel_env("my-task.toml")  # or a `cg.Problem`: all three take an id, a file or a problem
+```
+
+Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need `pip install certigym[viz]`,
+windows pygame. `certigym render meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified controllers.
+"""
 
 
 def pages() -> dict[str, str]:
@@ -275,6 +287,7 @@ def _index(measured: dict[str, Any]) -> str:
         "# Environments\n",
         "One page for every problem of the suite. All are cooperative, with linear agents, Gaussian noise and a "
         "temporal-logic task.\n",
+        USE,
         "| id | agents | horizon | certified | what it is about |",
         "|---|---|---|---|---|",
     ]

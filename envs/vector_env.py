@@ -154,7 +154,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         moving = ~(fresh | self._settled(worlds))
         worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
         terminated = self._settled(worlds) & ~fresh
-        truncated = (worlds.time >= self.problem.horizon) & ~terminated & ~fresh
+        truncated = (worlds.time >= self.problem.horizon) & ~terminated
         ended = terminated | truncated
         self._worlds, self._ended = worlds, ended
         rewards = self._rewards(fresh, ended)
