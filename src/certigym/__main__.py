@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from . import __version__
+from .validation_options import add_validate_options, add_validation_commands
 
 NUMBER = re.compile(r"-(\d|\.\d)")
 
@@ -35,6 +36,7 @@ def build_parser() -> argparse.ArgumentParser:
     _problem(run)
     _synthesis(run)
     _validation(run)
+    add_validate_options(run)
     run.add_argument("--out", metavar="CERT", help="also save the certificate (.npz)")
     _json(run)
     synthesize = commands.add_parser("synthesize", help="synthesize controllers and save the certificate")
@@ -46,6 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
     validate.add_argument("certificate", metavar="CERT")
     _start(validate)
     _validation(validate)
+    add_validate_options(validate)
     _json(validate)
     reproduce = commands.add_parser(
         "reproduce", help="recompute the paper's figures and tables, published values beside"
@@ -67,6 +70,7 @@ def build_parser() -> argparse.ArgumentParser:
     render.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the episode (default: 0)")
     render.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second (default: 4)")
     _json(render)
+    add_validation_commands(commands)
     return parser
 
 

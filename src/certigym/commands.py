@@ -16,13 +16,17 @@ from .envs.problem import Problem
 from .envs.problem_file import load_problem
 from .envs.suite import make_problem, problem_ids
 from .rendering_command import render_rollout
-from .synthesis.certificate import Certificate
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.check import check as check_certificate
 from .synthesis.synthesize import Synthesis
 from .synthesis.synthesize import synthesize as synthesize_problem
-from .validation.validate import ValidationReport, shown_bound
-from .validation.validate import validate as validate_certificate
+from .validation.validate import shown_bound
+from .validation_commands import audit as audit
+from .validation_commands import field as field
+from .validation_commands import report as report
+from .validation_commands import stress as stress
+from .validation_commands import sweep as sweep
+from .validation_commands import validate_result
 
 
 def problems(options: Namespace) -> int:
@@ -72,7 +76,7 @@ def run(options: Namespace) -> int:
     result = _synthesize(options)
     if options.out:
         save_certificate(result.certificate, options.out)
-    return _validate(options, result, None)
+    return validate_result(options, result, None)
 
 
 def synthesize(options: Namespace) -> int:
@@ -94,7 +98,7 @@ def synthesize(options: Namespace) -> int:
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate."""
-    return _validate(options, load_certificate(options.certificate), _state(options))
+    return validate_result(options, load_certificate(options.certificate), _state(options))
 
 
 def check(options: Namespace) -> int:
@@ -163,18 +167,6 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.update()
 
         return synthesize_problem(problem, cells, progress=report)
-
-
-def _validate(options: Namespace, result: Synthesis | Certificate, initial_state: Any) -> int:
-    with tqdm(total=options.episodes, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar:
-        report: ValidationReport = validate_certificate(
-            result, options.episodes, options.seed, confidence=options.confidence, initial_state=initial_state,
-            progress=lambda n: bar.update(n) and None,
-        )  # fmt: skip
-    if options.json != "-":
-        print(report)
-    status = _write(options, report.to_dict())
-    return 1 if report.refuted else status
 
 
 def _load(name: str, horizon: int | None) -> Problem:
