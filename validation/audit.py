@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics
 from ..envs.problem import Problem
-from ..spread import Executor, in_order
+from ..spread import Executor, in_order, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate
 from ..synthesis.terms import Terms
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
@@ -148,10 +148,12 @@ def audit(
     setup, ledger, done, interrupted = _Setup(loop, certificate, values, charge), Ledger.empty(problem), 0, False
     parts = in_order(audit_chunk, setup, chunks_of(episodes, chunk), executor)
     try:
-        for count, part in parts:
-            ledger, done = ledger.plus(part), done + count
-            if progress is not None:
-                progress(count)
+        with interrupts_at_checkpoints() as checkpoint:
+            for count, part in parts:
+                ledger, done = ledger.plus(part), done + count
+                if progress is not None:
+                    progress(count)
+                checkpoint()
     except KeyboardInterrupt:
         if done == 0:
             raise

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import pickle
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -67,7 +68,8 @@ def dask_cluster(address: str, workers: int | None = None) -> Iterator[DaskExecu
             yield DaskExecutor(client)
         return
     settings = {"n_workers": _checked_workers(workers), "threads_per_worker": 1, "processes": True}
-    with LocalCluster(**settings, dashboard_address=None) as local, Client(local, set_as_default=False) as client:
+    with LocalCluster(**settings, dashboard_address=":0") as local, Client(local, set_as_default=False) as client:
+        client.run(_ignore_interrupts)
         yield DaskExecutor(client)
 
 
@@ -77,6 +79,9 @@ def processes(workers: int) -> Iterator[Executor]:
     count = _checked_workers(workers)
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
     try:
+        with _inherited_deafness():
+            for started in [pool.submit(int) for _ in range(workers)]:  # a process each: none is idle yet
+                started.result()
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
@@ -93,6 +98,19 @@ def executor_for(dask: str | None, workers: int | None) -> Iterator[Executor | N
             yield pool
     else:
         yield None
+
+
+@contextmanager
+def _inherited_deafness() -> Iterator[None]:
+    """Processes started meanwhile ignore Ctrl-C, which a terminal sends to all of them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _ignore_interrupts() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spread import Executor
+from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate
 from .mismatch import Mismatch
 from .rollout import CHUNK, Loop, stream
@@ -184,13 +184,15 @@ def validate_field(
     successes, tried = (np.zeros(len(states), dtype=np.int64) for _ in range(2))
     row, interrupted, chunks = 0, False, stream(loop, episodes * len(states), executor)
     try:
-        for part in chunks:
-            which = np.arange(row, row + len(part.success)) % len(states)
-            successes += np.bincount(which, weights=part.success, minlength=len(states)).astype(np.int64)
-            tried += np.bincount(which, minlength=len(states))
-            row += len(part.success)
-            if progress is not None:
-                progress(len(part.success))
+        with interrupts_at_checkpoints() as checkpoint:
+            for part in chunks:
+                which = np.arange(row, row + len(part.success)) % len(states)
+                successes += np.bincount(which, weights=part.success, minlength=len(states)).astype(np.int64)
+                tried += np.bincount(which, minlength=len(states))
+                row += len(part.success)
+                if progress is not None:
+                    progress(len(part.success))
+                checkpoint()
     except KeyboardInterrupt:
         if tried.min() == 0:
             raise

@@ -7,7 +7,7 @@ is certified: a bound speaks of its model, and a rung says what rollouts show wh
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,7 +115,7 @@ def stress(
     episodes: int = 20_000,
     seed: int = 0,
     *,
-    ladders: dict[str, Sequence[Mismatch]] | None = None,
+    ladders: Mapping[str, Sequence[Mismatch]] | None = None,
     confidence: float = 0.999,
     initial_state: Any = None,
     chunk: int = CHUNK,

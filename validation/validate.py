@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..spread import Executor
+from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate
 from ..synthesis.synthesize import Synthesis
 from .mismatch import Mismatch
@@ -177,13 +177,15 @@ def validate(
     state, inadmissible, interrupted = SequentialState(lower, gap, confidence), 0, False
     chunks = stream(loop, episodes, executor)
     try:
-        for part in chunks:
-            state = state.advance(part.success) if sequential else state.add(part.success)
-            inadmissible += part.inadmissible
-            if progress is not None:
-                progress(len(part.success))
-            if state.verdict != CONSISTENT:
-                break
+        with interrupts_at_checkpoints() as checkpoint:
+            for part in chunks:
+                state = state.advance(part.success) if sequential else state.add(part.success)
+                inadmissible += part.inadmissible
+                if progress is not None:
+                    progress(len(part.success))
+                if state.verdict != CONSISTENT:
+                    break
+                checkpoint()
     except KeyboardInterrupt:
         if state.episodes == 0:
             raise

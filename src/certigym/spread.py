@@ -10,10 +10,13 @@ from __future__ import annotations
 import hashlib
 import itertools
 import pickle
+import signal
+import threading
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
@@ -120,3 +123,35 @@ def in_order(
         for _, future in waiting:
             if future is not None:
                 future.cancel()
+
+
+@contextmanager
+def interrupts_at_checkpoints() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back until the next call of the function handed out, which then raises KeyboardInterrupt.
+
+    Interrupted at any other place, an executor may be left with a lock held. A second Ctrl-C is not held back. Outside
+    the main thread, where Python delivers no signals, nothing changes.
+    """
+    asked = False
+
+    def note(number: int, frame: Any) -> None:
+        nonlocal asked
+        asked = True
+        signal.signal(signal.SIGINT, before)
+
+    def checkpoint() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield checkpoint
+        return
+    before = signal.getsignal(signal.SIGINT)
+    if before is None or before == signal.SIG_IGN:
+        yield checkpoint
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield checkpoint
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,252 @@
+"""One worker or many, killed or interrupted: the same numbers, nothing lost, memory of the chunks under way only."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.spread import in_order
+from certigym.synthesis.certificate import Certificate
+from certigym.validation.cluster import dask_cluster, executor_for, processes
+from certigym.validation.fields import validate_field
+from certigym.validation.rollout import Loop, stream
+from certigym.validation.sweeps import sweep_horizons, synthesize_best
+from certigym.validation.validate import ValidationInterrupted
+from problems import two_agents
+
+EPISODES, CHUNK = 21_300, 500
+
+
+@pytest.fixture(scope="module")
+def certificate() -> Certificate:
+    return cg.synthesize(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), 60).certificate
+
+
+@pytest.fixture(scope="module")
+def alone(certificate: Certificate) -> np.ndarray:
+    return cg.rollout(certificate.problem, certificate.controller, EPISODES, 3, chunk=CHUNK).success
+
+
+def runs(certificate: Certificate, executor: Any, progress: Callable[[int], None] | None = None) -> np.ndarray:
+    return cg.rollout(
+        certificate.problem, certificate.controller, EPISODES, 3, chunk=CHUNK, executor=executor, progress=progress
+    ).success
+
+
+class Backwards:
+    """An executor that finishes what it was given last first."""
+
+    def __init__(self) -> None:
+        self.jobs: list[tuple[Future[Any], Any]] = []
+        self.done: dict[Future[Any], Any] = {}
+        self.most = 0
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
+        future: Future[Any] = Future()
+        self.jobs.append((future, (function, arguments)))
+        self.most = max(self.most, len(self.jobs))
+        future.result = partial(self._result, future)  # type: ignore[method-assign]
+        return future
+
+    def _result(self, wanted: Future[Any], timeout: float | None = None) -> Any:
+        while wanted not in self.done:
+            future, (function, arguments) = self.jobs.pop()
+            self.done[future] = function(*arguments)
+        return self.done.pop(wanted)
+
+
+def test_order_of_completion_does_not_matter(certificate: Certificate, alone: np.ndarray) -> None:
+    executor = Backwards()
+    np.testing.assert_array_equal(runs(certificate, executor), alone)
+    assert executor.most <= 32
+
+
+def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(
+    certificate: Certificate, alone: np.ndarray
+) -> None:
+    with processes(2) as pool:
+        np.testing.assert_array_equal(runs(certificate, pool), alone)
+        victims = list(pool._processes)  # type: ignore[attr-defined]
+
+        def kill(_: int) -> None:
+            if victims:
+                os.kill(victims.pop(), signal.SIGKILL)
+                victims.clear()
+
+        with pytest.warns(RuntimeWarning, match="going on in this process"):
+            np.testing.assert_array_equal(runs(certificate, pool, kill), alone)
+
+
+@pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
+def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(
+    certificate: Certificate, alone: np.ndarray
+) -> None:
+    pytest.importorskip("distributed")
+    with dask_cluster("local", 2) as executor:
+        np.testing.assert_array_equal(runs(certificate, executor), alone)
+        victims = list(executor.client.run(os.getpid).values())
+        assert len(victims) == 2
+
+        def kill(_: int) -> None:
+            while len(victims) > 1:
+                os.kill(victims.pop(), signal.SIGKILL)
+
+        np.testing.assert_array_equal(runs(certificate, executor, kill), alone)
+        assert len(victims) == 1
+        states = [[0.3, 0.3], [1.5, 1.5]]
+        field, same = (validate_field(certificate, states, 900, executor=e) for e in (executor, None))
+        np.testing.assert_array_equal(field.successes, same.successes)
+
+
+def test_sweeps_and_attempts_run_on_executors(certificate: Certificate) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        spread = sweep_horizons(certificate.problem, [1, 2, 3], 500, executor=pool, cells=30)
+        best, bounds = synthesize_best(certificate.problem, [{"cells": 20}, {"cells": 40}], executor=pool)
+    here = sweep_horizons(certificate.problem, [1, 2, 3], 500, cells=30)
+    assert [r.successes for r in spread] == [r.successes for r in here]
+    assert [r.horizon for r in spread] == [1, 2, 3]
+    assert best.lower_bound == max(bounds) and len(bounds) == 2
+    with pytest.raises(ValueError, match="`attempts`"):
+        synthesize_best(certificate.problem, [])
+
+
+def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: Certificate) -> None:
+    loop = Loop(certificate.problem, certificate.controller, 0, CHUNK)
+
+    def peak(episodes: int) -> int:
+        tracemalloc.start()
+        assert sum(int(part.success.sum()) for part in stream(loop, episodes)) > 0
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(CHUNK)
+    few, many = peak(2 * CHUNK), peak(60 * CHUNK)
+    assert many < 1.2 * few + 50_000
+
+
+def test_an_interrupted_validation_reports_what_was_finished(certificate: Certificate, alone: np.ndarray) -> None:
+    done = []
+
+    def interrupt(count: int) -> None:
+        done.append(count)
+        if len(done) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(ValidationInterrupted) as caught:
+        cg.validate(certificate, EPISODES, 3, chunk=CHUNK, progress=interrupt)
+    report = caught.value.report
+    assert report.episodes == 4 * CHUNK and report.details["interrupted"]
+    assert report.successes == alone[: 4 * CHUNK].sum()
+    field = validate_field(certificate, [[0.3, 0.3], [1.0, 1.0]], 4000, chunk=CHUNK, progress=_interrupt_at_once())
+    assert field.interrupted and field.episodes.sum() == CHUNK
+
+
+def _interrupt_at_once() -> Callable[[int], None]:
+    def interrupt(_: int) -> None:
+        raise KeyboardInterrupt
+
+    return interrupt
+
+
+DRIVER = """
+import sys
+import certigym.validation_commands as commands
+from certigym.__main__ import main
+class Bar(commands.tqdm):
+    def update(self, n=1):
+        print("tick", flush=True)
+        return super().update(n)
+commands.tqdm = Bar
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("place", [[], ["--workers", "2"], ["--dask", "local", "--workers", "2"]], ids=str)
+def test_control_c_leaves_a_report(certificate: Certificate, tmp_path: Path, place: list[str]) -> None:
+    """SIGINT to the whole process group, as a terminal sends it."""
+    if "--dask" in place:
+        pytest.importorskip("distributed")
+    cg.save_certificate(certificate, tmp_path / "c.npz")
+    (tmp_path / "driver.py").write_text(DRIVER)
+    out = tmp_path / "r.json"
+    command = [sys.executable, str(tmp_path / "driver.py"), "validate", str(tmp_path / "c.npz"), "--episodes",
+               "500000000", "--json", str(out), *place]  # fmt: skip
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as run:
+        assert run.stdout is not None and run.stderr is not None
+        for _ in range(20):
+            assert run.stdout.readline() == "tick\n", run.stderr.read()
+        os.killpg(run.pid, signal.SIGINT)
+        try:
+            printed, said = run.communicate(timeout=30)
+        finally:
+            if run.poll() is None:
+                os.killpg(run.pid, signal.SIGKILL)
+    assert run.returncode == 130, (printed, said)
+    report = json.loads(out.read_text())
+    assert report["interrupted"] and report["episodes"] >= 20 * 2000 and report["verdict"] == "consistent"
+    assert "Traceback" not in said, said
+    again = cg.rollout(certificate.problem, certificate.controller, report["episodes"])
+    assert again.successes == report["successes"]
+
+
+def test_broken_executors_hand_over_without_losing_jobs() -> None:
+    class Breaks:
+        left = 3
+
+        def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
+            self.left -= 1
+            if self.left < 0:
+                raise BrokenExecutor("gone")
+            future: Future[Any] = Future()
+            if self.left == 0:
+                future.set_exception(BrokenExecutor("gone"))
+            else:
+                future.set_result(function(*arguments))
+            return future
+
+    with pytest.warns(RuntimeWarning, match="gone"):
+        assert list(in_order(_plus, 10, range(50), Breaks())) == list(range(10, 60))
+
+
+def _plus(a: int, b: int) -> int:
+    return a + b
+
+
+def test_errors_of_jobs_are_raised_and_the_rest_cancelled() -> None:
+    cancelled = []
+
+    class Slow:
+        def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
+            future: Future[Any] = Future()
+            future.cancel = lambda: cancelled.append(1) or True  # type: ignore[method-assign, func-returns-value]
+            future.set_exception(ValueError("bad job"))
+            return future
+
+    with pytest.raises(ValueError, match="bad job"):
+        list(in_order(_plus, 1, range(100), Slow(), ahead=8))
+    assert len(cancelled) == 8
+
+
+def test_executors_are_asked_for_sensibly() -> None:
+    with executor_for(None, None) as nothing:
+        assert nothing is None
+    with pytest.raises(ValueError, match="`workers`"), executor_for(None, 0):
+        pass
