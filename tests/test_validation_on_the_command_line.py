@@ -1,0 +1,177 @@
+"""Field, audit, stress, sweep and report run from a certificate file alone; reports are safe and self-contained."""
+
+from __future__ import annotations
+
+import html.parser
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.synthesis.certificate import Certificate
+from certigym.validation.report import gather_report, write_report
+from certigym.validation.svg import ticks
+from problems import scalar_agent, two_agents
+
+
+@pytest.fixture(scope="module")
+def certificate() -> Certificate:
+    return cg.synthesize(two_agents("F (a & F c)", horizon=4, noise_covariance=[[0.8]]), 40).certificate
+
+
+@pytest.fixture(scope="module")
+def file(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("certificates") / "c.npz"
+    cg.save_certificate(certificate, path)
+    return str(path)
+
+
+def run(*arguments: str, out: Path) -> tuple[int, Any]:
+    status = main([*arguments, "--json", str(out)])
+    return status, json.loads(out.read_text())
+
+
+def test_every_command_speaks_json(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "r.json"
+    status, field = run("field", file, "--axes", "0", "1", "--points", "4", "--episodes", "50", out=out)
+    assert status == 0 and field["shape"] == [4, 4] and len(field["states"]) == 16
+    status, field = run("field", file, "--random", "5", "--low=-1,-1", "--high", "1,1", "--episodes", "50", out=out)
+    assert status == 0 and len(field["states"]) == 9 and np.abs(field["states"]).max() <= 1
+    status, field = run("field", file, "--search", "--random", "20", "--episodes", "4000", out=out)
+    assert status == 0 and len(field["states"]) == 8
+    status, audit = run("audit", file, "--episodes", "3000", out=out)
+    assert status == 0 and audit["verdict"] == "consistent" and audit["findings"] == []
+    status, stress = run("stress", file, "--episodes", "200", out=out)
+    assert status == 0 and set(stress["survives"]) >= {"noise scale", "noise family", "delay", "dropout"}
+    status, quick = run("validate", file, "--sequential", "--episodes", "3000", out=out)
+    assert status == 0 and quick["sequential"] and quick["episodes"] <= 3000
+    printed = capsys.readouterr().out
+    assert "weakest" in printed and "audit" in printed and "noise_scale=2.0" in printed
+
+
+def test_mismatch_on_the_command_line(file: str, tmp_path: Path) -> None:
+    out = tmp_path / "r.json"
+    status, report = run("validate", file, "--episodes", "4000", "--mismatch", "noise_scale=3", "delay=1", out=out)
+    assert status == 1 and report["verdict"] == "refuted" and report["mismatch"] == "noise_scale=3.0, delay=1"
+    for wrong in ("noise=3", "delay=x", "dropout=7"):
+        assert main(["validate", file, "--mismatch", wrong]) == 2
+
+
+def test_sweeps_run_over_horizons(tmp_path: Path) -> None:
+    out = tmp_path / "r.json"
+    arguments = ("sweep", "reach-avoid-v0", "--horizons", "2", "4", "--cells", "50", "--episodes", "500")
+    status, rows = run(*arguments, out=out)
+    assert status == 0 and [row["horizon"] for row in rows] == [2, 4]
+    assert rows[0]["lower_bound"] <= rows[1]["lower_bound"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["field", "FILE", "--axes", "7"],
+        ["field", "FILE", "--low", "nonsense"],
+        ["field", "FILE", "--episodes", "0"],
+        ["audit", "FILE", "--confidence", "2"],
+        ["audit", "nowhere.npz"],
+        ["report", "FILE", "--axes", "0", "0", "--out", "r.html"],
+        ["report", "FILE", "--out", "/nowhere/at/all.html", "--episodes", "10"],
+        ["sweep", "nothing-v0", "--horizons", "1"],
+        ["validate", "FILE", "--workers", "0"],
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    file: str, arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([file if a == "FILE" else a for a in arguments]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.strip() and "it/s" not in line]
+    assert len(said) == 1 and said[0].startswith("certigym: "), said
+
+
+class Page(html.parser.HTMLParser):
+    """Collects tags, and checks that they nest."""
+
+    VOID = frozenset({"meta", "br", "th", "td", "tr", "line", "rect", "circle", "path", "polyline"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.words: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def parsed(path: Path) -> Page:
+    page = Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    return page
+
+
+def test_a_report_is_one_self_contained_page(file: str, tmp_path: Path) -> None:
+    out, data = tmp_path / "r.html", tmp_path / "r.json"
+    assert main(["report", file, "--out", str(out), "--episodes", "3000", "--json", str(data)]) == 0
+    page, text = parsed(out), out.read_text(encoding="utf-8")
+    assert page.tags.count("svg") >= 5 and "img" not in page.tags and "link" not in page.tags
+    assert not re.search(r"""(src|href|url|@import)\s*[=(]\s*["']?(https?:)?//""", text)
+    assert [value for name, value in page.attributes if name in ("src", "href")] == []
+    assert ("type", "application/json") in page.attributes and page.tags.count("script") == 1
+    assert ("name", "viewport") in page.attributes
+    for words in ("Claim and verdict", "Bound against horizon", "Automaton", "Audit of every step", "fingerprint"):
+        assert words in text, words
+    assert text.count("<section") == text.count("</section>") and text.count("<svg") == text.count("</svg>")
+    content = json.loads(data.read_text())
+    inside = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
+    assert inside is not None
+    embedded = json.loads(inside.group(1))
+    assert embedded["fingerprint"] == content["fingerprint"] == cg.load_certificate(file).fingerprint
+    assert embedded["validation"]["successes"] == content["validation"]["successes"]
+
+
+def test_hostile_names_and_settings_stay_text(certificate: Certificate, tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
+    named = certificate.problem.replace(name=evil)
+    hostile = replace(certificate, problem=named, method=evil, settings={evil: evil})
+    write_report(gather_report(hostile, 200), tmp_path / "r.html")
+    page = parsed(tmp_path / "r.html")
+    assert page.tags.count("script") == 1 and "img" not in page.tags
+    assert not any(name.startswith("on") for name, _ in page.attributes)
+
+
+def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
+    agent = scalar_agent("only", initial_state=None, initial_low=[-1.0], initial_high=[0.5])
+    one = cg.Problem(
+        name="one", horizon=3, agents=[agent], propositions={"g": cg.Proposition("only", [1.0], [2.0])},
+        specification=cg.Specification("F g", "co-safe"),
+    )  # fmt: skip
+    content = gather_report(cg.synthesize(one, 40).certificate, 500)
+    assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
+    write_report(content, tmp_path / "r.html")
+    assert "middle of the initial box" in (tmp_path / "r.html").read_text()
+
+
+def test_a_refuted_certificate_is_reported_as_such(certificate: Certificate, tmp_path: Path) -> None:
+    wrong = replace(certificate, lower_bound=min(1.0, certificate.lower_bound + 0.1))
+    path = tmp_path / "c.npz"
+    cg.save_certificate(wrong, path)
+    out = tmp_path / "r.html"
+    assert main(["report", str(path), "--out", str(out), "--episodes", "2000"]) == 1
+    assert 'class="verdict refuted"' in out.read_text()
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-20.0, 5.0), (0.0, 1e-7), (3.0, 3.0), (-1e9, 1e9)])
+def test_ticks_are_few_and_inside(low: float, high: float) -> None:
+    found = ticks(low, high, 6)
+    assert 1 <= len(found) <= 12
+    assert all(low - 1e-9 * abs(low) <= t <= high + 1e-9 * abs(high) for t in found)
