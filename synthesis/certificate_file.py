@@ -2,11 +2,14 @@
 
 Arrays are stored once each under a number, and the header says which number is what; a thousand agents with one grid
 store one grid. Reading trusts nothing: the version, the shapes and the ranges of all indices are checked before an
-array is used, and files larger than ``MAX_BYTES`` when unpacked are refused before they are.
+array is used, and files larger than ``MAX_BYTES`` when unpacked are refused before they are. A digest of everything
+in the file tells accidents and careless changes; it is no signature: whoever changes a file can renew it, and only
+``check`` says whether a certificate is true.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
@@ -27,8 +30,8 @@ from .terms import Merges, Terms
 
 FORMAT = "certigym-certificate"
 VERSION = 1
-MAX_BYTES = 8 * 2**30
-"""Largest unpacked size that is read."""
+MAX_BYTES = 2 * 2**30
+"""Largest unpacked size that is read, unless the caller allows more."""
 
 
 def save_certificate(certificate: Certificate, path: str | Path) -> None:
@@ -50,6 +53,7 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
             "index": [pool.put(a) for a in certificate.terms.index],
         },
     }
+    header["digest"] = _digest(header, pool.arrays)
     text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8)
     with open(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
@@ -58,8 +62,14 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
 _NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
 
 
-def load_certificate(path: str | Path) -> Certificate:
+def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
     """Read a certificate; it is well-formed then, but not yet checked (see ``check``).
+
+    Parameters
+    ----------
+    path : str or Path
+    max_bytes : int
+        Largest size, packed or unpacked, that is read.
 
     Raises
     ------
@@ -68,14 +78,18 @@ def load_certificate(path: str | Path) -> Certificate:
     OSError
         If it cannot be read.
     """
-    raw = Path(path).read_bytes()
     try:
+        if (size := Path(path).stat().st_size) > max_bytes:
+            raise ValueError(f"it has {size} bytes, more than {max_bytes}")
+        raw = Path(path).read_bytes()
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            _check_sizes(archive)
+            _check_sizes(archive, max_bytes)
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
             header = json.loads(bytes(archive["header"]).decode())
             _check_version(header)
-            return _Reader(header, {name: archive[name] for name in archive.files if name != "header"}).certificate()
+            arrays = {name: archive[name] for name in archive.files if name != "header"}
+        _check_digest(header, arrays)
+        return _Reader(header, arrays).certificate()
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError, EOFError,
             NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
         message = str(error) or type(error).__name__
@@ -84,10 +98,12 @@ def load_certificate(path: str | Path) -> Certificate:
         ) from error
 
 
-def _check_sizes(archive: zipfile.ZipFile) -> None:
+def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
     """Refuse archives whose arrays would need more memory than they have bytes for."""
-    if sum(entry.file_size for entry in archive.infolist()) > MAX_BYTES:
-        raise ValueError(f"it would unpack to more than {MAX_BYTES} bytes")
+    if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
+        raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
+    if len(set(archive.namelist())) != len(archive.namelist()):
+        raise ValueError("it holds two arrays of one name")
     for entry in archive.infolist():
         with archive.open(entry) as file:
             version = np.lib.format.read_magic(file)
@@ -104,6 +120,23 @@ def _check_version(header: Any) -> None:
         raise ValueError("its header does not say it is one")
     if header.get("version") != VERSION:
         raise ValueError(f"its version is {header.get('version')!r}; use the certigym release that wrote it")
+
+
+def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
+    """SHA-256 over the header, but for the digest itself, and all arrays with their types and shapes."""
+    rest = {name: value for name, value in header.items() if name != "digest"}
+    state = hashlib.sha256(json.dumps(rest, sort_keys=True, allow_nan=False).encode())
+    for array in arrays:
+        state.update(f"{array.dtype.str}{array.shape}".encode())
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()
+
+
+def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    if set(arrays) != {str(k) for k in range(len(arrays))}:
+        raise ValueError("its arrays are not numbered")
+    if header.get("digest") != _digest(header, [arrays[str(k)] for k in range(len(arrays))]):
+        raise ValueError("its content was changed after it was written (the digest differs)")
 
 
 @dataclass
@@ -272,6 +305,8 @@ def _check_numbers(numbers: dict[str, Any]) -> None:
     lower, gap, relative = numbers["lower_bound"], numbers["gap"], numbers["relative_rounding"]
     texts = all(isinstance(numbers[k], str) for k in ("method", "bound", "start"))
     bounds = numbers["bounds"]
+    if any(isinstance(value, bool) for value in (lower, gap)):
+        raise ValueError("its bound is no number")
     if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
         raise ValueError("its bounds are no numbers")
     if (
