@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import erfc
 
 from ..envs.agent import LinearAgent
+from ..envs.box import Box
 from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate
 from .relation_paper import PaperRelation
@@ -111,6 +112,8 @@ def _check_grids(certificate: Certificate) -> list[str]:
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
         if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
             failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
+        if not identity and not _covers(agent.workspace, part.coordinates, low, high):
+            failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
         noise = _grid_noise(agent.noise_covariance, part.coordinates)
         off = noise - np.diag(np.diag(noise))
         if np.any(np.diag(noise) <= 0) or np.max(np.abs(off)) > 1e-12 * np.max(np.diag(noise)):
@@ -118,6 +121,15 @@ def _check_grids(certificate: Certificate) -> list[str]:
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
+
+
+def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+    """Whether the grid ``[low, high]`` holds the workspace in its coordinates (up to rounding)."""
+    inverse = np.linalg.inv(coordinates)
+    middle = inverse @ (0.5 * (workspace.low + workspace.high))
+    reach = np.abs(inverse) @ (0.5 * (workspace.high - workspace.low))
+    slack = 1e-12 * (np.abs(middle) + reach)
+    return bool(np.all(low <= middle - reach + slack) and np.all(high >= middle + reach - slack))
 
 
 def _grid_noise(covariance: FloatArray, coordinates: FloatArray) -> FloatArray:
