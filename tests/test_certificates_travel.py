@@ -11,6 +11,7 @@ import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.certificate import Certificate
 from certigym.synthesis.certificate_file import _digest
+from certigym.synthesis.check import regrow
 from problems import two_agents
+from test_rollouts_agree_with_certificates import correlated
 
 REFUSED = "expected a certigym certificate"
 
@@ -254,3 +257,22 @@ def test_directories_and_missing_files_are_no_surprise(tmp_path: Path, capsys: p
     for path in (tmp_path, tmp_path / "none.npz"):
         assert main(["check", str(path)]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
+    """In noise coordinates the grid is larger than the workspace; a smaller one would lend edge cells to far states."""
+    problem = correlated()
+    certificate = cg.synthesize(problem, {"plane": [12, 12], "line": 16}).certificate
+    assert cg.check(certificate)
+    part = certificate.agents[0]
+    inner = np.zeros((12, 12), dtype=bool)
+    inner[3:, 3:] = True
+    kept = inner.ravel()
+    cut = replace(
+        part, grid=cg.Grid(tuple(edges[3:].copy() for edges in part.grid.edges)), masks=part.masks[:, kept],
+        start_masks=part.start_masks[:, kept], law=part.law[:, :, kept],
+    )  # fmt: skip
+    bad = replace(certificate, agents=(cut, *certificate.agents[1:]), lower_bound=0.0)
+    bad = replace(bad, terms=regrow(bad))
+    report = cg.check(bad)
+    assert not report and "does not cover" in report.failures[0]
