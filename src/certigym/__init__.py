@@ -40,12 +40,17 @@ if TYPE_CHECKING:
     from .synthesis.certificate import Certificate as Certificate
     from .synthesis.certificate_file import load_certificate as load_certificate
     from .synthesis.certificate_file import save_certificate as save_certificate
+    from .synthesis.certify import certify as certify
+    from .synthesis.certify import improve as improve
     from .synthesis.check import check as check
     from .synthesis.controller import AgentController as AgentController
     from .synthesis.controller import Controller as Controller
+    from .synthesis.decentralised import InputTable as InputTable
+    from .synthesis.decentralised import vectorized as vectorized
     from .synthesis.grid import Grid as Grid
     from .synthesis.synthesize import Synthesis as Synthesis
     from .synthesis.synthesize import synthesize as synthesize
+    from .validation.policies import as_controller as as_controller
     from .validation.rollout import Rollouts as Rollouts
     from .validation.rollout import rollout as rollout
     from .validation.validate import ValidationReport as ValidationReport
@@ -59,6 +64,7 @@ _EXPORTS = {
     "Controller": "synthesis.controller",
     "FormulaError": "envs.formula",
     "Grid": "synthesis.grid",
+    "InputTable": "synthesis.decentralised",
     "LinearAgent": "envs.agent",
     "Problem": "envs.problem",
     "Proposition": "envs.labeling",
@@ -68,9 +74,12 @@ _EXPORTS = {
     "ValidationReport": "validation.validate",
     "abstract": "synthesis.abstraction",
     "aec_env": "envs.parallel_env",
+    "as_controller": "validation.policies",
     "automaton_from_hoa": "envs.hoa",
     "central_env": "envs.central_env",
+    "certify": "synthesis.certify",
     "check": "synthesis.check",
+    "improve": "synthesis.certify",
     "load_certificate": "synthesis.certificate_file",
     "load_problem": "envs.problem_file",
     "make_problem": "envs.suite",
@@ -82,6 +91,7 @@ _EXPORTS = {
     "translate": "envs.translate",
     "validate": "validation.validate",
     "vector_env": "envs.vector_env",
+    "vectorized": "synthesis.decentralised",
 }
 
 __all__ = ["__version__", *sorted(_EXPORTS)]

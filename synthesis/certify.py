@@ -1,0 +1,207 @@
+"""Certificates for policies that come from elsewhere: learned, written by hand, or read from a table.
+
+A decentralised policy is put on the cells of an abstraction ("wrapped"): in every cell, automaton state and step the
+agent aims at the admissible target mean that is nearest to the one which the policy's input leads to from the cell's
+centre, ``A m + B u + c`` (its input saturated first, as actuators saturate). The value tree then evaluates the wrapped
+policies, and the certificate belongs to them, not to the raw ones: controllers, rollouts and ``check`` all speak of
+the wrapped policy. ``improve`` goes on from there by coordinate ascent (THEORY section 5).
+
+Where the two differ: the raw policy acts on the state, the wrapped one on the cell; targets that some point of the cell
+could not reach within the input box are replaced by the nearest one that all of them can. Finer cells shrink both.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs.agent import LinearAgent
+from ..envs.problem import Problem
+from .abstraction import Abstraction, AgentModel, Cells, abstract
+from .ascent import Laws, Limits, Sweep, sweep
+from .choices import TargetWindows
+from .decentralised import Decentralised, Policy, decentralised
+from .grid import FloatArray
+from .joint import JointModel, join, start_of
+from .synthesize import FINAL, Synthesis
+from .synthesize import certify as certificate_of
+
+
+def certify(
+    problem: Problem, policy: Policy, cells: Cells = None, *, relation: str = "exact", **settings: Any
+) -> Synthesis:
+    """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
+
+    Parameters
+    ----------
+    problem : Problem
+        Agents with positive definite noise, to whom the relation applies.
+    policy : Policy
+        Decentralised policies, in any form of ``synthesis.decentralised``.
+    cells : int, sequence of int or mapping from agent name, optional
+        Cells per axis; with more of them the wrapped policy is closer to the raw one.
+    relation : str
+        As for ``synthesize``.
+    **settings
+        Further settings of the relation, passed to ``abstract``.
+
+    Returns
+    -------
+    Synthesis
+        ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
+        ``rollout(problem, as_controller(problem, policy), ...)``; no bound speaks of it.
+
+    Raises
+    ------
+    ValueError
+        If the policy has an unknown form or answers with anything but finite inputs, or the relation does not apply.
+    """
+    began = time.perf_counter()
+    abstraction, joint, laws = _wrapped(problem, policy, cells, relation, settings)
+    abstracted = time.perf_counter()
+    best = sweep(joint, laws, start_of(problem, joint), FINAL, improve=False)
+    return _synthesis(problem, abstraction, joint, best, [], "given policy on the cells", (began, abstracted))
+
+
+def improve(
+    problem: Problem,
+    policy: Policy,
+    cells: Cells = None,
+    *,
+    relation: str = "exact",
+    max_sweeps: int = 8,
+    limits: Limits | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    **settings: Any,
+) -> Synthesis:
+    """The best policies that coordinate ascent finds from ``policy``, with their certificate.
+
+    The bound is at least that of ``certify`` with the same cells and settings: policies evaluated with frozen laws are
+    compared, the wrapped policy among them.
+
+    Parameters
+    ----------
+    problem, policy, cells, relation, **settings
+        As for ``certify``.
+    max_sweeps : int
+        Most sweeps; the search stops earlier when nothing improves.
+    limits : Limits, optional
+        Pruning during the search.
+    progress : callable, optional
+        Called with a short text and the best value so far after each sweep.
+    """
+    began = time.perf_counter()
+    if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
+        raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
+    abstraction, joint, laws = _wrapped(problem, policy, cells, relation, settings)
+    abstracted = time.perf_counter()
+    start, search = start_of(problem, joint), Limits() if limits is None else limits
+    best = sweep(joint, laws, start, FINAL, improve=False)
+    values, found, top = [best.value], best, best
+    for _ in range(max_sweeps):
+        last, found = found.value, sweep(joint, found.laws, start, search, improve=True)
+        values.append(found.value)
+        top = max(top, found, key=lambda one: one.value)
+        if progress is not None:
+            progress("from the given policy", max(values))
+        if found.value <= last * (1 + 1e-7):
+            break
+    frozen = sweep(joint, top.laws, start, FINAL, improve=False)
+    best = max(best, frozen, key=lambda one: one.value)
+    name = "coordinate ascent from a given policy"
+    return _synthesis(problem, abstraction, joint, best, values, name, (began, abstracted), max_sweeps=max_sweeps)
+
+
+def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> Laws:
+    """Laws (T, Q, S) per agent: the admissible choice whose mean is nearest to that of the policy's input.
+
+    Choices are compared at the centre of each cell, by Euclidean distance in grid coordinates divided by the cell
+    widths; -1 where no choice is admissible.
+    """
+    n_q, laws = problem.automaton.n_states, []
+    for i, (agent, model) in enumerate(zip(problem.agents, abstraction.models, strict=True)):
+        law = np.empty((problem.horizon, n_q, model.n_cells), dtype=np.int32)
+        centres = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ model.grid.centres.T)
+        for t in range(problem.horizon):
+            for q in range(n_q):
+                given = policy.inputs(i, centres, np.full(model.n_cells, q), t)
+                law[t, q] = nearest_choices(model, _means(agent, model, centres, given))
+        laws.append(law)
+    return tuple(laws)
+
+
+def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
+    """Admissible choice (S,) of each cell with the mean nearest to ``means`` (d, S), grid coordinates; -1 for none."""
+    scale = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in model.grid.edges])
+    choices = model.choices
+    if isinstance(choices, TargetWindows):
+        return _nearest_targets(choices, means, scale)
+    points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, len(scale))
+    offered = choices.leads_to
+    gaps = (((points[np.maximum(offered, 0)] - means.T[:, None]) / scale) ** 2).sum(axis=-1)
+    gaps = np.where(offered < 0, np.inf, gaps)
+    return np.where((offered >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
+
+
+def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
+    """Per axis the nearest point of the window; where that is not admissible (no box), a search over the window."""
+    indices = []
+    for k, axis in enumerate(windows.lattice):
+        above = np.clip(np.searchsorted(axis, means[k]), 1, max(1, len(axis) - 1))
+        below = above - 1
+        above = np.minimum(above, len(axis) - 1)
+        near = np.where(means[k] - axis[below] <= axis[above] - means[k], below, above)
+        indices.append(np.clip(near, windows.low[:, k], np.maximum(windows.high[:, k] - 1, windows.low[:, k])))
+    empty = np.any(windows.low >= windows.high, axis=1)
+    law = np.ravel_multi_index([np.where(empty, 0, own) for own in indices], windows.shape)
+    cells = np.arange(len(law))
+    law = np.where(empty, -1, law)
+    wrong = np.flatnonzero(~empty & ~windows.admissible(cells, np.maximum(law, 0)))
+    for s in wrong:
+        law[s] = _search(windows, int(s), means[:, s], scale)
+    return law.astype(np.int32)
+
+
+def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArray) -> int:
+    """Nearest admissible target of one cell among all of its window, or -1."""
+    ranges = [np.arange(a, b) for a, b in zip(windows.low[cell], windows.high[cell], strict=True)]
+    mesh = [own.ravel() for own in np.meshgrid(*ranges, indexing="ij")]
+    flat = np.ravel_multi_index(mesh, windows.shape)
+    admissible = windows.admissible(np.full(len(flat), cell), flat)
+    if not admissible.any():
+        return -1
+    gaps = np.zeros(len(flat))
+    for axis, own, goal, width in zip(windows.lattice, mesh, mean, scale, strict=True):
+        gaps += ((axis[own] - goal) / width) ** 2
+    return int(flat[np.where(admissible, gaps, np.inf).argmin()])
+
+
+def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: FloatArray) -> FloatArray:
+    """Means (d, S) of the next states in grid coordinates, the inputs saturated."""
+    box = agent.input_box
+    used = np.clip(inputs, box.low[:, None], box.high[:, None])
+    return model.relation.to_grid(agent.A @ states + agent.B @ used + np.asarray(agent.offset)[:, None])
+
+
+def _wrapped(
+    problem: Problem, policy: Policy, cells: Cells, relation: str, settings: dict[str, Any]
+) -> tuple[Abstraction, JointModel, Laws]:
+    given = decentralised(problem, policy)
+    abstraction = abstract(problem, cells, relation=relation, **settings)
+    return abstraction, join(problem, abstraction), wrap(problem, abstraction, given)
+
+
+def _synthesis(
+    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep, values: list[float], name: str,
+    clock: tuple[float, float], **used: Any,
+) -> Synthesis:  # fmt: skip
+    settings = {**abstraction.settings, **used, "final_limits": vars(FINAL)}
+    certificate = certificate_of(problem, abstraction, joint, best, settings, name)
+    began, abstracted = clock
+    seconds = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
+    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
+    return Synthesis(certificate, certificate.controller, stats)
