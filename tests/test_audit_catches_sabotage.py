@@ -17,7 +17,7 @@ from certigym.synthesis.certificate import Certificate
 from certigym.synthesis.relation_exact import ExactRelation
 from certigym.validation.audit import STAKES, Ledger, audit
 from certigym.validation.audit_report import AuditReport
-from certigym.validation.claims import bound_by_steps_left, claimed_values
+from certigym.validation.claims import bound_by_steps_left, charge_of, claimed_values
 from problems import scalar_agent, two_agents
 
 CONFIDENCE = 1 - 1e-6
@@ -172,3 +172,19 @@ def test_bounds_by_steps_left_end_at_the_certified_bound(certificate: Certificat
 def test_value_functions_must_fit_the_horizon(certificate: Certificate) -> None:
     with pytest.raises(ValueError, match="one value function per step"):
         audit(certificate, 10, values=claimed_values(certificate)[1:])
+
+
+@pytest.mark.parametrize(("horizon", "cells"), [(3, 300), (4, 100)])
+def test_coupled_controllers_pass_at_their_own_cells_and_louder_noise_is_refuted(horizon: int, cells: int) -> None:
+    """The a-posteriori bound, with ``Delta Theta`` taken off and the run stopped where the relation is lost."""
+    problem = two_agents("F (a & F c)", horizon=horizon, **LOUD)
+    certificate = cg.synthesize(problem, cells, relation="paper").certificate
+    assert certificate.bound == "a-posteriori" and certificate.lower_bound > 0.3
+    for seed in (0, 1):
+        report = audit(certificate, EPISODES, seed=seed, confidence=CONFIDENCE)
+        assert not report.refuted and report.tests > horizon, str(report)
+    louder = replace(certificate, problem=problem.replace(disturbance_scale=2.0))
+    values = claimed_values(certificate)
+    charge = charge_of(certificate, values)
+    report = audit(louder, EPISODES, values=values, charge=charge, confidence=CONFIDENCE)
+    assert report.refuted, str(report)
