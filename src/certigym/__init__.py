@@ -50,35 +50,56 @@ if TYPE_CHECKING:
     from .synthesis.grid import Grid as Grid
     from .synthesis.synthesize import Synthesis as Synthesis
     from .synthesis.synthesize import synthesize as synthesize
+    from .validation.audit import audit as audit
+    from .validation.audit_report import AuditReport as AuditReport
+    from .validation.cluster import DaskExecutor as DaskExecutor
+    from .validation.fields import FieldReport as FieldReport
+    from .validation.fields import find_weakest as find_weakest
+    from .validation.fields import validate_field as validate_field
+    from .validation.mismatch import Mismatch as Mismatch
     from .validation.policies import as_controller as as_controller
+    from .validation.report import gather_report as gather_report
+    from .validation.report import write_report as write_report
     from .validation.rollout import Rollouts as Rollouts
     from .validation.rollout import rollout as rollout
+    from .validation.stress import StressReport as StressReport
+    from .validation.stress import stress as stress
+    from .validation.sweeps import sweep_horizons as sweep_horizons
+    from .validation.sweeps import synthesize_best as synthesize_best
     from .validation.validate import ValidationReport as ValidationReport
     from .validation.validate import validate as validate
 
 _EXPORTS = {
     "AgentController": "synthesis.controller",
+    "AuditReport": "validation.audit_report",
     "Automaton": "envs.automaton",
     "Box": "envs.box",
     "Certificate": "synthesis.certificate",
     "Controller": "synthesis.controller",
+    "DaskExecutor": "validation.cluster",
+    "FieldReport": "validation.fields",
     "FormulaError": "envs.formula",
     "Grid": "synthesis.grid",
     "InputTable": "synthesis.decentralised",
     "LinearAgent": "envs.agent",
+    "Mismatch": "validation.mismatch",
     "Problem": "envs.problem",
     "Proposition": "envs.labeling",
     "Rollouts": "validation.rollout",
     "Specification": "envs.specification",
+    "StressReport": "validation.stress",
     "Synthesis": "synthesis.synthesize",
     "ValidationReport": "validation.validate",
     "abstract": "synthesis.abstraction",
     "aec_env": "envs.parallel_env",
     "as_controller": "validation.policies",
+    "audit": "validation.audit",
     "automaton_from_hoa": "envs.hoa",
     "central_env": "envs.central_env",
     "certify": "synthesis.certify",
     "check": "synthesis.check",
+    "find_weakest": "validation.fields",
+    "gather_report": "validation.report",
     "improve": "synthesis.certify",
     "load_certificate": "synthesis.certificate_file",
     "load_problem": "envs.problem_file",
@@ -87,11 +108,16 @@ _EXPORTS = {
     "problem_ids": "envs.suite",
     "rollout": "validation.rollout",
     "save_certificate": "synthesis.certificate_file",
+    "stress": "validation.stress",
+    "sweep_horizons": "validation.sweeps",
     "synthesize": "synthesis.synthesize",
+    "synthesize_best": "validation.sweeps",
     "translate": "envs.translate",
     "validate": "validation.validate",
+    "validate_field": "validation.fields",
     "vector_env": "envs.vector_env",
     "vectorized": "synthesis.decentralised",
+    "write_report": "validation.report",
 }
 
 __all__ = ["__version__", *sorted(_EXPORTS)]
