@@ -142,3 +142,9 @@ def test_stress_reports_how_far_the_bound_survives(certificate: Certificate) -> 
 def test_mismatches_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Mismatch(**wrong)
+
+
+def test_under_a_mismatch_only_the_lower_bound_is_tested(certificate: Certificate) -> None:
+    assert certificate.exact
+    quiet = cg.validate(certificate, 4000, mismatch=Mismatch(noise_scale=0.3))
+    assert quiet.verdict == "confirmed" and not quiet.exact

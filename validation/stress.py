@@ -75,7 +75,7 @@ class StressReport:
     rungs: tuple[Rung, ...]
 
     def survives(self, ladder: str) -> Mismatch | None:
-        """The most severe rung up to which none of the ladder refutes the bound; None if the mildest one does."""
+        """The last rung before the first that refutes the bound; None if that is the mildest one."""
         last = None
         for rung in self.rungs:
             if rung.ladder == ladder:
@@ -107,6 +107,8 @@ class StressReport:
         for rung in self.rungs:
             limits = f"[{rung.ci_low:.6f}, {rung.ci_high:.6f}]"
             lines.append(f"  {rung.mismatch!s:<24} {rung.estimate:.6f} {limits}  {rung.verdict}")
+        for name in dict.fromkeys(rung.ladder for rung in self.rungs):
+            lines.append(f"not refuted  {name}: {self.survives(name) or 'at no rung'}")
         return "\n".join(lines)
 
 

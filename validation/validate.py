@@ -156,7 +156,7 @@ def validate(
         Stop at the first episode that confirms or refutes the claim. Verdict and limits come from e-processes, which
         hold at whatever time one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
-        Simulate a system that differs from the certified model.
+        Simulate a system that differs from the certified model; only the lower bound is tested then.
     executor : Executor, optional
         Where chunks are computed; the report is the same for any.
     progress : callable, optional
@@ -173,6 +173,7 @@ def validate(
     check_confidence(confidence)
     certificate = result.certificate if isinstance(result, Synthesis) else result
     problem, lower, gap, start = claim_at(certificate, initial_state)
+    gap = gap if mismatch is None else None  # of another system nobody claims an upper bound
     loop = Loop(problem, certificate.controller, seed, chunk, mismatch=mismatch)
     state, inadmissible, interrupted = SequentialState(lower, gap, confidence), 0, False
     chunks = stream(loop, episodes, executor)
