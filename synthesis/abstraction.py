@@ -22,14 +22,22 @@ from .choices import Choices, InputMenu, target_windows
 from .grid import FloatArray, Grid, aligned_edges
 from .kernel import Kernel, gaussian_table
 from .labels import CellLabels, cell_labels, error_labels
+from .relation_coupled import CoupledRelation
 from .relation_exact import ExactRelation, exact_relation
-from .relation_paper import PaperRelation, paper_relation
+from .relation_paper import paper_relation
+from .relation_tube import best_feedback, tube_relation
 
 DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
 Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
-Relation = ExactRelation | PaperRelation
+Relation = ExactRelation | CoupledRelation
+Bare = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
+
+RELATIONS = ("exact", "paper", "tube")
+
+FINE = 8
+"""Distinct means per cell and axis up to which every mean is a lattice point; beyond, means are snapped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +118,8 @@ def abstract(
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str
-        ``"exact"``: B of full row rank, delta = 0. ``"paper"``: scalar agents, delta >= 0 in closed form.
+        ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"paper"``: scalar
+        agents, delta >= 0 in closed form.
     targets_per_cell : int
         ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
         Default: 2 for scalar agents, 1 for others.
@@ -126,37 +135,40 @@ def abstract(
     number = 1 if targets_per_cell is None else targets_per_cell
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {targets_per_cell!r}")
-    if relation not in ("exact", "paper"):
-        raise ValueError(f"`relation`: expected 'exact' or 'paper', got {relation!r}")
+    if relation not in RELATIONS:
+        raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {relation!r}")
     paper = {"epsilon": epsilon, "feedback": feedback, "inputs": inputs, "delta": delta}
-    bare: dict[object, tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]] = {}
+    bare: dict[object, Bare] = {}
     whole: dict[object, AgentModel] = {}
     models = []
     for i, agent in enumerate(problem.agents):
         grid, coordinates = _grid(problem, i, _cells_of(agent, cells))
         same = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
         if same not in bare:
-            exact = relation == "exact"
             per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
-            bare[same] = _exact(agent, grid, coordinates, per_cell) if exact else _paper(agent, grid, paper)
+            if relation == "exact":
+                bare[same] = _exact(agent, grid, coordinates, per_cell)
+            elif relation == "tube":
+                bare[same] = _tube(agent, grid, coordinates, _label_room(problem, i))
+            else:
+                bare[same] = _paper(agent, grid, paper)
         start_labels = cell_labels(problem, i, grid, coordinates)
         labels = start_labels
         follows = bare[same][0]
-        if isinstance(follows, PaperRelation) and not follows.is_cell:
-            labels = error_labels(problem, i, grid, coordinates, np.array([follows.epsilon]))
+        if isinstance(follows, CoupledRelation) and not follows.is_cell:
+            labels = error_labels(problem, i, grid, coordinates, follows.state_reach)
         key = (same, labels.key, start_labels.key)
         if key not in whole:
             _, lattice, kernel, choices = bare[same]
             whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
         models.append(whole[key])
-    used = {"targets_per_cell": targets_per_cell} if relation == "exact" else paper
+    used: dict[str, object] = {}
+    used.update({"targets_per_cell": targets_per_cell} if relation == "exact" else paper if relation == "paper" else {})
     settings = {"relation": relation, "cells": [list(m.grid.shape) for m in models], **used}
     return Abstraction(tuple(models), settings)
 
 
-def _exact(
-    agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int
-) -> tuple[ExactRelation, tuple[FloatArray, ...], Kernel, Choices]:
+def _exact(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> Bare:
     """Relation, lattice, kernel and choices under the ``exact`` relation."""
     relation = exact_relation(agent, coordinates)
     reach = np.abs(relation.B) @ relation.input_half_width
@@ -175,17 +187,65 @@ def _exact(
     return relation, points, Kernel(tuple(tables), loss), target_windows(relation, grid, points)
 
 
-def _paper(
-    agent: LinearAgent, grid: Grid, settings: Mapping[str, object]
-) -> tuple[PaperRelation, tuple[FloatArray, ...], Kernel, Choices]:
+def _paper(agent: LinearAgent, grid: Grid, settings: Mapping[str, object]) -> Bare:
     """Relation, lattice, kernel and choices under the ``paper`` relation; every mean is a lattice point of its own."""
     relation = paper_relation(agent, grid.edges[0], **settings)  # type: ignore[arg-type]
-    means = relation.means(grid.centres[:, 0])
-    lattice, leads_to = np.unique(means, return_inverse=True)
-    leads_to = np.asarray(leads_to).reshape(means.shape).astype(np.int32)
-    table, loss = gaussian_table(lattice, grid.edges[0], relation.deviation)
-    resting = np.argmin(np.abs(means - grid.centres), axis=1).astype(np.int32)
-    return relation, (lattice,), Kernel((table,), loss), InputMenu(np.array(leads_to, dtype=np.int32), resting)
+    return _with_menu(relation, grid, (None,))
+
+
+def _tube(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room: FloatArray) -> Bare:
+    """Relation, lattice, kernel and choices under the ``tube`` relation.
+
+    Where the means fall on few distinct coordinates of an axis these are its lattice; otherwise the axis gets a lattice
+    of ``FINE`` points per cell, and what means are rounded by widens the tube.
+    """
+    feedback = best_feedback(agent, grid, coordinates, room)
+    relation = tube_relation(agent, grid, coordinates, feedback)
+    widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
+    distinct = [len(_distinct(relation.means(grid.centres)[..., k], widths[k])) for k in range(len(widths))]
+    coarse = np.array([n > FINE * s for n, s in zip(distinct, grid.shape, strict=True)])
+    if not coarse.any():
+        return _with_menu(relation, grid, (None,) * len(widths))
+    spacing = np.where(coarse, widths / FINE, 0.0)
+    relation = tube_relation(agent, grid, coordinates, feedback, snap=spacing / 2)
+    return _with_menu(relation, grid, tuple(float(w) if c else None for w, c in zip(spacing, coarse, strict=True)))
+
+
+def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | None, ...]) -> Bare:
+    """Lattice (all distinct means of an axis, or multiples of its ``spacing``), kernel and menu."""
+    means = relation.means(grid.centres)
+    lattice, index, tables, loss = [], [], [], 0.0
+    for k, edges in enumerate(grid.edges):
+        values, width = means[..., k], float(np.max(np.diff(edges)))
+        step = spacing[k]
+        axis = _distinct(values, width) if step is None else _multiples(values, step)
+        nearest = (
+            np.clip(np.searchsorted(axis, values), 1, len(axis) - 1) if len(axis) > 1 else np.zeros(values.shape, int)
+        )
+        if len(axis) == 1:
+            nearest = np.zeros(values.shape, dtype=np.int64)
+        else:
+            nearest -= (values - axis[nearest - 1]) < (axis[nearest] - values)
+        table, missing = gaussian_table(axis, edges, float(np.sqrt(relation.covariance[k])))
+        lattice.append(axis)
+        index.append(nearest)
+        tables.append(table)
+        loss += missing
+    leads_to = np.ravel_multi_index(index, tuple(len(axis) for axis in lattice)).astype(np.int32)
+    distance = np.sum((means - grid.centres[:, None, :]) ** 2, axis=-1)
+    menu = InputMenu(leads_to, np.argmin(distance, axis=1).astype(np.int32))
+    return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
+
+
+def _distinct(values: FloatArray, width: float) -> FloatArray:
+    """Distinct values, those closer than a billionth of a cell taken for one."""
+    ordered = np.unique(values)
+    return ordered[np.concatenate([[True], np.diff(ordered) > 1e-9 * width])]
+
+
+def _multiples(values: FloatArray, step: float) -> FloatArray:
+    """Multiples of ``step`` from the smallest to the largest value."""
+    return step * np.arange(np.floor(values.min() / step), np.ceil(values.max() / step) + 1)
 
 
 def _identity(agent: LinearAgent) -> tuple[FloatArray, ...]:
@@ -250,6 +310,23 @@ def _boundaries(problem: Problem, i: int, axis: int) -> list[float]:
             if np.count_nonzero(row) == 1 and row[axis] != 0:
                 found += [float(low / row[axis]), float(high / row[axis])]
     return found
+
+
+def _label_room(problem: Problem, i: int) -> FloatArray:
+    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace."""
+    agent = problem.agents[i]
+    room = 0.5 * (agent.workspace.high - agent.workspace.low)
+    for proposition in problem.propositions.values():
+        if proposition.agent != agent.name:
+            continue
+        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
+            if np.count_nonzero(row) == 1:
+                k = int(np.flatnonzero(row)[0])
+                inside = np.clip(
+                    np.sort([low / row[k], high / row[k]]), agent.workspace.low[k], agent.workspace.high[k]
+                )
+                room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
+    return np.asarray(room)
 
 
 def _cells_of(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:

@@ -25,6 +25,7 @@ from .grid import FloatArray, Grid
 from .guards import Guards
 from .relation_exact import exact_relation
 from .relation_paper import paper_relation
+from .relation_tube import tube_relation
 from .terms import Terms
 
 MAX_JOINT_CELLS = 20_000_000
@@ -44,7 +45,8 @@ class AgentPart:
     coordinates : (d, d) array
         State = coordinates @ grid coordinates.
     relation : dict
-        ``{"kind": "exact"}``, or ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``.
+        ``{"kind": "exact"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, or
+        ``{"kind": "tube", "feedback", "inputs", "snap"}`` (matrices as nested lists, grid coordinates).
     lattice : tuple of (Z_k,) arrays
         Means per axis.
     masks, start_masks : (K, S), (K0, S) bool arrays
@@ -68,6 +70,9 @@ class AgentPart:
         """The relation of ``agent`` that is described, its numbers computed anew."""
         if self.relation["kind"] == "exact":
             return exact_relation(agent, self.coordinates)
+        if self.relation["kind"] == "tube":
+            feedback, inputs, snap = (np.array(self.relation[k], dtype=float) for k in ("feedback", "inputs", "snap"))
+            return tube_relation(agent, self.grid, self.coordinates, feedback, inputs, snap)
         settings = {name: self.relation[name] for name in ("epsilon", "feedback", "inputs", "delta")}
         return paper_relation(agent, self.grid.edges[0], **settings)
 

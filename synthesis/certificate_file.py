@@ -291,11 +291,16 @@ class _Reader:
 
 def _check_relation(relation: Any, menu: NDArray | None) -> None:
     """A relation is of a known kind, with the numbers that belong to it."""
-    if not isinstance(relation, dict) or relation.get("kind") not in ("exact", "paper"):
+    if not isinstance(relation, dict) or relation.get("kind") not in ("exact", "paper", "tube"):
         raise ValueError("it has a relation of an unknown kind")
-    if (relation["kind"] == "paper") != (menu is not None):
+    if (relation["kind"] != "exact") != (menu is not None):
         raise ValueError("a relation and its choices do not belong together")
-    numbers = [relation[name] for name in ("epsilon", "feedback", "inputs", "delta")] if menu is not None else []
+    if relation["kind"] == "tube":
+        matrices = [np.array(relation[name], dtype=float) for name in ("feedback", "inputs", "snap")]
+        if [m.ndim for m in matrices] != [2, 2, 1] or not all(np.all(np.isfinite(m)) for m in matrices):
+            raise ValueError("a tube has settings that are no matrices")
+    paper = relation["kind"] == "paper"
+    numbers = [relation[name] for name in ("epsilon", "feedback", "inputs", "delta")] if paper else []
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
         raise ValueError("a relation has settings that are no numbers")
 

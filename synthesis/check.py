@@ -28,7 +28,7 @@ from ..envs.agent import LinearAgent
 from ..envs.box import Box
 from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate
-from .relation_paper import PaperRelation
+from .relation_coupled import CoupledRelation
 from .terms import Terms
 from .verify_relation import verify_relation
 
@@ -140,9 +140,10 @@ def _grid_noise(covariance: FloatArray, coordinates: FloatArray) -> FloatArray:
 def _cell_boxes(agent: LinearAgent, part: AgentPart, starting: bool) -> tuple[FloatArray, FloatArray]:
     """Boxes in state space around the states related to each cell; for ``starting`` around the cell itself."""
     relation = part.relation_of(agent)
-    if isinstance(relation, PaperRelation) and not relation.is_cell and not starting:
-        epsilon = relation.epsilon
-        return part.grid.centres - epsilon - 1e-12, np.nextafter(part.grid.centres + epsilon + 1e-12, np.inf)
+    if isinstance(relation, CoupledRelation) and not relation.is_cell and not starting:
+        epsilon = relation.state_reach
+        centre = part.grid.centres @ part.coordinates.T
+        return centre - epsilon - 1e-12, np.nextafter(centre + epsilon + 1e-12, np.inf)
     if np.array_equal(part.coordinates, np.eye(len(part.coordinates))):
         return part.grid.low, part.grid.high
     centre, reach = part.grid.centres @ part.coordinates.T, part.grid.half_widths @ np.abs(part.coordinates).T
@@ -385,10 +386,14 @@ def _step(
     following = []
     for q, factors in alive:
         moved = []
-        for part, own, (table,) in zip(certificate.agents, factors, kernels, strict=True):
+        for part, own, axes in zip(certificate.agents, factors, kernels, strict=True):
             points = part.points(t, q)
-            on_lattice = np.bincount(points[points >= 0], weights=own[points >= 0], minlength=len(table))
-            moved.append(on_lattice @ table)
+            shape = tuple(len(table) for table in axes)
+            on_lattice = np.bincount(points[points >= 0], weights=own[points >= 0], minlength=int(np.prod(shape)))
+            spread = on_lattice.reshape(shape)
+            for axis, table in enumerate(axes):
+                spread = np.moveaxis(np.tensordot(spread, table, axes=(axis, 0)), -1, axis)
+            moved.append(spread.ravel())
         for g in np.flatnonzero(certificate.guard_source == q):
             masks = (part.masks[m] for part, m in zip(certificate.agents, certificate.guard_mask[g], strict=True))
             product = [own * mask for own, mask in zip(moved, masks, strict=True)]

@@ -3,10 +3,11 @@
 Each agent sees its own state, the shared automaton state and the time (THEORY section 6).
 
 ``exact``   the cell of its state decides the target mean, and the input puts the mean of the next state on it.
-``paper``   the agent remembers the abstract state xhat. From the next state it recovers the noise ``w``, draws the
-            abstract noise from the coupling, ``what = w + F e`` with probability ``min(1, phi(what)/phi(w))`` and its
-            mirror image otherwise, and moves xhat as the finite model does. When ``x - xhat`` leaves the relation the
-            certificate claims nothing any more; the agent starts again from the cell of its state.
+coupled     (``paper``, ``tube``) the agent remembers the abstract state xhat. From the next state it recovers the noise
+            ``w``, draws the abstract noise from the coupling, ``what = w + F e`` with probability ``min(1,
+            phi(what)/phi(w))`` and its mirror image otherwise (always ``what = w`` in a tube), and moves xhat as the
+            finite model does. When ``x - xhat`` leaves the relation the certificate claims nothing any more; the agent
+            starts again from the cell of its state.
 
 Controllers are total: outside the workspace, in states and at times that no certificate speaks of, the input is the one
 of the nearest cell, and always admissible.
@@ -26,20 +27,20 @@ from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
 from .abstraction import Relation
 from .grid import FloatArray, Grid
+from .relation_coupled import CoupledRelation, apply, couple
 from .relation_exact import ExactRelation
-from .relation_paper import PaperRelation
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What coupled agents remember between steps; arrays (n, M), agents of a group by worlds.
+    """What coupled agents remember between steps, for the n agents of a group and M worlds.
 
     Parameters
     ----------
     cells : (n, M) int array
         Abstract states xhat, as cells.
-    states, inputs, means : (n, M) arrays
-        State and input of the last step, and the mean of the abstract successor.
+    states, inputs, means : (d, n, M), (m, n, M), (d, n, M) arrays
+        State (grid coordinates) and input of the last step, and the mean of the abstract successor.
     lost : (n, M) bool array
         Whether the relation was ever lost.
     """
@@ -78,7 +79,7 @@ class AgentController:
     @property
     def is_coupled(self) -> bool:
         """Whether it remembers an abstract state."""
-        return isinstance(self.relation, PaperRelation)
+        return isinstance(self.relation, CoupledRelation)
 
     @cached_property
     def _laws(self) -> NDArray[np.int32]:
@@ -88,10 +89,9 @@ class AgentController:
         """Memory at time 0 for states (d, n, M): the cells of the states."""
         if not self.is_coupled:
             return None
-        n, worlds = states.shape[1:]
-        nothing = np.zeros((n, worlds))
+        nothing = np.zeros(states.shape)
         cells = self.grid.cell_of(self.project(states))
-        return Memory(cells, nothing, nothing, nothing, np.zeros((n, worlds), dtype=bool))
+        return Memory(cells, nothing, nothing, nothing, np.zeros(cells.shape, dtype=bool))
 
     def act(
         self, states: FloatArray, q: NDArray[Any], time: int, memory: Memory | None, uniform: FloatArray | None = None
@@ -100,10 +100,11 @@ class AgentController:
 
         Coupled agents take ``uniform`` (n, M), one auxiliary draw per step.
         """
-        if memory is not None and isinstance(self.relation, PaperRelation):
+        if memory is not None and isinstance(self.relation, CoupledRelation):
+            points = self.relation.to_grid(states)
             if time > 0 and uniform is not None:
-                memory = follow(self.relation, self.grid, memory, states[0], uniform)
-            return self._coupled(self.relation, memory, states, q, time)
+                memory = follow(self.relation, self.grid, memory, points, uniform)
+            return self._coupled(self.relation, memory, points, q, time)
         points = self.project(states)
         law = self._laws[np.arange(states.shape[1])[:, None], self._time(time), q, self.grid.cell_of(points)]
         return self._towards(law, points), None
@@ -124,49 +125,59 @@ class AgentController:
         return inputs
 
     def _coupled(
-        self, relation: PaperRelation, memory: Memory, states: FloatArray, q: NDArray[Any], time: int
+        self, relation: CoupledRelation, memory: Memory, points: FloatArray, q: NDArray[Any], time: int
     ) -> tuple[FloatArray, Memory]:
-        """Inputs ``uhat + K e`` and the memory of this step."""
+        """Inputs ``uhat + K e`` and the memory of this step.
+
+        The input is admissible by the relation; only where the relation is lost it is moved into the input box.
+        """
         assert self.menu is not None
         choice = np.maximum(self._laws[np.arange(len(memory.cells))[:, None], self._time(time), q, memory.cells], 0)
-        centres = self.grid.centres[memory.cells, 0]
-        error = np.clip(np.nan_to_num(states[0] - centres), -relation.epsilon, relation.epsilon)
-        inputs = relation.inputs[choice] + relation.feedback * error
-        means = self.lattice[0][self.menu[memory.cells, choice]]
-        return inputs[None], Memory(memory.cells, states[0], inputs, means, memory.lost)
+        shape = (-1, *[1] * memory.cells.ndim)
+        reach = relation.reach.reshape(shape)
+        error = np.nan_to_num(points - np.moveaxis(self._centres[memory.cells], -1, 0))
+        lost = np.any(np.abs(error) > reach * (1 + 1e-9), axis=0)
+        inputs = np.moveaxis(relation.inputs[choice], -1, 0) + apply(relation.feedback, np.clip(error, -reach, reach))
+        admissible = np.clip(inputs, relation.input_low.reshape(shape), relation.input_high.reshape(shape))
+        inputs = np.where(lost | memory.lost, admissible, inputs)
+        lattice = np.unravel_index(self.menu[memory.cells, choice], tuple(len(axis) for axis in self.lattice))
+        means = np.stack([axis[index] for axis, index in zip(self.lattice, lattice, strict=True)])
+        return inputs, Memory(memory.cells, points, inputs, means, memory.lost)
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        return self.grid.centres
 
     def project(self, states: FloatArray) -> FloatArray:
         """Grid coordinates of the states, moved into the grid where they are outside; NaN goes to the low edge."""
-        points = self.relation.to_grid(states)
-        for k, edges in enumerate(self.grid.edges):
-            points[k] = np.clip(np.nan_to_num(points[k], nan=edges[0]), edges[0], edges[-1])
-        return points
+        return _into(self.grid, self.relation.to_grid(states))
 
 
-def follow(relation: PaperRelation, grid: Grid, memory: Memory, states: FloatArray, uniform: FloatArray) -> Memory:
-    """Move the abstract states along with the continuous ones, now at ``states`` (n, M), by the lifted coupling."""
+def follow(relation: CoupledRelation, grid: Grid, memory: Memory, points: FloatArray, uniform: FloatArray) -> Memory:
+    """Move the abstract states along with the continuous ones, now at grid coordinates ``points`` (d, n, M)."""
+    column = (-1, *[1] * memory.cells.ndim)
+    centres = grid.centres
     with np.errstate(over="ignore", invalid="ignore"):
-        noise = states - relation.a * memory.states - relation.b * memory.inputs - relation.drift
-        error = memory.states - grid.centres[memory.cells, 0]
-        abstract_noise = couple(noise, relation.coupling * error, relation.deviation, uniform)
-        landed = memory.means + abstract_noise
-        edges = grid.edges[0]
-        inside = (edges[0] <= landed) & (landed <= edges[-1])
-        cells = grid.cell_of(np.where(inside, landed, edges[0])[None])
-        kept = inside & (np.abs(states - grid.centres[cells, 0]) <= relation.epsilon * (1 + 1e-12))
-    again = grid.cell_of(np.clip(np.nan_to_num(states, nan=edges[0]), edges[0], edges[-1])[None])
-    return Memory(np.where(kept, cells, again), states, memory.inputs, memory.means, memory.lost | ~kept)
+        expected = apply(relation.A, memory.states) + apply(relation.B, memory.inputs) + relation.drift.reshape(column)
+        noise = points - expected
+        if np.any(relation.coupling):
+            deviation = np.sqrt(relation.covariance).reshape(column)
+            error = memory.states - np.moveaxis(centres[memory.cells], -1, 0)
+            noise = deviation * couple(noise / deviation, apply(relation.coupling, error) / deviation, uniform)
+        landed = memory.means + noise
+        inside = np.ones(memory.cells.shape, dtype=bool)
+        for edges, own in zip(grid.edges, landed, strict=True):
+            inside &= (edges[0] <= own) & (own <= edges[-1])
+        cells = grid.cell_of(_into(grid, landed))
+        kept = inside & relation.related(points - np.moveaxis(centres[cells], -1, 0))
+    again = grid.cell_of(_into(grid, points))
+    return Memory(np.where(kept, cells, again), points, memory.inputs, memory.means, memory.lost | ~kept)
 
 
-def couple(noise: FloatArray, shift: FloatArray, deviation: float, uniform: FloatArray) -> FloatArray:
-    """Noise of the abstract system, normal like ``noise`` and equal to ``noise + shift`` as often as can be.
-
-    Maximal coupling by reflection: ``noise + shift`` is accepted with probability ``min(1, phi(noise + shift) /
-    phi(noise))``, otherwise the noise is mirrored at 0 along the shift (in one dimension: its sign changes).
-    """
-    whitened, move = noise / deviation, shift / deviation
-    accepted = np.log(np.maximum(uniform, 1e-300)) <= -(whitened * move + 0.5 * move * move)
-    return np.where(accepted, noise + shift, -noise)
+def _into(grid: Grid, points: FloatArray) -> FloatArray:
+    """Points moved into the grid; NaN goes to the low edge."""
+    pairs = zip(points, grid.edges, strict=True)
+    return np.stack([np.clip(np.nan_to_num(own, nan=edges[0]), edges[0], edges[-1]) for own, edges in pairs])
 
 
 @dataclass(frozen=True, eq=False)

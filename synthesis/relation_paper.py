@@ -12,73 +12,15 @@ normal distributions whose means differ by F e). The paper has K = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from ..envs.agent import LinearAgent
+from .relation_coupled import CoupledRelation, coupling_failure
 
 FloatArray = NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
-class PaperRelation:
-    """Relation ``|x - xhat| <= epsilon`` of a scalar agent with its finite model.
-
-    Parameters
-    ----------
-    a, b, drift : float
-        Dynamics ``x' = a x + b u + drift + w``.
-    deviation : float
-        Standard deviation sigma of w, in state units.
-    epsilon : float
-        Half width of the relation, in state units.
-    feedback, coupling : float
-        K and F.
-    delta : float
-        Upper bound on the probability, per step, that the coupling fails.
-    inputs : (A,) array
-        Abstract inputs uhat, all in U - [-|K| epsilon, |K| epsilon].
-    is_cell : bool
-        Whether epsilon is half a cell: then F = a_K, and related means in the same cell.
-    """
-
-    a: float
-    b: float
-    drift: float
-    deviation: float
-    epsilon: float
-    feedback: float
-    coupling: float
-    delta: float
-    inputs: FloatArray
-    is_cell: bool = False
-
-    kind = "paper"
-    is_box = False
-    has_state_coordinates = True
-
-    @property
-    def coordinates(self) -> FloatArray:
-        """Grid coordinates are the state."""
-        return np.eye(1)
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """All numbers, for comparing relations."""
-        numbers = (self.a, self.b, self.drift, self.deviation, self.epsilon, self.feedback, self.coupling, self.delta)
-        return (np.array(numbers), self.inputs)
-
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Grid coordinates of states, a new array."""
-        return np.array(states, dtype=float)
-
-    def means(self, centres: FloatArray) -> FloatArray:
-        """(S, A) mean of the abstract successor of each cell centre (S,) under each input."""
-        return self.a * centres[:, None] + self.b * self.inputs + self.drift
 
 
 def paper_relation(
@@ -88,17 +30,17 @@ def paper_relation(
     feedback: float = 0.0,
     inputs: int = 10,
     delta: float | None = None,
-) -> PaperRelation:
+) -> CoupledRelation:
     """Closed-form relation of a scalar agent with the cell ``edges``.
 
     Parameters
     ----------
     agent : LinearAgent
-        Scalar state, input and output map ``y = x``.
+        Scalar state, input and output.
     edges : (S + 1,) array
         Cell edges; h is the largest width.
     epsilon : float
-        At least h / 2, in state units.
+        At least h / 2, in state units. If it is h / 2, related states lie in the same cell.
     feedback : float
         K of the interface ``u = uhat + K (x - xhat)``.
     inputs : int
@@ -119,12 +61,12 @@ def paper_relation(
     widths = np.diff(edges)
     width = float(widths.max()) * (1 + 1e-12)
     is_cell = bool(abs(epsilon - 0.5 * width) <= 1e-9 * width and widths.min() >= width * (1 - 1e-9))
-    epsilon = 0.5 * width if is_cell else epsilon
+    epsilon = 0.5 * width if is_cell else float(epsilon)
     if not epsilon >= width / 2:
         raise ValueError(f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}")
     if isinstance(inputs, bool) or not isinstance(inputs, int) or inputs < 1:
         raise ValueError(f"`inputs`: expected a positive whole number, got {inputs!r}")
-    a, b, deviation = float(agent.A[0, 0]), float(agent.B[0, 0]), float(np.sqrt(agent.noise_covariance[0, 0]))
+    a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
     closed = a + b * feedback
     reserve = abs(feedback) * epsilon * (1 + 1e-12)
     low, high = float(agent.input_box.low[0]) + reserve, float(agent.input_box.high[0]) - reserve
@@ -133,27 +75,26 @@ def paper_relation(
             f"`feedback`: expected |K| epsilon within the inputs of agent `{agent.name}`, got K = {feedback!r}"
         )
     coupling = float(np.sign(closed)) * max(0.0, abs(closed) - 1.0 + width / (2 * epsilon) + 1e-15)
-    least = coupling_failure(abs(coupling) * epsilon, deviation)
+    least = (
+        coupling_failure(abs(coupling) * epsilon / float(np.sqrt(variance))) if variance > 0 else float(coupling != 0)
+    )
     if delta is not None and not least <= delta <= 1:
         raise ValueError(f"`delta`: expected a number from {least:.7g} (the closed form) to 1, got {delta!r}")
     grid = np.linspace(low, high, inputs) if inputs > 1 else np.array([0.5 * (low + high)])
-    chosen = least if delta is None else float(delta)
-    return PaperRelation(a, b, float(agent.offset[0]), deviation, epsilon, feedback, coupling, chosen, grid, is_cell)
-
-
-def coupling_failure(distance: float, deviation: float) -> float:
-    """Upper bound on the total variation distance of two normal distributions whose means are ``distance`` apart.
-
-    ``2 Phi(distance / (2 deviation)) - 1``, rounded up; 1 for singular noise and different means.
-
-    Examples
-    --------
-    >>> round(coupling_failure(0.0025, 0.5), 7)
-    0.0019947
-    """
-    if distance == 0.0:
-        return 0.0
-    if deviation == 0.0:
-        return 1.0
-    half = distance / (2.0 * deviation)
-    return min(1.0, (1.0 - 2.0 * float(ndtr(-half))) * (1 + 1e-12) + 1e-15)
+    return CoupledRelation(
+        kind="paper",
+        A=agent.A,
+        B=agent.B,
+        drift=agent.offset,
+        covariance=np.array([variance]),
+        feedback=np.array([[feedback]], dtype=float),
+        coupling=np.array([[coupling]]),
+        reach=np.array([epsilon]),
+        state_reach=np.array([epsilon]),
+        delta=least if delta is None else float(delta),
+        inputs=grid[:, None],
+        input_low=agent.input_box.low,
+        input_high=agent.input_box.high,
+        coordinates=np.eye(1),
+        is_cell=is_cell,
+    )

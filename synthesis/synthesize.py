@@ -25,7 +25,7 @@ from .certificate import EXACT_GAP, AgentPart, Certificate
 from .choices import InputMenu
 from .controller import Controller
 from .joint import JointModel, join, start_of
-from .relation_paper import PaperRelation
+from .relation_coupled import CoupledRelation
 from .seeds import best_paths, path_laws, staged_paths
 
 FINAL = Limits(contribution=1e-12, elsewhere=1e-6, mass=1e-12, rank=4000)
@@ -68,7 +68,7 @@ def synthesize(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
     relation : str
-        ``"exact"`` (B of full row rank) or ``"paper"`` (scalar agents), see ``abstract``.
+        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable) or ``"paper"`` (scalar agents), see ``abstract``.
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
@@ -104,7 +104,7 @@ def synthesize(
     return Synthesis(certificate, certificate.controller, stats)
 
 
-SOLVED = 0.99
+SOLVED = 0.9
 """Value from which the naive start is good enough and no further ones are tried."""
 
 
@@ -212,7 +212,10 @@ def best_bound(
 
 def _described(relation: Relation) -> dict[str, Any]:
     """Settings from which a certificate computes the relation anew."""
-    if isinstance(relation, PaperRelation):
-        return {"kind": "paper", "epsilon": relation.epsilon, "feedback": relation.feedback,
+    if not isinstance(relation, CoupledRelation):
+        return {"kind": "exact"}
+    if relation.kind == "paper":
+        return {"kind": "paper", "epsilon": float(relation.reach[0]), "feedback": float(relation.feedback[0, 0]),
                 "inputs": len(relation.inputs), "delta": relation.delta}  # fmt: skip
-    return {"kind": "exact"}
+    return {"kind": "tube", "feedback": relation.feedback.tolist(), "inputs": relation.inputs.tolist(),
+            "snap": relation.snap.tolist()}  # fmt: skip

@@ -15,7 +15,8 @@ from scipy.special import erf
 
 from ..envs.agent import LinearAgent
 from .certificate import AgentPart
-from .relation_paper import PaperRelation
+from .relation_coupled import CoupledRelation
+from .relation_tube import disturbance_of, tube_generators
 
 FloatArray = NDArray[Any]
 
@@ -30,9 +31,7 @@ def verify_relation(agent: LinearAgent, part: AgentPart) -> list[str]:
     part : AgentPart
         Grid, lattice, relation and policy to be verified.
     """
-    if part.relation["kind"] == "paper":
-        return _verify_paper(agent, part)
-    return _verify_exact(agent, part)
+    return _verify_exact(agent, part) if part.relation["kind"] == "exact" else _verify_coupled(agent, part)
 
 
 def _verify_exact(agent: LinearAgent, part: AgentPart) -> list[str]:
@@ -55,31 +54,76 @@ def _verify_exact(agent: LinearAgent, part: AgentPart) -> list[str]:
     return []
 
 
-def _verify_paper(agent: LinearAgent, part: AgentPart) -> list[str]:
-    """``|a_K - F| epsilon + h/2 <= epsilon``, delta not below its closed form, inputs and means as said."""
+def _verify_coupled(agent: LinearAgent, part: AgentPart) -> list[str]:
+    """Invariance, coupling, input reserve and means of a relation with memory."""
     try:
         relation = part.relation_of(agent)
     except ValueError as error:
         return [str(error)]
-    if not isinstance(relation, PaperRelation):
+    if not isinstance(relation, CoupledRelation):
         return ["its relation is of another kind"]
-    a, b, c = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.offset[0])
-    deviation, epsilon = float(np.sqrt(agent.noise_covariance[0, 0])), relation.epsilon
-    feedback, coupling = float(part.relation["feedback"]), relation.coupling
-    centres, edges = part.grid.centres[:, 0], part.grid.edges[0]
-    half = float(np.max(np.maximum(edges[1:] - centres, centres - edges[:-1])))
+    inverse = np.linalg.inv(part.coordinates)
+    A, B, offset = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
+    if part.menu is None or part.menu.shape[1] != len(relation.inputs):
+        return ["its menu does not list its inputs"]
+    means = (part.grid.centres @ A.T + offset)[:, None, :] + (relation.inputs @ B.T)[None]
+    index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
+    points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
+    half = np.array([0.5 * np.max(np.diff(edges)) for edges in part.grid.edges])
+    snapped = np.max(np.abs(points - means), axis=(0, 1))
+    closed = A + B @ relation.feedback
+    failures = _verify_tube(agent, part, closed, half, snapped) if part.relation["kind"] == "tube" else []
+    if part.relation["kind"] == "paper":
+        failures = _verify_scalar(agent, relation, closed, half, snapped)
+    reserve = np.abs(_generators(part, closed) @ relation.feedback.T).sum(axis=0)
+    low, high = relation.inputs - reserve, relation.inputs + reserve
+    if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):
+        failures.append("its abstract inputs leave no room for the feedback")
+    return failures
+
+
+def _verify_scalar(
+    agent: LinearAgent, relation: CoupledRelation, closed: FloatArray, half: FloatArray, snapped: FloatArray
+) -> list[str]:
+    """``|a_K - F| epsilon + h/2 <= epsilon`` and ``delta >= 2 Phi(|F| epsilon / (2 sigma)) - 1``."""
+    epsilon, coupling = float(relation.reach[0]), float(relation.coupling[0, 0])
+    deviation = float(np.sqrt(agent.noise_covariance[0, 0]))
     failures = []
-    if abs(a + b * feedback - coupling) * epsilon + half > epsilon * (1 + 1e-12):
+    if abs(closed[0, 0] - coupling) * epsilon + half[0] > epsilon * (1 + 1e-12):
         failures.append("its relation is not invariant")
     if relation.delta < float(erf(abs(coupling) * epsilon / (2.0 * np.sqrt(2.0) * deviation))) * (1 - 1e-14):
         failures.append("its delta is smaller than the probability that the coupling fails")
-    inputs = relation.inputs
-    reserve = abs(feedback) * epsilon
-    if np.any(inputs - reserve < agent.input_box.low[0]) or np.any(inputs + reserve > agent.input_box.high[0]):
-        failures.append("its abstract inputs leave no room for the feedback")
-    if part.menu is None or part.menu.shape[1] != len(inputs):
-        return [*failures, "its menu does not list its inputs"]
-    means = a * centres[:, None] + b * inputs + c
-    if np.max(np.abs(part.lattice[0][part.menu] - means)) > 1e-9 * half:
+    if snapped[0] > 1e-9 * half[0]:
         failures.append("its means are not those of its dynamics")
     return failures
+
+
+def _verify_tube(
+    agent: LinearAgent, part: AgentPart, closed: FloatArray, half: FloatArray, snapped: FloatArray
+) -> list[str]:
+    """``(A + B K)^s W inside alpha W`` with alpha < 1 for the zonotope used, W as large as cells and snapping are."""
+    generators = _generators(part, closed)
+    snap = np.array(part.relation["snap"], dtype=float)
+    failures = []
+    if np.any(snapped > snap * (1 + 1e-9) + 1e-9 * half):
+        failures.append("its means are snapped by more than its tube allows for")
+    # E is invariant if the support of (A + B K) E + W is not larger than that of E along every facet normal; for the
+    # zonotope sum_{k<s} M^k W / (1 - alpha) that is what M^s W inside alpha W says, checked on the generators
+    d = len(half)
+    steps = len(generators) // d
+    first, last = generators[:d], generators[-d:]
+    scale = np.diag(first) / (half + snap)
+    alpha = 1.0 - 1.0 / np.min(scale)
+    beyond = np.abs(closed @ last.T / np.min(scale)).sum(axis=1)
+    if steps < 1 or not 0.0 <= alpha < 1.0 or np.any(beyond > alpha * (half + snap) * (1 + 2e-9) + 1e-15):
+        failures.append("its tube is not invariant")
+    return failures
+
+
+def _generators(part: AgentPart, closed: FloatArray) -> FloatArray:
+    """Generators (G, d) of the error set."""
+    if part.relation["kind"] == "paper":
+        half = 0.5 * float(np.max(np.diff(part.grid.edges[0])))
+        return np.array([[max(float(part.relation["epsilon"]), half)]])
+    found = tube_generators(closed, disturbance_of(part.grid, np.array(part.relation["snap"], dtype=float)))
+    return np.full((1, len(closed)), np.inf) if found is None else found

@@ -17,10 +17,11 @@ from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Limits, forward, resting_laws, start_value, sweep
 from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
 from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.controller import Memory, couple, follow
+from certigym.synthesis.controller import Memory, follow
 from certigym.synthesis.heuristics import paper_laws, paper_steps
 from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.relation_paper import PaperRelation, coupling_failure, paper_relation
+from certigym.synthesis.relation_coupled import CoupledRelation, couple, coupling_failure
+from certigym.synthesis.relation_paper import paper_relation
 from certigym.validation.verdict import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 
@@ -36,16 +37,16 @@ def test_delta_is_the_closed_form() -> None:
     pd = paper_relation(scalar_agent("a"), np.linspace(-20, 5, 1201), 0.1)
     assert pd.delta == pytest.approx(0.000332, abs=1e-6)
     still = paper_relation(scalar_agent("a"), np.linspace(-20, 5, 1001), 0.2)
-    assert still.delta == 0.0 and still.coupling == 0.0
+    assert still.delta == 0.0 and not np.any(still.coupling)
 
 
 @pytest.mark.parametrize("feedback", [0.0, -1.0, 0.7])
 @pytest.mark.parametrize("a", [0.9, -1.05, 1.2])
 def test_the_relation_is_invariant(a: float, feedback: float) -> None:
     relation = paper_relation(scalar_agent("x", A=[[a]]), np.linspace(-4, 4, 161), 0.1, feedback)
-    moved = a + 0.5 * feedback - relation.coupling
-    assert abs(moved) * relation.epsilon + 0.025 <= relation.epsilon * (1 + 1e-12)
-    assert np.all(np.abs(relation.inputs) + abs(feedback) * relation.epsilon <= 2.0)
+    moved, epsilon = a + 0.5 * feedback - float(relation.coupling[0, 0]), float(relation.reach[0])
+    assert abs(moved) * epsilon + 0.025 <= epsilon * (1 + 1e-12)
+    assert np.all(np.abs(relation.inputs) + abs(feedback) * epsilon <= 2.0)
 
 
 def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None:
@@ -53,11 +54,11 @@ def test_the_coupling_has_both_marginals_and_fails_as_rarely_as_can_be() -> None
     rng = np.random.default_rng(7)
     n, deviation, shift = 200_000, 0.5, np.full(200_000, 0.3)
     noise = deviation * rng.standard_normal(n)
-    abstract_noise = couple(noise, shift, deviation, rng.random(n))
+    abstract_noise = deviation * couple(noise[None] / deviation, shift[None] / deviation, rng.random(n))[0]
     level = FALSE_ALARM / 3
     assert kstest(abstract_noise, norm(scale=deviation).cdf).pvalue > level
     together = np.isclose(abstract_noise, noise + shift)
-    failure = coupling_failure(0.3, deviation)
+    failure = coupling_failure(0.3 / deviation)
     assert binomtest(int((~together).sum()), n, failure).pvalue > level
     assert kstest(noise, norm(scale=deviation).cdf).pvalue > level
 
@@ -67,15 +68,15 @@ def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None
     problem = two_agents(horizon=3)
     model = abstract(problem, 64, relation="paper", epsilon=0.1).models[0]
     relation, grid = model.relation, model.grid
-    assert isinstance(relation, PaperRelation) and isinstance(model.choices, InputMenu)
+    assert isinstance(relation, CoupledRelation) and isinstance(model.choices, InputMenu)
     rng = np.random.default_rng(3)
     n, cell, choice = 400_000, 40, 7
     centre = grid.centres[cell, 0]
-    states = np.full((1, n), centre + 0.09)
-    inputs = np.full((1, n), relation.inputs[choice])
-    mean = relation.means(grid.centres[:, 0])[cell, choice]
-    memory = Memory(np.full((1, n), cell), states, inputs, np.full((1, n), mean), np.zeros((1, n), dtype=bool))
-    following = 0.9 * states + 0.5 * inputs + 0.5 * rng.standard_normal((1, n))
+    states = np.full((1, 1, n), centre + 0.09)
+    inputs = np.full((1, 1, n), relation.inputs[choice, 0])
+    mean = relation.means(grid.centres)[cell, choice, 0]
+    memory = Memory(np.full((1, n), cell), states, inputs, np.full((1, 1, n), mean), np.zeros((1, n), dtype=bool))
+    following = 0.9 * states + 0.5 * inputs + 0.5 * rng.standard_normal((1, 1, n))
     moved = follow(relation, grid, memory, following, rng.random((1, n)))
     row = model.kernel.tables[0].toarray()[model.choices.leads_to[cell, choice]]
     kept = ~moved.lost[0]
@@ -84,7 +85,7 @@ def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None
     outside = 1 - row.sum()
     assert low <= relation.delta + outside
     assert lost > 0.2 * relation.delta * n  # the start is near the edge of the relation: it is lost now and then
-    assert np.all(np.abs(following[0] - grid.centres[moved.cells[0], 0])[kept] <= relation.epsilon * (1 + 1e-9))
+    assert np.all(np.abs(following[0, 0] - grid.centres[moved.cells[0], 0])[kept] <= relation.reach[0] * (1 + 1e-9))
     for s in range(grid.n_cells):
         count = int((moved.cells[0][kept] == s).sum())
         assert count <= n and clopper_pearson(count, n, 1 - FALSE_ALARM / 64)[0] <= row[s] + 1e-12

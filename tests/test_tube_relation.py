@@ -1,0 +1,150 @@
+"""Tubes hold with certainty: errors never leave their set, inputs stay admissible, and the bounds survive rollouts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.envs.dynamics import Dynamics
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.controller import BatchMemory
+from certigym.synthesis.relation_coupled import CoupledRelation
+from certigym.synthesis.relation_tube import tube_generators, tube_relation
+from certigym.validation.verdict import REFUTED
+
+FALSE_ALARM = 1e-6
+
+
+def cart(**changes: object) -> cg.LinearAgent:
+    """A position-velocity agent with one input."""
+    values: dict[str, object] = {
+        "name": "cart",
+        "A": [[1.0, 0.5], [0.0, 1.0]],
+        "B": [[0.0], [0.5]],
+        "noise_covariance": [[0.04, 0.0], [0.0, 0.04]],
+        "state_low": [-6.0, -3.0],
+        "state_high": [6.0, 3.0],
+        "input_low": [-2.0],
+        "input_high": [2.0],
+        "initial_state": [-3.0, 0.0],
+    }
+    return cg.LinearAgent(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def reach(agent: cg.LinearAgent, horizon: int = 8) -> cg.Problem:
+    return cg.Problem(
+        name="cart",
+        horizon=horizon,
+        agents=[agent],
+        propositions={"goal": cg.Proposition("cart", [1.0, -3.0], [5.0, 3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
+
+
+def test_the_zonotope_of_a_nilpotent_loop_is_the_finite_sum() -> None:
+    """Deadbeat by hand: A + B K = [[1, .5], [-2, -1]] has square 0, so E = W + (A + B K) W."""
+    closed = np.array([[1.0, 0.5], [-2.0, -1.0]])
+    half = np.array([0.1, 0.2])
+    found = tube_generators(closed, half)
+    assert found is not None
+    np.testing.assert_allclose(np.abs(found).sum(axis=0), [0.1 + 0.1 + 0.1, 0.2 + 0.2 + 0.2], rtol=1e-6)
+
+
+def test_unstable_loops_have_no_tube() -> None:
+    assert tube_generators(np.array([[1.1]]), np.array([0.1])) is None
+    model = abstract(reach(cart()), [40, 40], relation="tube").models[0]
+    with pytest.raises(ValueError, match="stabilises"):
+        tube_relation(cart(), model.grid, np.eye(2), np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_zonotope_is_invariant_along_every_direction(seed: int) -> None:
+    """Support functions: h(M' p) + h_W(p) <= h(p) for random directions p."""
+    rng = np.random.default_rng(seed)
+    closed = rng.normal(size=(3, 3))
+    closed *= 0.9 / np.max(np.abs(np.linalg.eigvals(closed)))
+    half = rng.uniform(0.01, 0.2, size=3)
+    generators = tube_generators(closed, half)
+    assert generators is not None
+    directions = rng.normal(size=(2000, 3))
+    support = np.abs(directions @ generators.T).sum(axis=1)
+    moved = np.abs(directions @ closed @ generators.T).sum(axis=1) + np.abs(directions) @ half
+    assert np.all(moved <= support * (1 + 1e-9))
+
+
+def test_relations_are_never_lost_and_inputs_are_admissible() -> None:
+    problem = reach(cart())
+    controller = cg.synthesize(problem, [60, 60], relation="tube", max_sweeps=1).controller
+    dynamics = Dynamics.of(problem)
+    policy, rng = controller.batch(dynamics), np.random.default_rng(2)
+    worlds = core.initial(dynamics, rng, 20_000)
+    memory = policy.begin(worlds, np.random.default_rng(1))
+    relation = controller.agents[0].relation
+    assert isinstance(relation, CoupledRelation) and relation.delta == 0.0
+    for _ in range(problem.horizon):
+        inputs, memory = policy.act(worlds, memory)
+        assert isinstance(memory, BatchMemory)
+        undecided = ~worlds.failed & ~worlds.accepted
+        assert np.all(np.abs(inputs[0][:, :, undecided]) <= 2.0)
+        (own,) = memory.groups[0]
+        assert own is not None
+        error = worlds.states[0] - np.moveaxis(controller.agents[0].grid.centres[own.cells], -1, 0)
+        assert np.all(relation.related(error)[:, undecided & ~own.lost[0]])
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 20_000))
+    still_in = ~worlds.failed & ~worlds.accepted
+    assert memory.lost is not None and not np.any(memory.lost & still_in)
+
+
+CASES = {
+    "diagonal": cart(),
+    "correlated": cart(noise_covariance=[[0.04, 0.02], [0.02, 0.05]]),
+    "affine": cart(offset=[0.05, -0.02], A=[[1.0, 0.37], [-0.05, 0.9]]),
+    "wide": cart(B=[[0.1, 0.0], [0.5, 0.2]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_tube_bounds_hold_and_check(name: str) -> None:
+    """One-sided at 1e-6 / 4, 30,000 rollouts."""
+    result = cg.synthesize(reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)
+    certificate = result.certificate
+    assert certificate.bound == "nominal" and not certificate.exact
+    assert cg.check(certificate), str(cg.check(certificate))
+    report = cg.validate(result, 30_000, seed=3, confidence=1 - FALSE_ALARM / 4)
+    assert report.verdict != REFUTED, str(report)
+    assert report.lower_bound > 0.3
+
+
+def test_a_tube_that_is_too_thin_is_refused() -> None:
+    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    part = certificate.agents[0]
+    assert cg.check(certificate)
+    other = replace(part, relation={**part.relation, "feedback": [[0.0, 0.0]]})
+    assert not cg.check(replace(certificate, agents=(other,)))
+    moved = replace(part, relation={**part.relation, "inputs": (np.array(part.relation["inputs"]) * 1.5).tolist()})
+    assert not cg.check(replace(certificate, agents=(moved,)))
+
+
+def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from certigym.synthesis import abstraction
+    from certigym.synthesis.labels import cell_labels
+
+    monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
+    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    assert not cg.check(certificate)
+
+
+def test_tubes_travel(tmp_path: object) -> None:
+    from pathlib import Path
+
+    path = Path(str(tmp_path)) / "c.npz"
+    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    cg.save_certificate(certificate, path)
+    loaded = cg.load_certificate(path)
+    assert cg.check(loaded, reach(cart()))
+    first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
+    assert first == again
