@@ -112,7 +112,7 @@ def _terminal(joint: JointModel) -> _Beam:
 
 
 def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]], width: int) -> _Beam:
-    """All vertices one step further back, the ``width`` most promising of them; acceptance itself stays."""
+    """All vertices one step further back, the ``width`` most promising of each state; acceptance itself stays."""
     guards, models = joint.guards, joint.models
     pairs = [(g, v) for g, target in enumerate(guards.target) for v in np.flatnonzero(beam.state == target)]
     guard, child = (np.array(column, dtype=np.int64) for column in (zip(*pairs, strict=True) if pairs else ((), ())))
@@ -129,8 +129,7 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
             own[k] = gather(smoothed[[k]], model.choices.points(law))[0]
         values.append(own)
         promise *= own[:, reached[i]].max(axis=1, initial=0.0)[rows[:, i]]
-    chosen = np.argsort(-promise, kind="stable")[:width]
-    chosen = chosen[promise[chosen] > 0]
+    chosen = _most_promising(guards.source[guard], promise, width)
     state, paths = (
         guards.source[guard[chosen]].astype(np.int64),
         [(int(guard[k]), *beam.guards[child[k]]) for k in chosen],
@@ -141,6 +140,15 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
         values[i] = np.concatenate([values[i], np.ones((1, model.n_cells))])
     ends = np.array([[len(own) - 1 for own in values]] * len(goals), dtype=np.int64).reshape(-1, len(models))
     return _Beam(np.concatenate([state, goals]), paths + [()] * len(goals), np.concatenate([rows, ends]), values)
+
+
+def _most_promising(state: NDArray[Any], promise: FloatArray, width: int) -> NDArray[np.int64]:
+    """Rows with the largest promise, at most ``width`` per automaton state, in order of promise."""
+    order = np.argsort(-promise, kind="stable")
+    order = order[promise[order] > 0]
+    kept = [order[state[order] == q][:width] for q in np.unique(state)]
+    rows = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    return np.asarray(rows[np.argsort(-promise[rows], kind="stable")], dtype=np.int64)
 
 
 def _from_start(beam: _Beam, start: Occupancy) -> FloatArray:
