@@ -166,7 +166,7 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.set_postfix_str(f"value {value:.6f}")
             bar.update()
 
-        return synthesize_problem(problem, cells, progress=report)
+        return synthesize_problem(problem, cells, relation=options.relation, progress=report)
 
 
 def _load(name: str, horizon: int | None) -> Problem:
