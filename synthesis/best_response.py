@@ -11,6 +11,7 @@ noise never changes a policy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,8 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     if len(weights) == 1:
         weights, table = np.ones((n_cells, 1)), weights @ table
     best, score = np.full(n_cells, -1, dtype=np.int64), np.full(n_cells, -np.inf)
-    if isinstance(choices, TargetWindows) and len(table) == 1 and len(choices.lattice) == 1 and choices.relation.is_box:
-        best = _sliding_argmax(table[0], choices.low[:, 0], choices.high[:, 0])
+    if isinstance(choices, TargetWindows) and len(table) == 1 and choices.axis_windows is not None:
+        best = _sliding_argmax(table[0].reshape(choices.shape), choices.axis_windows)
         score = np.where(best >= 0, weights[:, 0] * table[0, best], -np.inf)
     else:
         for start in range(0, n_cells, BLOCK):
@@ -91,20 +92,42 @@ def _best_in_window(
     return np.where(np.isfinite(value), flat[first], -1), value
 
 
-def _sliding_argmax(values: FloatArray, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.int64]:
-    """First argmax of ``values[low:high]`` for many windows at once (sparse table); -1 for empty windows."""
+def _sliding_argmax(values: FloatArray, windows: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.int64]:
+    """Flat argmax (S,) of a tensor (Z_1, .., Z_d) over products of windows; -1 for empty ones.
+
+    One axis after the other; the first of equal maxima along each is taken.
+    """
+    flat = np.arange(values.size).reshape(values.shape)
+    for axis, (low, high) in enumerate(windows):
+        lead = np.moveaxis(values, axis, -1)
+        shape = lead.shape[:-1]
+        chosen = _sliding_rows(np.ascontiguousarray(lead).reshape(-1, lead.shape[-1]), low, high)
+        own = np.moveaxis(flat, axis, -1).reshape(chosen.shape[0], -1)
+        rows = np.arange(len(chosen))[:, None]
+        empty = chosen < 0
+        best = np.where(empty, -np.inf, lead.reshape(len(chosen), -1)[rows, np.maximum(chosen, 0)])
+        point = np.where(empty, -1, own[rows, np.maximum(chosen, 0)])
+        values = np.moveaxis(best.reshape(*shape, -1), -1, axis)
+        flat = np.moveaxis(point.reshape(*shape, -1), -1, axis)
+    return flat.ravel()
+
+
+def _sliding_rows(values: FloatArray, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.int64]:
+    """First argmax (R, S) of every row of values (R, Z) over windows ``low[s] .. high[s] - 1`` (sparse table)."""
     width = np.maximum(high - low, 0)
-    level = np.zeros(len(low), dtype=int)
     positive = width > 0
+    level = np.zeros(len(low), dtype=int)
     level[positive] = np.floor(np.log2(width[positive])).astype(int)
-    result = np.full(len(low), -1, dtype=np.int64)
-    table = np.arange(len(values))
+    result = np.full((len(values), len(low)), -1, dtype=np.int64)
+    rows = np.arange(len(values))[:, None]
+    table = np.broadcast_to(np.arange(values.shape[1]), values.shape)
     for k in range(int(level.max(initial=0)) + 1):
         if k:
             half = 1 << (k - 1)
-            left, right = table[:-half], table[half:]
-            table = np.where(values[left] >= values[right], left, right)
+            left, right = table[:, :-half], table[:, half:]
+            table = np.where(values[rows, left] >= values[rows, right], left, right)
         here = positive & (level == k)
-        a, b = table[low[here]], table[high[here] - (1 << k)]
-        result[here] = np.where(values[a] >= values[b], a, b)
+        if here.any():
+            a, b = table[:, low[here]], table[:, high[here] - (1 << k)]
+            result[:, here] = np.where(values[rows, a] >= values[rows, b], a, b)
     return result

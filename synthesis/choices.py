@@ -70,6 +70,22 @@ class TargetWindows:
         return np.all(wanted <= self.reserve[cells], axis=-1)
 
     @cached_property
+    def axis_windows(self) -> tuple[tuple[NDArray[np.int32], NDArray[np.int32]], ...] | None:
+        """Per axis the window (S_k,), (S_k,) of each of its cells, if windows are products of such; None otherwise."""
+        if not self.relation.is_box:
+            return None
+        found = []
+        for k in range(len(self.lattice)):
+            sides = []
+            for side in (self.low, self.high):
+                table = np.moveaxis(side[:, k].reshape(self.grid.shape), k, 0).reshape(self.grid.shape[k], -1)
+                if np.any(table != table[:, :1]):
+                    return None
+                sides.append(table[:, 0])
+            found.append((sides[0], sides[1]))
+        return tuple(found)
+
+    @cached_property
     def resting_law(self) -> Law:
         """(S,) admissible target nearest to the cell itself; -1 where no target is admissible.
 
