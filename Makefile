@@ -1,5 +1,9 @@
 # `make demo` and `make test` set up what they need in .venv and then run; Python 3.11 or newer and make are enough.
 
+# small matrix products run best on one thread each; set these yourself for large ones
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
