@@ -20,9 +20,12 @@ import pytest
 import certigym as cg
 from certigym.spread import in_order
 from certigym.synthesis.certificate import Certificate
+from certigym.validation.audit import audit
 from certigym.validation.cluster import dask_cluster, executor_for, processes
-from certigym.validation.fields import validate_field
+from certigym.validation.fields import find_weakest, validate_field
+from certigym.validation.report import gather_report
 from certigym.validation.rollout import Loop, stream
+from certigym.validation.stress import stress
 from certigym.validation.sweeps import sweep_horizons, synthesize_best
 from certigym.validation.validate import ValidationInterrupted
 from problems import two_agents
@@ -153,6 +156,27 @@ def test_an_interrupted_validation_reports_what_was_finished(certificate: Certif
     assert report.successes == alone[: 4 * CHUNK].sum()
     field = validate_field(certificate, [[0.3, 0.3], [1.0, 1.0]], 4000, chunk=CHUNK, progress=_interrupt_at_once())
     assert field.interrupted and field.episodes.sum() == CHUNK
+
+
+def test_every_verb_keeps_what_was_finished(certificate: Certificate) -> None:
+    states = [[0.3, 0.3], [1.0, 1.0]]
+    search = find_weakest(certificate, 40_000, candidates=states, chunk=CHUNK, progress=_interrupt_at_once())
+    assert search.interrupted and search.episodes.sum() == CHUNK
+    seen: list[int] = []
+
+    def interrupt(count: int) -> None:
+        seen.append(count)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    audited = audit(certificate, EPISODES, chunk=CHUNK, progress=interrupt)
+    assert audited.interrupted and audited.episodes == 3 * CHUNK
+    seen.clear()
+    stressed = stress(certificate, CHUNK, chunk=CHUNK, progress=interrupt)
+    assert stressed.interrupted and len(stressed.rungs) == 1
+    seen.clear()
+    page = gather_report(certificate, EPISODES, chunk=CHUNK, progress=interrupt)
+    assert page.validation.details["interrupted"] and page.validation.episodes == 3 * CHUNK
 
 
 def _interrupt_at_once() -> Callable[[int], None]:

@@ -241,7 +241,7 @@ def find_weakest(
     Returns
     -------
     FieldReport
-        About the finalists.
+        About the finalists; after Ctrl-C, about the candidates of the round that was going on.
     """
     problem = certificate.problem
     if candidates is None:
@@ -253,6 +253,8 @@ def find_weakest(
         each = max(1, episodes // (2 * rounds * len(states)))
         pilot = validate_field(certificate, states, each, _derived(seed, k), confidence=confidence, chunk=chunk,
                                executor=executor, progress=progress)  # fmt: skip
+        if pilot.interrupted:
+            return pilot
         order = np.lexsort((pilot.margins, p_at_least(pilot.successes, pilot.episodes, pilot.lower_bounds)))
         last = k == rounds - 1
         worst = states[order[: keep if last else max(keep, len(states) // 3)]]

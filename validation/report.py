@@ -24,7 +24,7 @@ from .fields import FieldReport, validate_field
 from .page import page_of
 from .rollout import CHUNK, Loop, paths
 from .starts import slice_starts, start_box
-from .validate import ValidationReport, validate
+from .validate import ValidationInterrupted, ValidationReport, validate
 
 DRAWN = 40
 """Rollouts drawn."""
@@ -97,7 +97,8 @@ def gather_report(
     ----------
     certificate : Certificate
     episodes : int
-        Of the validation; the audit takes at most 20,000, the map as many as the validation in all.
+        Of the validation; the audit takes at most 20,000, the map as many as the validation in all. After Ctrl-C
+        during the validation the report is about what was finished, with a short audit and a coarse map.
     seed, confidence, chunk, executor, progress
         As in ``validate``.
     axes : sequence of int, optional
@@ -112,9 +113,13 @@ def gather_report(
     grid = slice_starts(certificate, shown, shape)
     middle = 0.5 * np.sum(start_box(problem), axis=0)
     states, success = paths(Loop(problem, certificate.controller, seed, max(DRAWN, 1)), DRAWN)
+    try:
+        validation = validate(certificate, episodes, seed, **settings)
+    except ValidationInterrupted as interrupted:
+        validation, episodes = interrupted.report, min(episodes, 1000)
     return ReportContent(
         certificate=certificate,
-        validation=validate(certificate, episodes, seed, **settings),
+        validation=validation,
         audit=audit(certificate, min(episodes, 20_000), seed, **settings),
         checked=check(certificate),
         field=validate_field(certificate, grid, max(20, episodes // len(grid)), seed, shape=shape, **settings),

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
-from ..spread import Executor, in_order
+from ..spread import Executor, in_order, interrupts_at_checkpoints
 from .mismatch import Mismatch, degraded, disturbed
 
 CHUNK = 2000
@@ -167,10 +168,12 @@ def rollout(
         problem = problem.replace(initial_state=initial_state)
     loop = Loop(problem, controller, seed, chunk, mismatch=mismatch)
     parts = []
-    for part in stream(loop, episodes, executor):
-        parts.append(part)
-        if progress is not None:
-            progress(len(part.success))
+    with interrupts_at_checkpoints() as checkpoint, closing(stream(loop, episodes, executor)) as chunks:
+        for part in chunks:
+            parts.append(part)
+            if progress is not None:
+                progress(len(part.success))
+            checkpoint()
     success = np.concatenate([part.success for part in parts])
     return Rollouts(success, int(seed), int(chunk), sum(part.inadmissible for part in parts))
 

@@ -63,6 +63,8 @@ class StressReport:
     nominal : float
         Share of successes without mismatch.
     rungs : tuple of Rung
+    interrupted : bool
+        Whether Ctrl-C kept some rungs from being run.
     """
 
     problem: str
@@ -73,6 +75,7 @@ class StressReport:
     confidence: float
     nominal: float
     rungs: tuple[Rung, ...]
+    interrupted: bool = False
 
     def survives(self, ladder: str) -> Mismatch | None:
         """The last rung before the first that refutes the bound; None if that is the mildest one."""
@@ -86,7 +89,7 @@ class StressReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON values."""
-        plain = ("problem", "horizon", "lower_bound", "episodes", "seed", "confidence", "nominal")
+        plain = ("problem", "horizon", "lower_bound", "episodes", "seed", "confidence", "nominal", "interrupted")
         ladders = dict.fromkeys(rung.ladder for rung in self.rungs)
         survived = {name: self.survives(name) for name in ladders}
         return {
@@ -140,13 +143,17 @@ def stress(
     check_confidence(confidence)
     problem, lower, _, _ = claim_at(certificate, initial_state)
     pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
-    counts = [
-        rollout(
-            problem, certificate.controller, episodes, seed, chunk=chunk, mismatch=m, executor=executor,
-            progress=progress,
-        ).successes
-        for m in (None, *(rung for _, rung in pairs))
-    ]  # fmt: skip
+    counts: list[int] = []
+    settings: dict[str, Any] = {"chunk": chunk, "executor": executor, "progress": progress}
+    try:
+        for mismatch in (None, *(rung for _, rung in pairs)):
+            runs = rollout(problem, certificate.controller, episodes, seed, mismatch=mismatch, **settings)
+            counts.append(runs.successes)
+    except KeyboardInterrupt:
+        if len(counts) < 2:
+            raise
+    interrupted = len(counts) <= len(pairs)
+    pairs = pairs[: len(counts) - 1]
     against = holm(p_at_least(counts[1:], episodes, lower))
     in_favour = holm(p_at_most(counts[1:], episodes, lower))
     level = 0.5 * (1.0 - confidence)
@@ -155,5 +162,13 @@ def stress(
         verdict = REFUTED if p <= level else CONFIRMED if opposite <= level or lower <= 0.0 else CONSISTENT
         rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, confidence), verdict))
     return StressReport(
-        problem.name, problem.horizon, lower, episodes, int(seed), confidence, counts[0] / episodes, tuple(rungs)
+        problem.name,
+        problem.horizon,
+        lower,
+        episodes,
+        int(seed),
+        confidence,
+        counts[0] / episodes,
+        tuple(rungs),
+        interrupted,
     )

@@ -91,7 +91,7 @@ def stress(options: Namespace) -> int:
             progress=progress,
         )  # fmt: skip
     _show(options, report, report.to_dict())
-    return 0
+    return 130 if report.interrupted else 0
 
 
 def sweep(options: Namespace) -> int:
