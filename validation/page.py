@@ -99,7 +99,7 @@ def _map(content: ReportContent) -> list[str]:
     notes = [
         f"Line: bound; dots: rollouts with their limits. {note}"
         if len(content.axes) == 1
-        else f"The darker, the larger the bound; dots: confirmed; red: refuted. {note}",
+        else f"The stronger the colour, the larger the bound; dots: confirmed; red: refuted. {note}",
         "Blue: the rollouts lie above the bound; orange: below it, mostly by chance where nothing is refuted.",
     ]
     return [

@@ -30,9 +30,9 @@ svg .tick{font-size:10px;fill:var(--soft)}svg .name{fill:var(--soft)}.middle{tex
 .sure-dot{fill:var(--good);stroke:var(--card);stroke-width:.4}
 .region{fill:var(--region);fill-opacity:.22;stroke:var(--region);stroke-width:1}
 svg .region-name{font-size:9px;fill:var(--soft)}.path{stroke-width:1;stroke-opacity:.55}
-.path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}.agent0{stroke:#1f5fae}
-.agent1{stroke:#c2571a}.agent2{stroke:#1e7d4f}.agent3{stroke:#8a4fb0}.agent4{stroke:#b0902a}.agent5{stroke:#c24c7a}
-circle.agent0{fill:#1f5fae}circle.agent1{fill:#c2571a}circle.agent2{fill:#1e7d4f}circle.agent3{fill:#8a4fb0}
+.path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}.agent0{stroke:var(--bound)}
+.agent1{stroke:var(--run)}.agent2{stroke:var(--good)}.agent3{stroke:#8a4fb0}.agent4{stroke:#b0902a}.agent5{stroke:#c24c7a}
+circle.agent0{fill:var(--bound)}circle.agent1{fill:var(--run)}circle.agent2{fill:var(--good)}circle.agent3{fill:#8a4fb0}
 circle.agent4{fill:#b0902a}circle.agent5{fill:#c24c7a}
 .state,.accepting,.dead{fill:var(--card);stroke:var(--ink);stroke-width:1.3}
 .accepting{stroke:var(--good);stroke-width:1.8}.dead{stroke:var(--bad)}svg .state-name{font-size:10px}
