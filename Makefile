@@ -35,5 +35,7 @@ clean:
 	@touch $@
 
 .venv/test: pyproject.toml constraints.txt .venv/python
-	$(PIP) --constraint constraints.txt --editable '.[test]'
+	$(PIP) --constraint constraints.txt --editable '.[test,rl]' || \
+		{ echo "no torch for this Python: the tests of learners will be skipped" >&2; \
+		$(PIP) --constraint constraints.txt --editable '.[test]'; }
 	@touch $@ .venv/core

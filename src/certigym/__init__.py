@@ -50,13 +50,18 @@ if TYPE_CHECKING:
     from .synthesis.grid import Grid as Grid
     from .synthesis.synthesize import Synthesis as Synthesis
     from .synthesis.synthesize import synthesize as synthesize
+    from .validation.actors import load_actor as load_actor
     from .validation.audit import audit as audit
     from .validation.audit_report import AuditReport as AuditReport
     from .validation.cluster import DaskExecutor as DaskExecutor
+    from .validation.compare import Comparison as Comparison
+    from .validation.compare import compare as compare
     from .validation.fields import FieldReport as FieldReport
     from .validation.fields import find_weakest as find_weakest
     from .validation.fields import validate_field as validate_field
     from .validation.mismatch import Mismatch as Mismatch
+    from .validation.policies import IdleController as IdleController
+    from .validation.policies import RandomController as RandomController
     from .validation.policies import as_controller as as_controller
     from .validation.report import gather_report as gather_report
     from .validation.report import write_report as write_report
@@ -66,6 +71,8 @@ if TYPE_CHECKING:
     from .validation.stress import stress as stress
     from .validation.sweeps import sweep_horizons as sweep_horizons
     from .validation.sweeps import synthesize_best as synthesize_best
+    from .validation.train import Training as Training
+    from .validation.train import train as train
     from .validation.validate import ValidationReport as ValidationReport
     from .validation.validate import validate as validate
 
@@ -75,20 +82,24 @@ _EXPORTS = {
     "Automaton": "envs.automaton",
     "Box": "envs.box",
     "Certificate": "synthesis.certificate",
+    "Comparison": "validation.compare",
     "Controller": "synthesis.controller",
     "DaskExecutor": "validation.cluster",
     "FieldReport": "validation.fields",
     "FormulaError": "envs.formula",
     "Grid": "synthesis.grid",
+    "IdleController": "validation.policies",
     "InputTable": "synthesis.decentralised",
     "LinearAgent": "envs.agent",
     "Mismatch": "validation.mismatch",
     "Problem": "envs.problem",
     "Proposition": "envs.labeling",
+    "RandomController": "validation.policies",
     "Rollouts": "validation.rollout",
     "Specification": "envs.specification",
     "StressReport": "validation.stress",
     "Synthesis": "synthesis.synthesize",
+    "Training": "validation.train",
     "ValidationReport": "validation.validate",
     "abstract": "synthesis.abstraction",
     "aec_env": "envs.parallel_env",
@@ -98,9 +109,11 @@ _EXPORTS = {
     "central_env": "envs.central_env",
     "certify": "synthesis.certify",
     "check": "synthesis.check",
+    "compare": "validation.compare",
     "find_weakest": "validation.fields",
     "gather_report": "validation.report",
     "improve": "synthesis.certify",
+    "load_actor": "validation.actors",
     "load_certificate": "synthesis.certificate_file",
     "load_problem": "envs.problem_file",
     "make_problem": "envs.suite",
@@ -112,6 +125,7 @@ _EXPORTS = {
     "sweep_horizons": "validation.sweeps",
     "synthesize": "synthesis.synthesize",
     "synthesize_best": "validation.sweeps",
+    "train": "validation.train",
     "translate": "envs.translate",
     "validate": "validation.validate",
     "validate_field": "validation.fields",
