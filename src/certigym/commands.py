@@ -15,6 +15,9 @@ from .envs.agent import LinearAgent
 from .envs.problem import Problem
 from .envs.problem_file import load_problem
 from .envs.suite import make_problem, problem_ids
+from .learning_commands import certify as certify
+from .learning_commands import compare as compare
+from .learning_commands import train as train
 from .rendering_command import render_rollout
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.check import check as check_certificate

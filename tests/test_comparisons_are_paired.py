@@ -1,0 +1,161 @@
+"""Comparisons: common random numbers, exact limits and tests, stated information; and their command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.validation.compare import mcnemar
+from problems import two_agents
+
+PROBLEM = two_agents(horizon=4, noise_covariance=[[0.8]])
+AGENT = """
+[[agents]]
+name = "{}"
+A = [[0.9]]
+B = [[0.5]]
+noise_covariance = [[0.8]]
+state_low = [-4.0]
+state_high = [4.0]
+input_low = [-2.0]
+input_high = [2.0]
+initial_state = [0.3]
+"""
+TASK = f"""
+name = "two"
+horizon = 4
+{AGENT.format("one")}{AGENT.format("two")}
+[propositions]
+a = {{ agent = "one", low = [1.0], high = [3.0] }}
+b = {{ agent = "one", low = [-2.0], high = [0.0] }}
+c = {{ agent = "two", low = [-3.0], high = [-1.0] }}
+[specification]
+formula = "(!b | !c) U a"
+semantics = "co-safe"
+"""
+SOURCE = """
+def head(x, q, time):
+    return (2.0 - 0.9 * x) / 0.5
+
+here = {"one": head, "two": lambda x, q, time: 0.0 * x}
+"""
+
+
+def head(x: Any, q: int, time: int) -> Any:
+    return np.clip((2.0 - 0.9 * x) / 0.5, -2.0, 2.0)
+
+
+def test_policies_meet_the_same_episodes() -> None:
+    result = cg.compare(PROBLEM, {"one": head, "other": head, "idle": cg.IdleController()}, 4000, 7)
+    same, against, _ = result.pairs
+    assert (same.only_first, same.only_second, same.p_value) == (0, 0, 1.0)
+    assert result.entry("one").successes == cg.rollout(PROBLEM, cg.as_controller(PROBLEM, head), 4000, 7).successes
+    assert against.only_first - against.only_second == (result.entry("one").successes - result.entry("idle").successes)
+    assert result.seed == 7 and result.chunk == 2000
+
+
+def test_numbers_agree_with_scipy() -> None:
+    result = cg.compare(PROBLEM, {"head": head, "random": cg.RandomController()}, 3000, confidence=0.95)
+    for entry in result.entries:
+        limits = binomtest(entry.successes, 3000).proportion_ci(0.95, "exact")
+        assert (entry.ci_low, entry.ci_high) == pytest.approx((limits.low, limits.high), rel=1e-9)
+    for a, b in ((0, 1), (3, 9), (9, 3), (40, 80), (7, 7)):
+        assert mcnemar(a, b) == pytest.approx(binomtest(a, a + b).pvalue, rel=1e-9)
+
+
+def test_the_paired_test_keeps_its_level() -> None:
+    """Two policies without effect on success: at most 5 % of 400 comparisons reject at 5 %, binomially (1e-6)."""
+    rng = np.random.default_rng(0)
+    wins = rng.random((400, 200, 2)) < 0.3
+    rejected = 0
+    for outcome in wins:
+        first, second = outcome.T
+        rejected += mcnemar(int((first & ~second).sum()), int((second & ~first).sum())) <= 0.05
+    assert binomtest(rejected, 400, 0.05, "greater").pvalue > 1e-6
+
+
+def test_bounds_seconds_and_information_are_stated() -> None:
+    synthesis = cg.synthesize(PROBLEM, 40, max_sweeps=1)
+    coupled = cg.synthesize(PROBLEM, 80, relation="paper", epsilon=0.3, max_sweeps=0)
+    policies = {"ours": synthesis, "saved": synthesis.certificate, "coupled": coupled, "again": [head, head]}
+    result = cg.compare(PROBLEM, policies, 500)
+    ours, saved, remembering, *seeds = result.entries
+    assert ours.lower_bound == saved.lower_bound == synthesis.certificate.lower_bound
+    assert ours.seconds is not None and ours.seconds > 0.0 and saved.seconds is None
+    assert ours.information == "own state, automaton state, time"
+    assert remembering.information == "own state, automaton state, time, own abstract state"
+    assert [entry.name for entry in seeds] == ["again (seed 0)", "again (seed 1)"]
+    assert "again: mean" in str(result) and "over 2 training seeds" in str(result)
+    assert len(result.pairs) == 10
+
+
+def test_comparisons_are_saved_and_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `viz`")
+    result = cg.compare(PROBLEM, {"ours": cg.synthesize(PROBLEM, 20, max_sweeps=0), "head": head}, 200)
+    result.save(tmp_path / "c.json")
+    assert json.loads((tmp_path / "c.json").read_text()) == json.loads(json.dumps(result.to_dict()))
+    result.plot(tmp_path / "c.png")
+    assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(ValueError, match="file name that ends in"):
+        result.plot(tmp_path / "c.xyz")
+
+
+def test_wrong_comparisons_are_refused() -> None:
+    other = cg.synthesize(PROBLEM.replace(horizon=2), 20, max_sweeps=0)
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({}, "at least one policy"),
+        ({"other": other}, "speaks of another problem"),
+        ({"a (seed 0)": head, "a": [head, head]}, "names that differ"),
+        ({"nothing": None}, "function or a table"),
+    ]
+    for policies, message in cases:
+        with pytest.raises(ValueError, match=message):
+            cg.compare(PROBLEM, policies, 10)
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> str:
+    path = tmp_path / "task.toml"
+    path.write_text(TASK)
+    (tmp_path / "mine.py").write_text(SOURCE)
+    return str(path)
+
+
+def test_the_command_line_compares_and_certifies(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine, out = f"{tmp_path / 'mine.py'}:here", tmp_path / "r.json"
+    words = ["compare", task, "--policies", f"certified,random,idle,{mine}", "--cells", "40", "--episodes", "500"]
+    assert main([*words, "--json", str(out)]) == 0
+    assert [e["name"] for e in json.loads(out.read_text())["entries"]] == ["certified", "random", "idle", mine]
+    assert "common random numbers" in capsys.readouterr().out
+    saved = str(tmp_path / "c.npz")
+    words = ["certify", task, "--policy", mine, "--cells", "40", "--improve", "--episodes", "500", "--out", saved]
+    assert main([*words, "--json", str(out)]) == 0
+    raw, certified, improved = json.loads(out.read_text())["entries"]
+    assert raw["lower_bound"] is None and raw["inadmissible"] > 0
+    assert 0.0 < certified["lower_bound"] < improved["lower_bound"]
+    assert cg.load_certificate(saved).lower_bound == improved["lower_bound"]
+    assert main(["compare", task, "--policies", saved, "--episodes", "100"]) == 0
+    for wrong in ("nobody", f"{tmp_path / 'mine.py'}:nobody", "nowhere.py:here"):
+        assert main(["certify", task, "--policy", wrong]) == 2
+        assert "expected" in capsys.readouterr().err
+
+
+def test_the_command_line_trains(task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    folder = tmp_path / "ppo"
+    words = ["train", task, "--algo", "ppo", "--steps", "2000", "--seed", "1", "--worlds", "16", "--out", str(folder)]
+    assert main([*words, "--plot", str(tmp_path / "curve.svg")]) == 0
+    assert "own state, automaton state, time" in capsys.readouterr().out
+    assert (tmp_path / "curve.svg").is_file()
+    actor = str(folder / "actor.npz")
+    assert main(["compare", task, "--policies", f"{actor},ppo", "--steps", "1000", "--episodes", "100"]) == 0
+    assert main(["certify", task, "--policy", actor, "--cells", "30", "--episodes", "100"]) == 0
+    assert "belong to the policies wrapped" in capsys.readouterr().out
+    assert main(["train", task, "--steps", "0", "--out", str(folder)]) == 2
