@@ -75,6 +75,25 @@ def test_policies_of_agents_are_not_mixed_up() -> None:
     assert abs(swapped.lower_bound - cg.certify(PROBLEM, POLICY, 40).certificate.lower_bound) > 0.05
 
 
+def test_laws_follow_time_automaton_state_and_agent() -> None:
+    """Where nothing saturates the target is the lattice point nearest to ``A m + B u``, within half a lattice step."""
+
+    def drift(sign: float) -> Any:
+        return cg.vectorized(lambda x, q, time: 0.0 * x + sign * (0.3 + 0.2 * time - 0.4 * q))
+
+    given = {"one": drift(1.0), "two": drift(-1.0)}
+    abstraction = abstract(PROBLEM, 100)
+    laws = wrap(PROBLEM, abstraction, decentralised(PROBLEM, given))
+    for law, model, sign in zip(laws, abstraction.models, (1.0, -1.0)):
+        centres, (axis,) = model.grid.centres[:, 0], model.lattice
+        step = np.max(np.diff(axis))
+        for t in range(PROBLEM.horizon):
+            for q in range(PROBLEM.automaton.n_states):
+                wanted = 0.9 * centres + 0.5 * sign * (0.3 + 0.2 * t - 0.4 * q)
+                assert np.max(np.abs(axis[law[t, q]] - wanted)) <= 0.5 * step * (1 + 1e-9)
+    assert step < 0.05
+
+
 def test_certified_controllers_are_certified_again_to_the_last_bit() -> None:
     result = cg.synthesize(PROBLEM, 40, max_sweeps=1)
     again = cg.certify(PROBLEM, result.controller, 40)
