@@ -34,7 +34,7 @@ Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
 Relation = ExactRelation | CoupledRelation
 Bare = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
 
-RELATIONS = ("exact", "paper", "tube")
+RELATIONS = ("auto", "exact", "paper", "tube")
 
 FINE = 8
 """Distinct means per cell and axis up to which every mean is a lattice point; beyond, means are snapped."""
@@ -103,14 +103,14 @@ def abstract(
     problem: Problem,
     cells: Cells = None,
     *,
-    relation: str = "exact",
+    relation: str = "auto",
     targets_per_cell: int | None = None,
     epsilon: float = 0.1,
     feedback: float = 0.0,
     inputs: int = 10,
     delta: float | None = None,
 ) -> Abstraction:
-    """Finite models of the agents of ``problem`` under one kind of relation.
+    """Finite models of the agents of ``problem``.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def abstract(
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str
         ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"paper"``: scalar
-        agents, delta >= 0 in closed form.
+        agents, delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies, else ``tube``.
     targets_per_cell : int
         ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
         Default: 2 for scalar agents, 1 for others.
@@ -146,9 +146,10 @@ def abstract(
         same = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
         if same not in bare:
             per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
-            if relation == "exact":
+            kind = _kind(agent) if relation == "auto" else relation
+            if kind == "exact":
                 bare[same] = _exact(agent, grid, coordinates, per_cell)
-            elif relation == "tube":
+            elif kind == "tube":
                 bare[same] = _tube(agent, grid, coordinates, _label_room(problem, i))
             else:
                 bare[same] = _paper(agent, grid, paper)
@@ -163,9 +164,15 @@ def abstract(
             whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
         models.append(whole[key])
     used: dict[str, object] = {}
-    used.update({"targets_per_cell": targets_per_cell} if relation == "exact" else paper if relation == "paper" else {})
-    settings = {"relation": relation, "cells": [list(m.grid.shape) for m in models], **used}
+    used.update(paper if relation == "paper" else {"targets_per_cell": targets_per_cell})
+    kinds = "/".join(sorted({model.relation.kind for model in models}))
+    settings = {"relation": kinds, "cells": [list(m.grid.shape) for m in models], **used}
     return Abstraction(tuple(models), settings)
+
+
+def _kind(agent: LinearAgent) -> str:
+    """The relation that costs least among those with delta = 0."""
+    return "exact" if np.linalg.matrix_rank(agent.B) == agent.n_states else "tube"
 
 
 def _exact(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> Bare:

@@ -182,15 +182,16 @@ def _input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatA
     for j in range(len(low)):
         middle, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
         moves = np.abs(B[:, j]) > 1e-12
-        step = float(np.min(widths[moves] / np.abs(B[moves, j]))) if moves.any() else np.inf
-        while half > 0 and 2 * half / step + 1 > limit:
+        if half <= 0 or not moves.any():  # nothing to choose
+            axes.append(np.array([middle]))
+            continue
+        step = float(np.min(widths[moves] / np.abs(B[moves, j])))
+        while 2 * half / step + 1 > limit:
             step *= 2.0
-        while half > 0 and 2 * half / step + 1 < min(limit, 9) / 2:
+        while 2 * half / step + 1 < min(limit, 9) / 2:
             step /= 2.0
-        count = int(np.floor(half / step)) if np.isfinite(step) and half > 0 else 0
-        axis = middle + step * np.arange(-count, count + 1) if count else np.array([middle])
-        extremes = [
-            v for v in (low[j], high[j]) if np.min(np.abs(axis - v)) > 0.25 * (step if np.isfinite(step) else 1.0)
-        ]
-        axes.append(np.unique(np.concatenate([axis, extremes])) if half > 0 else axis)
+        count = int(np.floor(half / step))
+        axis = middle + step * np.arange(-count, count + 1)
+        extremes = [v for v in (low[j], high[j]) if np.min(np.abs(axis - v)) > 0.25 * step]
+        axes.append(np.unique(np.concatenate([axis, extremes])))
     return np.stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")], axis=-1)

@@ -53,7 +53,7 @@ def synthesize(
     problem: Problem,
     cells: Cells = None,
     *,
-    relation: str = "exact",
+    relation: str = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -68,7 +68,8 @@ def synthesize(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
     relation : str
-        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable) or ``"paper"`` (scalar agents), see ``abstract``.
+        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"paper"`` (scalar agents), or ``"auto"``: per
+        agent ``exact`` where it applies and ``tube`` elsewhere; see ``abstract``.
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional

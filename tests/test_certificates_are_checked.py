@@ -199,7 +199,7 @@ def test_the_exact_relation_needs_inputs_for_every_state() -> None:
         specification=cg.Specification("F g", "co-safe"),
     )  # fmt: skip
     with pytest.raises(ValueError, match="full row rank"):
-        cg.synthesize(problem, 8)
+        cg.synthesize(problem, 8, relation="exact")
 
 
 def test_singular_noise_is_refused_with_advice() -> None:

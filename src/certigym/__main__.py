@@ -87,7 +87,7 @@ def _start(parser: argparse.ArgumentParser) -> None:
 
 
 def _synthesis(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--relation", choices=["exact", "tube", "paper"], default="exact", help="default: exact")
+    parser.add_argument("--relation", choices=["auto", "exact", "tube", "paper"], default="auto", help="default: auto")
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
 
 
