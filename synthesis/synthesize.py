@@ -28,7 +28,7 @@ from .joint import JointModel, join, start_of
 from .relation_coupled import CoupledRelation
 from .seeds import best_paths, path_laws, staged_paths
 
-FINAL = Limits(contribution=1e-12, elsewhere=1e-6, mass=1e-12, rank=4000)
+FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
 """What the last pass, with frozen policies, may leave out."""
 
 
