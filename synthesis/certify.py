@@ -32,7 +32,7 @@ from .synthesize import certify as certificate_of
 
 
 def certify(
-    problem: Problem, policy: Policy, cells: Cells = None, *, relation: str = "exact", **settings: Any
+    problem: Problem, policy: Policy, cells: Cells = None, *, relation: str = "auto", **settings: Any
 ) -> Synthesis:
     """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
@@ -72,7 +72,7 @@ def improve(
     policy: Policy,
     cells: Cells = None,
     *,
-    relation: str = "exact",
+    relation: str = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,

@@ -155,6 +155,31 @@ def test_other_relations_choose_the_nearest_input() -> None:
     assert cg.check(result.certificate, PROBLEM)
 
 
+def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
+    """A double integrator: its controllers remember an abstract state, and the bound holds (1e-6)."""
+    cart = cg.LinearAgent(
+        name="cart", A=[[1.0, 0.5], [0.0, 1.0]], B=[[0.125], [0.5]], noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
+        state_low=[-6, -4], state_high=[6, 4], input_low=[-6], input_high=[6], initial_state=[-3.0, 0.0],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="cart", horizon=8, agents=[cart], propositions={"goal": cg.Proposition("cart", [0.0, -4.0], [4.0, 4.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+
+    def pull(x: Any, q: int, time: int) -> Any:
+        return [0.6 * (1.0 - x[0]) - x[1]]
+
+    result = cg.certify(problem, pull, 40)
+    assert all(agent.is_coupled for agent in result.controller.agents)
+    assert 0.2 < result.certificate.lower_bound < 0.95
+    assert cg.check(result.certificate, problem)
+    assert cg.validate(result, 20_000, confidence=1 - 1e-6).verdict != "refuted"
+    better = cg.improve(problem, pull, 40, max_sweeps=2).certificate
+    assert better.lower_bound >= result.certificate.lower_bound
+    with pytest.raises(ValueError, match="without memory"):
+        cg.certify(problem, result.controller, 40)
+
+
 def test_a_stationary_table_holds_at_all_times() -> None:
     grid = cg.Grid((np.array([-4.0, 0.0, 4.0]),))
     table = cg.InputTable(grid, np.array([[[[1.0], [-1.0]]] * 3]))

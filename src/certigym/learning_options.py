@@ -35,7 +35,7 @@ def add_learning_commands(commands: Any) -> None:
     _problem(certify)
     certify.add_argument("--policy", required=True, metavar="POLICY", help="actor (.npz) or FILE.py:NAME")
     certify.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
-    certify.add_argument("--relation", default="exact", help="how agents follow their finite models (default: exact)")
+    certify.add_argument("--relation", default="auto", help="how agents follow their finite models (default: auto)")
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
     certify.add_argument("--out", metavar="CERT", help="save the certificate, of the improved policy if any (.npz)")
     _rollouts(certify)
