@@ -20,10 +20,10 @@ from typing import Any
 import certigym as cg
 
 TASKS: dict[str, tuple[str, dict[str, Any], int]] = {
-    "RA2, T = 7": ("reach-avoid-v0", {}, 500),
-    "RA2, T = 5": ("reach-avoid-v0", {"horizon": 5}, 500),
-    "IV-4": ("invariance-4-v0", {}, 200),
-    "RA-N, 4 agents": ("reach-avoid-n-v0", {}, 200),
+    "RA2, T = 7": ("reach-avoid-v0", {}, 2000),
+    "RA2, T = 5": ("reach-avoid-v0", {"horizon": 5}, 2000),
+    "IV-4": ("invariance-4-v0", {}, 1000),
+    "RA-N, 4 agents": ("reach-avoid-n-v0", {}, 2000),
 }
 """Id, arguments and cells per axis."""
 
@@ -63,7 +63,7 @@ def main() -> None:
         print(f"\n| {name} | success | 99 % limits | certified P >= | seconds |\n|---|---|---|---|---|")
         for e in comparison.entries:
             bound = "" if e.lower_bound is None else f"{int(e.lower_bound * 1e6) / 1e6:.6f}"
-            seconds = "" if e.seconds is None else f"{e.seconds:.1f}"
+            seconds = "" if e.seconds is None else f"{e.seconds:.2f}"
             print(f"| {e.name} | {e.rate:.5f} | [{e.ci_low:.5f}, {e.ci_high:.5f}] | {bound} | {seconds} |", flush=True)
         kept = {frozenset((p.first, p.second)): p for p in comparison.pairs}
         for seed in options.seeds:
