@@ -22,13 +22,16 @@ from environment_pages import FOLDER, MEASURED
 
 EPISODES, SEED, CONFIDENCE = 20_000, 0, 0.999
 CELLS = {
+    "building-automation-v0": 100,
     "car-park-planar-v0": 100,
     "door-formation-v0": 24,
     "meeting-v0": 64,
     "package-delivery-eased-v0": 250,
+    "package-delivery-kinematic-v0": 30,
     "package-delivery-single-v0": 60,
     "package-delivery-v0": 250,
     "patrol-recharge-v0": 160,
+    "reach-avoid-kinematic-v0": 60,
     "reach-avoid-planar-v0": 80,
 }
 """Cells per axis where the default would be too many for a page, or too few."""
