@@ -100,9 +100,25 @@ class AxisTable:
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
             return values[..., s0:s1] @ entries.T
-        smoothed = np.empty((*values.shape[:-1], self.shape[0]))
+        if values.ndim > 2:
+            return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
+        groups = _by_support(values)
+        if len(groups) == 1:
+            return self._smooth_range(values, *groups[0][1:])
+        smoothed = np.empty((len(values), self.shape[0]))
+        for rows, first, last in groups:
+            smoothed[rows] = self._smooth_range(values[rows], first, last)
+        return smoothed
+
+    def _smooth_range(self, values: NDArray, first: int, last: int) -> NDArray:
+        """Smooth rows (n, S) that are 0 outside the cells ``first .. last - 1``."""
+        smoothed = np.empty((len(values), self.shape[0]))
         for z0, z1, s0, s1, entries in self.blocks:
-            np.matmul(values[..., s0:s1], entries.T, out=smoothed[..., z0:z1])
+            a, b = max(s0, first), min(s1, last)
+            if a < b:
+                np.matmul(values[:, a:b], entries[:, a - s0 : b - s0].T, out=smoothed[:, z0:z1])
+            else:
+                smoothed[:, z0:z1] = 0.0
         return smoothed
 
     def push(self, masses: NDArray) -> NDArray:
@@ -112,6 +128,19 @@ class AxisTable:
             pushed[..., s0:s1] += masses[..., z0:z1] @ entries
         return pushed
 
+
+def _by_support(values: NDArray) -> list[tuple[NDArray[np.int64], int, int]]:
+    """Rows (n, S) in groups with about the same range of cells where they are not 0: (rows, first, last + 1)."""
+    n_cells = values.shape[-1]
+    present = values != 0
+    first = present.argmax(axis=1) // SUPPORT * SUPPORT
+    last = np.minimum(n_cells, -(-(n_cells - present[:, ::-1].argmax(axis=1)) // SUPPORT) * SUPPORT)
+    key = first * (n_cells + 1) + last
+    return [(np.flatnonzero(key == k), int(k // (n_cells + 1)), int(k % (n_cells + 1))) for k in np.unique(key)]
+
+
+SUPPORT = 64
+"""Ranges of nonzero cells are rounded outwards to multiples of this."""
 
 REACH = 9.0
 """Standard deviations beyond which masses count as 0; both tails together hold less than 3e-19."""

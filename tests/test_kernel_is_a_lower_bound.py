@@ -67,3 +67,17 @@ def test_banded_tables_are_the_dense_ones(std: float) -> None:
     np.testing.assert_allclose(banded.smooth(values), values @ table.T, rtol=1e-13)
     np.testing.assert_allclose(banded.push(masses), masses @ table, rtol=1e-13)
     assert std > 1 or sum(entries.size for *_, entries in banded.blocks) < 0.7 * dense.size
+
+
+def test_rows_with_narrow_support_are_smoothed_alike() -> None:
+    edges, means = np.linspace(-20.0, 5.0, 1201), np.linspace(-21.0, 6.0, 1500)
+    banded, _ = gaussian_table(means, edges, 0.5)
+    rng = np.random.default_rng(2)
+    values = rng.random((9, 1200))
+    for row, (a, b) in enumerate(
+        [(0, 1200), (0, 1), (1199, 1200), (200, 440), (3, 3), (64, 128), (63, 65), (900, 1200)]
+    ):
+        values[row, :a] = values[row, b:] = 0.0
+    np.testing.assert_allclose(banded.smooth(values), values @ banded.toarray().T, rtol=1e-12, atol=1e-300)
+    stacked = values.reshape(3, 3, 1200)
+    np.testing.assert_allclose(banded.smooth(stacked).reshape(9, -1), banded.smooth(values), rtol=1e-12)
