@@ -71,22 +71,10 @@ def _best_in_window(
     choices: TargetWindows, block: NDArray[Any], weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:
     """Argmax and maximum of the objective over the windows of a block of cells."""
-    low, high = choices.low[block], choices.high[block]
-    nonempty = np.all(low < high, axis=1)
-    if not nonempty.any():
+    flat, allowed = choices.band(int(block[0]), len(block))
+    if len(flat) == 0:
         return np.full(len(block), -1), np.full(len(block), -np.inf)
-    axes = [np.arange(a, b) for a, b in zip(low[nonempty].min(axis=0), high[nonempty].max(axis=0), strict=True)]
-    flat = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), choices.shape).ravel()
-    scores = weights @ table[:, flat]
-    if choices.relation.is_box:
-        allowed = np.ones((len(block), *(len(axis) for axis in axes)), dtype=bool)
-        for k, axis in enumerate(axes):
-            inside = (axis >= low[:, k, None]) & (axis < high[:, k, None])
-            allowed &= inside.reshape(len(block), *(-1 if j == k else 1 for j in range(len(axes))))
-        allowed = allowed.reshape(len(block), -1)
-    else:
-        allowed = choices.admissible(block[:, None], flat[None, :])
-    scores[~allowed] = -np.inf
+    scores = np.where(allowed, weights @ table[:, flat], -np.inf)
     first = np.argmax(scores, axis=1)
     value = scores[np.arange(len(block)), first]
     return np.where(np.isfinite(value), flat[first], -1), value

@@ -21,7 +21,7 @@ from .abstraction import Relation
 from .ascent import Skeleton
 from .bounds import joint_delta, term_depths
 from .controller import AgentController, Controller
-from .grid import FloatArray, Grid
+from .grid import FloatArray, Grid, start_share
 from .guards import Guards
 from .relation_exact import exact_relation
 from .relation_paper import paper_relation
@@ -311,10 +311,5 @@ class Certificate:
                 raise ValueError(
                     f"`low`, `high`: expected low <= high for agent `{self.problem.agent_names[i]}`, got {a} and {b}"
                 )
-            if not self._relations[i].has_state_coordinates:
-                raise ValueError(
-                    f"`low`, `high`: agent `{self.problem.agent_names[i]}` has correlated noise and cells that are no "
-                    "boxes in state space; ask for points with `at`"
-                )
-            weights.append(self.agents[i].grid.overlap(a, b))
+            weights.append(start_share(self.agents[i].grid, self.agents[i].coordinates, a, b))
         return weights

@@ -28,6 +28,7 @@ from ..envs.agent import LinearAgent
 from ..envs.box import Box
 from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate
+from .grid import start_share
 from .relation_coupled import CoupledRelation
 from .terms import Terms
 from .verify_relation import verify_relation
@@ -359,7 +360,8 @@ def _undecided(certificate: Certificate) -> float:
     settled = problem.automaton.dead.copy()
     if problem.automaton.semantics == "co-safe":
         settled |= problem.automaton.accepting
-    shares = [p.grid.overlap(a.initial.low, a.initial.high) for a, p in zip(problem.agents, agents, strict=True)]
+    pairs = zip(problem.agents, agents, strict=True)
+    shares = [start_share(p.grid, p.coordinates, a.initial.low, a.initial.high) for a, p in pairs]
     alive: list[tuple[int, list[FloatArray]]] = []
     if all(np.array_equal(a.initial.low, a.initial.high) for a in problem.agents):
         alive = [(problem.initial_q, shares)] if problem.initial_q is not None else []

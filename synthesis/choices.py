@@ -22,6 +22,9 @@ from .relation_exact import ExactRelation
 
 Law = NDArray[np.int32]
 
+BAND_BYTES = 200_000_000
+"""Memory for remembered bands of admissible targets, per agent model."""
+
 
 @dataclass(frozen=True, eq=False)
 class TargetWindows:
@@ -68,6 +71,39 @@ class TargetWindows:
         targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
         wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
         return np.all(wanted <= self.reserve[cells], axis=-1)
+
+    @cached_property
+    def _bands(self) -> dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+        return {}
+
+    def band(self, first: int, count: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Lattice points (N,) that some of ``count`` cells from ``first`` on can choose, and which each can (count, N).
+
+        Kept for the next call as long as all bands together stay below ``BAND_BYTES``.
+        """
+        if (first, count) in self._bands:
+            return self._bands[first, count]
+        block = np.arange(first, first + count)
+        low, high = self.low[block], self.high[block]
+        nonempty = np.all(low < high, axis=1)
+        if not nonempty.any():
+            found = np.zeros(0, dtype=np.int64), np.zeros((count, 0), dtype=bool)
+        else:
+            bounds = zip(low[nonempty].min(axis=0), high[nonempty].max(axis=0), strict=True)
+            axes = [np.arange(a, b) for a, b in bounds]
+            flat = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), self.shape).ravel()
+            allowed = np.ones((count, *(len(axis) for axis in axes)), dtype=bool)
+            for k, axis in enumerate(axes):
+                inside = (axis >= low[:, k, None]) & (axis < high[:, k, None])
+                allowed &= inside.reshape(count, *(-1 if j == k else 1 for j in range(len(axes))))
+            allowed = allowed.reshape(count, -1)
+            if not self.relation.is_box:
+                allowed &= self.admissible(block[:, None], flat[None, :])
+            used = allowed.any(axis=0)
+            found = flat[used], allowed[:, used]
+        if sum(own.nbytes for _, own in self._bands.values()) + found[1].nbytes <= BAND_BYTES:
+            self._bands[first, count] = found
+        return found
 
     @cached_property
     def axis_windows(self) -> tuple[tuple[NDArray[np.int32], NDArray[np.int32]], ...] | None:

@@ -98,6 +98,28 @@ class Grid:
         return share
 
 
+def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Share (S,) of a start box in each cell: of a point whatever the grid coordinates, of a box only in state ones.
+
+    Raises
+    ------
+    ValueError
+        For a box if the cells are no boxes in state space (correlated noise).
+    """
+    if np.array_equal(coordinates, np.eye(len(coordinates))):
+        return grid.overlap(low, high)
+    if not np.array_equal(low, high):
+        raise ValueError(
+            "`initial_low`, `initial_high`: expected an `initial_state` for an agent with correlated noise, got a box; "
+            "its cells are no boxes in state space, so give a point"
+        )
+    point = np.linalg.solve(coordinates, low)
+    inside = all(edges[0] <= x <= edges[-1] for edges, x in zip(grid.edges, point, strict=True))
+    share = np.zeros(grid.n_cells)
+    share[grid.cell_of(point[:, None])] = float(inside)
+    return share
+
+
 def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[float] = ()) -> FloatArray:
     """Edges of about ``cells`` intervals of ``[low, high]`` that contain every boundary inside it.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .abstraction import Abstraction, AgentModel
-from .grid import FloatArray
+from .grid import FloatArray, start_share
 from .guards import Guards, compile_guards
 from .occupancy import Occupancy
 from .terms import Terms
@@ -88,7 +88,8 @@ def start_of(problem: Problem, joint: JointModel) -> Occupancy:
     boxes = [agent.initial for agent in problem.agents]
     if all(np.array_equal(box.low, box.high) for box in boxes):
         return point_start(problem, joint, [box.low for box in boxes])
-    factors = [_overlap(model, box.low, box.high) for box, model in zip(boxes, joint.models, strict=True)]
+    pairs = zip(boxes, joint.models, strict=True)
+    factors = [start_share(m.grid, m.relation.coordinates, box.low, box.high) for box, m in pairs]
     return _read_first_letter(problem, joint, factors)
 
 
@@ -111,16 +112,6 @@ def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray
 def _cell(model: AgentModel, state: FloatArray) -> int:
     """Cell of one state (d,)."""
     return int(model.grid.cell_of(model.relation.to_grid(state)[:, None])[0])
-
-
-def _overlap(model: AgentModel, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Share (S,) of the start box in each cell."""
-    if not model.relation.has_state_coordinates:
-        raise ValueError(
-            "`initial_low`, `initial_high`: expected an `initial_state` for an agent with correlated noise, got a box; "
-            "its cells are no boxes in state space, so give a point"
-        )
-    return model.grid.overlap(low, high)
 
 
 def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:

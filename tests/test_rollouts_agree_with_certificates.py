@@ -69,6 +69,17 @@ def test_lower_bounds_with_cut_cells_and_correlated_noise_hold() -> None:
     assert 0.5 < report.lower_bound <= report.ci_high
 
 
+def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
+    """One-sided, 1e-6: the scalar agent starts in a box, the one with correlated noise at a point."""
+    problem = correlated().replace(initial_low={"line": [-0.5]}, initial_high={"line": [0.5]})
+    result = cg.synthesize(problem, {"plane": [24, 24], "line": 40}, max_sweeps=1)
+    assert result.certificate.start == "mean" and cg.check(result.certificate)
+    report = cg.validate(result, episodes=30_000, seed=5, confidence=1 - FALSE_ALARM)
+    assert report.verdict != REFUTED and report.lower_bound > 0.3, str(report)
+    with pytest.raises(ValueError, match="correlated noise"):
+        cg.synthesize(correlated().replace(initial_low={"plane": [-1.0, -1.0]}, initial_high={"plane": [0.0, 0.0]}), 16)
+
+
 def test_bounds_at_other_starts_hold() -> None:
     result = cg.synthesize(EXACT["reach-avoid"][0], 100)
     for state in ([1.5, 0.0], [-3.9, 2.0], [-1.0, -2.0], [3.9, -3.9]):
