@@ -27,8 +27,8 @@ from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
 from .abstraction import Relation
 from .grid import FloatArray, Grid
-from .relation_coupled import CoupledRelation, apply, couple
-from .relation_exact import ExactRelation
+from .relation_coupled import CoupledRelation, couple
+from .relation_exact import ExactRelation, apply
 
 
 @dataclass(frozen=True, eq=False)

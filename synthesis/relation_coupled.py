@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from .relation_exact import apply
+
 FloatArray = NDArray[Any]
 
 
@@ -123,15 +125,3 @@ def couple(whitened: FloatArray, move: FloatArray, uniform: FloatArray) -> Float
     accepted = np.log(np.maximum(uniform, 1e-300)) <= -(along + 0.5 * length)
     mirrored = whitened - 2.0 * move * (along / np.where(length > 0, length, 1.0))
     return np.where(accepted, whitened + move, mirrored)
-
-
-def apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """``matrix @ vectors`` over the first axis, term by term, so that the result does not depend on the batch."""
-    rows = []
-    for row in matrix:
-        total = row[0] * vectors[0]
-        for coefficient, component in zip(row[1:], vectors[1:], strict=True):
-            if coefficient != 0.0:
-                total = total + coefficient * component
-        rows.append(total)
-    return np.stack(rows)

@@ -79,7 +79,7 @@ class ExactRelation:
         """Grid coordinates (d, ...) of states (d, ...), a new array."""
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
-        return _apply(np.linalg.inv(self.coordinates), states)
+        return apply(np.linalg.inv(self.coordinates), states)
 
     @property
     def has_state_coordinates(self) -> bool:
@@ -101,8 +101,8 @@ class ExactRelation:
 
     def inputs(self, targets: FloatArray, states: FloatArray) -> FloatArray:
         """Inputs (m, ...) that put the mean of the next grid state on ``targets`` (d, ...) from ``states`` (d, ...)."""
-        gap = targets - self.drift.reshape(-1, *[1] * (states.ndim - 1)) - _apply(self.A, states)
-        return _apply(self.right_inverse, gap) + self.input_centre.reshape(-1, *[1] * (states.ndim - 1))
+        gap = targets - self.drift.reshape(-1, *[1] * (states.ndim - 1)) - apply(self.A, states)
+        return apply(self.right_inverse, gap) + self.input_centre.reshape(-1, *[1] * (states.ndim - 1))
 
 
 def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
@@ -141,7 +141,7 @@ def _clean(matrix: FloatArray) -> FloatArray:
     return np.where(np.abs(matrix) <= 1e-15 * scale, 0.0, matrix)
 
 
-def _apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+def apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """``matrix @ vectors`` over the first axis, term by term, so that the result does not depend on the batch."""
     rows = []
     for row in matrix:

@@ -22,7 +22,7 @@ import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.certificate import Certificate
 from certigym.synthesis.certificate_file import _digest
-from certigym.synthesis.check import regrow
+from certigym.synthesis.regrow import regrow
 from problems import two_agents
 from test_rollouts_agree_with_certificates import correlated
 

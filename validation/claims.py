@@ -17,8 +17,8 @@ from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics, Worlds
 from ..synthesis.bounds import term_depths
 from ..synthesis.certificate import Certificate
-from ..synthesis.check import regrow
 from ..synthesis.guards import Guards
+from ..synthesis.regrow import regrow
 from ..synthesis.terms import Terms
 
 PRODUCTS = 4_000_000
