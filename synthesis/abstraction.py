@@ -245,9 +245,9 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
 
 
 def _distinct(values: FloatArray, width: float) -> FloatArray:
-    """Distinct values, those closer than a billionth of a cell taken for one."""
+    """Distinct values; rounding noise, far below what the tube is enlarged by, does not make two of one."""
     ordered = np.unique(values)
-    return ordered[np.concatenate([[True], np.diff(ordered) > 1e-9 * width])]
+    return ordered[np.concatenate([[True], np.diff(ordered) > 1e-11 * width])]
 
 
 def _multiples(values: FloatArray, step: float) -> FloatArray:
