@@ -119,7 +119,8 @@ def abstract(
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str
         ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"paper"``: scalar
-        agents, delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies, else ``tube``.
+        agents, delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies and the inputs are
+        strong enough for the cells, else ``tube``.
     targets_per_cell : int
         ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
         Default: 2 for scalar agents, 1 for others.
@@ -146,10 +147,11 @@ def abstract(
         same = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
         if same not in bare:
             per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
-            kind = _kind(agent) if relation == "auto" else relation
-            if kind == "exact":
+            if relation == "auto":
+                bare[same] = _cheapest(agent, grid, coordinates, per_cell, _label_room(problem, i))
+            elif relation == "exact":
                 bare[same] = _exact(agent, grid, coordinates, per_cell)
-            elif kind == "tube":
+            elif relation == "tube":
                 bare[same] = _tube(agent, grid, coordinates, _label_room(problem, i))
             else:
                 bare[same] = _paper(agent, grid, paper)
@@ -170,9 +172,21 @@ def abstract(
     return Abstraction(tuple(models), settings)
 
 
-def _kind(agent: LinearAgent) -> str:
-    """The relation that costs least among those with delta = 0."""
-    return "exact" if np.linalg.matrix_rank(agent.B) == agent.n_states else "tube"
+STRANDED = 0.02
+"""Share of cells without an admissible target up to which the ``exact`` relation is preferred to a tube."""
+
+
+def _cheapest(agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_cell: int, room: FloatArray) -> Bare:
+    """The ``exact`` relation where it applies, unless weak inputs leave many cells without a target; else a tube."""
+    if np.linalg.matrix_rank(agent.B) < agent.n_states:
+        return _tube(agent, grid, coordinates, room)
+    exact = _exact(agent, grid, coordinates, per_cell)
+    if np.mean(exact[3].resting_law < 0) <= STRANDED:
+        return exact
+    try:
+        return _tube(agent, grid, coordinates, room)
+    except ValueError:  # no tube fits into the inputs either
+        return exact
 
 
 def _exact(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> Bare:
@@ -267,6 +281,9 @@ def _lattice_axis(edges: FloatArray, per_cell: int, lowest: float, highest: floa
     offsets = (np.arange(per_cell) + 0.5) / per_cell
     inside = (edges[:-1, None] + widths[:, None] * offsets).ravel()
     first, last = widths[0] / per_cell, widths[-1] / per_cell
+    usual = (edges[-1] - edges[0]) / (len(widths) * per_cell)
+    inside = inside[np.concatenate([[True], np.diff(inside) > 1e-9 * usual])]  # points in slivers are one point
+    first, last = max(first, usual), max(last, usual)  # a sliver at the edge is no measure
     below = int(np.ceil(max(0.0, min(edges[0] - lowest, beyond)) / first))
     above = int(np.ceil(max(0.0, min(highest - edges[-1], beyond)) / last))
     before, after = inside[0] - first * np.arange(below, 0, -1), inside[-1] + last * np.arange(1, above + 1)

@@ -25,11 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .abstraction import AgentModel
-from .ascent import Skeleton, Sweep
+from .ascent import Laws, Skeleton, Sweep
 from .guards import Guards
 from .joint import JointModel
 from .kernel import UNIT
 from .occupancy import Occupancy
+
+SPARE = 1e-8
+"""Added to the undecided mass of every step, so that a second, coarser computation of it does not exceed it."""
 
 INFLATE = 1.0 + 1e-9
 """Factor on what is subtracted, far above the rounding of what it is subtracted from."""
@@ -80,12 +83,16 @@ def relative_rounding(joint: JointModel, rank: int) -> float:
     return 2.0 * gamma + 1e-11 * (n_agents + 10)
 
 
-def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool) -> Bound:
-    """Bound of a value with delta = 0; ``aligned`` says that no value is lost at region and workspace edges."""
+def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: float = 0.0) -> Bound:
+    """Bound of a value with delta = 0; ``aligned`` says that no value is lost at region and workspace edges.
+
+    ``stranded`` bounds from above the probability of ever being, undecided, in a cell without an admissible choice: the
+    value counts such runs as failed, the controller goes on with them.
+    """
     relative = relative_rounding(joint, sweep.rank)
     lower = min(1.0, max(0.0, sweep.value * (1.0 - relative)))
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
-    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss
+    gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss + stranded
     return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
 
 
@@ -107,7 +114,22 @@ def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> floa
     total = 0.0
     for t, occupancy in enumerate(occupancies):
         mass = sum(float(occupancy.masses(q).sum()) for q in range(joint.n_states) if not joint.absorbing[q])
-        total += min(1.0, mass * INFLATE + occupancy.leftover + t * missing)
+        total += min(1.0, mass * INFLATE + occupancy.leftover + t * missing + SPARE)
+    return total * INFLATE
+
+
+def stranded_mass(joint: JointModel, laws: Laws, occupancies: Sequence[Occupancy]) -> float:
+    """Upper bound on the probability of ever being undecided in a cell whose law has no choice."""
+    total = 0.0
+    for t, occupancy in enumerate(occupancies):
+        total += occupancy.leftover
+        for q, rows in enumerate(occupancy.terms.index):
+            if joint.absorbing[q] or not len(rows):
+                continue
+            whole = np.array([own.sum(axis=1)[rows[:, i]] for i, own in enumerate(occupancy.terms.factors)])
+            for i, own in enumerate(occupancy.terms.factors):
+                idle = own[:, laws[i][t, q] < 0].sum(axis=1)[rows[:, i]]
+                total += float((idle * np.prod(np.delete(whole, i, axis=0), axis=0)).sum())
     return total * INFLATE
 
 

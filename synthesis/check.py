@@ -227,7 +227,7 @@ def _start_value(certificate: Certificate, terms: Terms) -> float:
     boxes = [agent.initial for agent in certificate.problem.agents]
     low, high = (np.concatenate([getattr(b, side) for b in boxes]) for side in ("low", "high"))
     value = float(plain.at(low)[0]) if np.array_equal(low, high) else plain.mean(low, high)
-    return value - delta * _undecided(certificate) * (1 + 1e-9) if delta else value
+    return max(0.0, value - delta * _undecided(certificate) * (1 + 1e-9)) if delta else value
 
 
 def _undecided(certificate: Certificate) -> float:

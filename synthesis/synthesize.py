@@ -19,6 +19,7 @@ from .bounds import (
     relative_rounding,
     robust_bound,
     robust_loss,
+    stranded_mass,
     undecided_steps,
 )
 from .certificate import EXACT_GAP, AgentPart, Certificate
@@ -201,7 +202,10 @@ def best_bound(
 ) -> tuple[Sweep, Bound, dict[str, float]]:
     """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
     if all(model.delta == 0.0 for model in joint.models):
-        bound = nominal_bound(joint, best, abstraction.is_exact)
+        stranded = 0.0
+        if abstraction.is_exact and any(np.any(model.choices.resting_law < 0) for model in joint.models):
+            stranded = stranded_mass(joint, best.laws, forward(joint, best.laws, start_of(problem, joint), FINAL))
+        bound = nominal_bound(joint, best, abstraction.is_exact, stranded)
         return best, bound, {bound.name: bound.lower}
     start = start_of(problem, joint)
     undecided = undecided_steps(joint, forward(joint, best.laws, start, FINAL))

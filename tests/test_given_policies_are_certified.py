@@ -124,7 +124,7 @@ def test_the_nearest_admissible_target_is_taken(form: str) -> None:
         name="plane", horizon=2, agents=[agent], propositions={"goal": cg.Proposition("plane", [1, 1], [3, 3])},
         specification=cg.Specification("F goal", "co-safe"),
     )  # fmt: skip
-    (model,) = abstract(problem, 9).models
+    (model,) = abstract(problem, 9, relation="exact").models
     windows = model.choices
     assert isinstance(windows, TargetWindows)
     wanted = np.random.default_rng(0).uniform(-4.0, 4.0, (2, model.n_cells))

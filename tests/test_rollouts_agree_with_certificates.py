@@ -80,6 +80,27 @@ def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
         cg.synthesize(correlated().replace(initial_low={"plane": [-1.0, -1.0]}, initial_high={"plane": [0.0, 0.0]}), 16)
 
 
+def test_weak_inputs_are_not_called_exact() -> None:
+    """Where cells have no admissible target the value is a lower bound only; the automatic choice is a tube."""
+    weak = two_agents("F (a & F c)", horizon=4, noise_covariance=[[1.5]], B=[[0.01]])
+    forced = cg.synthesize(weak, 100, relation="exact").certificate
+    assert not forced.exact
+    assert not cg.validate(forced, 20_000, confidence=1 - FALSE_ALARM / 2).refuted
+    chosen = cg.synthesize(weak, 100)
+    assert chosen.certificate.settings["relation"] == "tube"
+    assert chosen.certificate.lower_bound > forced.lower_bound
+    assert not cg.validate(chosen, 20_000, confidence=1 - FALSE_ALARM / 2).refuted and cg.check(chosen.certificate)
+
+
+def test_slivers_at_the_edge_of_the_workspace_do_no_harm() -> None:
+    problem = cg.Problem(
+        name="sliver", horizon=2, agents=[two_agents().agents[0]],
+        propositions={"a": cg.Proposition("one", [1.0], [4.0 - 4e-16]), "b": cg.Proposition("one", [-4.0], [0.0])},
+        specification=cg.Specification("F a", "co-safe"),
+    )  # fmt: skip
+    assert cg.check(cg.synthesize(problem, 40).certificate)
+
+
 def test_bounds_at_other_starts_hold() -> None:
     result = cg.synthesize(EXACT["reach-avoid"][0], 100)
     for state in ([1.5, 0.0], [-3.9, 2.0], [-1.0, -2.0], [3.9, -3.9]):
@@ -147,7 +168,7 @@ def test_stepping_the_environment_agrees_with_batched_rollouts() -> None:
 
 def test_batched_and_single_controllers_agree_to_the_last_bit() -> None:
     problem = correlated()
-    controller = cg.synthesize(problem, {"plane": [16, 16], "line": 20}).controller
+    controller = cg.synthesize(problem, {"plane": [16, 16], "line": 20}, relation="exact").controller
     dynamics = Dynamics.of(problem)
     from certigym.envs import dynamics as core
 
