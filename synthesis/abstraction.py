@@ -349,7 +349,8 @@ def _label_room(problem: Problem, i: int) -> FloatArray:
                 inside = np.clip(
                     np.sort([low / row[k], high / row[k]]), agent.workspace.low[k], agent.workspace.high[k]
                 )
-                room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
+                if inside[1] > inside[0]:
+                    room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
     return np.asarray(room)
 
 
