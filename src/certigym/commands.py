@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from .arguments import cells_of, named_problem, problem_of, state_of, write_json
 from .envs.agent import LinearAgent
 from .envs.problem import Problem
-from .envs.problem_file import load_problem
 from .envs.suite import make_problem, problem_ids
 from .learning_commands import certify as certify
 from .learning_commands import compare as compare
@@ -44,12 +44,13 @@ def problems(options: Namespace) -> int:
         for row in rows:
             size = f"{row['agents']:>3} agents  T={row['horizon']:<3}"
             print(f"{row['id']:<{width}}  {size} {row['semantics']:<12} {row['task']}")
-    return _write(options, rows)
+    write_json(options, rows)
+    return 0
 
 
 def describe(options: Namespace) -> int:
     """Show a problem."""
-    problem = _problem(options)
+    problem = problem_of(options)
     automaton = problem.automaton
     lines = [
         f"{problem.name}: {problem.n_agents} agents, horizon {problem.horizon}, {automaton.semantics}",
@@ -71,7 +72,8 @@ def describe(options: Namespace) -> int:
     lines.append(f"fingerprint: {problem.fingerprint}")
     if options.json != "-":
         print("\n".join(lines))
-    return _write(options, {**problem.to_dict(), "fingerprint": problem.fingerprint})
+    write_json(options, {**problem.to_dict(), "fingerprint": problem.fingerprint})
+    return 0
 
 
 def run(options: Namespace) -> int:
@@ -96,12 +98,13 @@ def synthesize(options: Namespace) -> int:
         claim = shown_bound(certificate.lower_bound, certificate.gap)
         print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}")
         print(f"saved to {options.out}")
-    return _write(options, summary)
+    write_json(options, summary)
+    return 0
 
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate."""
-    return validate_result(options, load_certificate(options.certificate), _state(options))
+    return validate_result(options, load_certificate(options.certificate), state_of(options))
 
 
 def check(options: Namespace) -> int:
@@ -109,14 +112,14 @@ def check(options: Namespace) -> int:
     certificate = load_certificate(options.certificate)
     problem = None
     if options.problem is not None:
-        problem = _load(options.problem, options.horizon)
+        problem = named_problem(options.problem, options.horizon)
     report = check_certificate(certificate, problem)
     if options.json != "-":
         print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}")
     recomputed = None if np.isnan(report.recomputed) else report.recomputed
-    status = _write(options, {"valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed,
+    write_json(options, {"valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed,
                               "failures": list(report.failures), "fingerprint": certificate.fingerprint})  # fmt: skip
-    return status if report else 1
+    return 0 if report else 1
 
 
 def render(options: Namespace) -> int:
@@ -131,7 +134,8 @@ def render(options: Namespace) -> int:
     if options.json != "-":
         verdict = "satisfied" if shown["satisfied"] else "not satisfied"
         print(f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}")
-    return _write(options, shown)
+    write_json(options, shown)
+    return 0
 
 
 def reproduce(options: Namespace) -> int:
@@ -157,12 +161,13 @@ def reproduce(options: Namespace) -> int:
         show(f"written to {folder}")
         if not options.what.startswith("table") and not (folder / f"{options.what}.png").exists():
             print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
-    return _write(options, result)
+    write_json(options, result)
+    return 0
 
 
 def _synthesize(options: Namespace) -> Synthesis:
-    problem = _problem(options)
-    cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
+    problem = problem_of(options)
+    cells = cells_of(options)
     with tqdm(desc="synthesize", unit=" sweeps", disable=None, leave=False) as bar:
 
         def report(text: str, value: float) -> None:
@@ -170,34 +175,6 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.update()
 
         return synthesize_problem(problem, cells, relation=options.relation, progress=report)
-
-
-def _load(name: str, horizon: int | None) -> Problem:
-    """Problem by suite id or file name."""
-    if name in problem_ids():
-        problem = make_problem(name)
-    elif Path(name).is_file():
-        problem = load_problem(name)
-    else:
-        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
-    return problem if horizon is None else problem.replace(horizon=horizon)
-
-
-def _problem(options: Namespace) -> Problem:
-    problem = _load(options.problem, options.horizon)
-    state = _state(options)
-    return problem if state is None else problem.replace(initial_state=state)
-
-
-def _state(options: Namespace) -> list[float] | None:
-    """Joint state given by ``--initial-state``, separated by blanks or commas."""
-    if options.initial_state is None:
-        return None
-    words = " ".join(options.initial_state).replace(",", " ").split()
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise ValueError(f"`--initial-state`: expected numbers, got {' '.join(words)!r}") from None
 
 
 def _agent_lines(agent: LinearAgent) -> list[str]:
@@ -219,13 +196,3 @@ def _task(problem: Problem) -> str:
 
 def _vector(values: Any) -> str:
     return "(" + ", ".join(f"{v:g}" for v in values) + ")"
-
-
-def _write(options: Namespace, data: Any) -> int:
-    """Write JSON where ``--json`` asks for it."""
-    if options.json == "-":
-        json.dump(data, sys.stdout, indent=2, allow_nan=False)
-        print()
-    elif options.json is not None:
-        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return 0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from argparse import Namespace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -11,9 +9,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from .arguments import cells_of, problem_of, show
 from .envs.problem import Problem
-from .envs.problem_file import load_problem
-from .envs.suite import make_problem, problem_ids
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.certify import certify as certify_policy
 from .synthesis.certify import improve as improve_policy
@@ -31,13 +28,13 @@ def train(options: Namespace) -> int:
     """Train a baseline, save it, say how it went."""
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
-    problem = _problem(options)
+    problem = problem_of(options)
     training = _trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
     path = training.save(options.out)
     if options.plot:
         draw_curves([training], options.plot)
     last = training.curve[-1]["success"] if training.curve else float("nan")
-    _show(
+    show(
         options,
         f"{problem.name}: {options.algo}, seed {options.seed}, {training.steps} world steps in "
         f"{training.seconds:.1f} s; success while exploring {last:.3f}\n"
@@ -49,20 +46,20 @@ def train(options: Namespace) -> int:
 
 def compare(options: Namespace) -> int:
     """Make or load the policies, simulate them, print table and tests."""
-    problem = _problem(options)
+    problem = problem_of(options)
     policies = {name: _policy(problem, name, options) for name in options.policies.split(",")}
     result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
     if options.plot:
         result.plot(options.plot)
-    _show(options, result, result.to_dict())
+    show(options, result, result.to_dict())
     return 0
 
 
 def certify(options: Namespace) -> int:
     """Certify a policy as wrapped on a grid; status 1 if its rollouts refute the bound."""
-    problem = _problem(options)
+    problem = problem_of(options)
     policy = _given(problem, options.policy)
-    cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
+    cells = cells_of(options)
     policies: dict[str, Any] = {"raw": policy}
     last = policies["certified"] = certify_policy(problem, policy, cells, relation=options.relation)
     if options.improve:
@@ -71,13 +68,13 @@ def certify(options: Namespace) -> int:
         save_certificate(last.certificate, options.out)
     result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
     note = "The bounds belong to the policies wrapped on the cells (certified, improved), not to the raw one."
-    _show(options, f"{result}\n{note}", result.to_dict())
+    show(options, f"{result}\n{note}", result.to_dict())
     return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
 
 
 def _policy(problem: Problem, name: str, options: Namespace) -> Any:
     """A policy by its word on the command line."""
-    cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
+    cells = cells_of(options)
     if name == "certified":
         found: Synthesis = synthesize_problem(problem, cells)
         return found
@@ -123,33 +120,3 @@ def _trained(
             bar.update(count)
 
         return train_baseline(problem, algorithm, steps, seed, worlds=worlds, reward=reward, progress=progress)
-
-
-def _problem(options: Namespace) -> Problem:
-    name = options.problem
-    if name in problem_ids():
-        problem = make_problem(name)
-    elif Path(name).is_file():
-        problem = load_problem(name)
-    else:
-        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
-    if options.horizon is not None:
-        problem = problem.replace(horizon=options.horizon)
-    if options.initial_state is None:
-        return problem
-    words = " ".join(options.initial_state).replace(",", " ").split()
-    try:
-        return problem.replace(initial_state=[float(word) for word in words])
-    except ValueError as error:
-        raise ValueError(f"`--initial-state`: {error}") from None
-
-
-def _show(options: Namespace, text: Any, data: Any) -> None:
-    """Print the text, and write JSON where ``--json`` asks for it."""
-    if options.json == "-":
-        json.dump(data, sys.stdout, indent=2, allow_nan=False)
-        print()
-        return
-    print(text)
-    if options.json is not None:
-        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from .envs.problem_file import load_problem
-from .envs.suite import make_problem, problem_ids
+from .arguments import cells_of, named_problem, show
 from .spread import Executor
 from .synthesis.certificate import Certificate
 from .synthesis.certificate_file import load_certificate
@@ -45,7 +41,7 @@ def validate_result(options: Namespace, result: Synthesis | Certificate, initial
             )  # fmt: skip
         except ValidationInterrupted as interrupted:
             report, status = interrupted.report, 130
-    _show(options, report, report.to_dict())
+    show(options, report, report.to_dict())
     return status or int(report.refuted)
 
 
@@ -65,7 +61,7 @@ def field(options: Namespace) -> int:
                 certificate, states, options.episodes, options.seed, confidence=options.confidence, shape=shape,
                 executor=executor, progress=progress,
             )  # fmt: skip
-    _show(options, report, report.to_dict())
+    show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.verdict == "refuted")
 
 
@@ -77,7 +73,7 @@ def audit(options: Namespace) -> int:
             certificate, options.episodes, options.seed, confidence=options.confidence, executor=executor,
             progress=progress,
         )  # fmt: skip
-    _show(options, report, report.to_dict())
+    show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.refuted)
 
 
@@ -90,25 +86,20 @@ def stress(options: Namespace) -> int:
             certificate, options.episodes, options.seed, confidence=options.confidence, executor=executor,
             progress=progress,
         )  # fmt: skip
-    _show(options, report, report.to_dict())
+    show(options, report, report.to_dict())
     return 130 if report.interrupted else 0
 
 
 def sweep(options: Namespace) -> int:
     """Synthesize and validate at several horizons."""
-    if options.problem in problem_ids():
-        problem = make_problem(options.problem)
-    elif Path(options.problem).is_file():
-        problem = load_problem(options.problem)
-    else:
-        raise ValueError(f"`{options.problem}`: expected a suite id or a problem file, found neither")
-    cells = None if options.cells is None else options.cells[0] if len(options.cells) == 1 else options.cells
+    problem = named_problem(options.problem)
+    cells = cells_of(options)
     with executor_for(options.dask, options.workers) as executor:
         reports = sweep_horizons(
             problem, options.horizons, options.episodes, options.seed, executor=executor, cells=cells
         )
     rows = [f"{r.horizon:>4}  P >= {r.lower_bound:.6f}  simulated {r.estimate:.6f}  {r.verdict}" for r in reports]
-    _show(options, "\n".join([problem.name, *rows]), [r.to_dict() for r in reports])
+    show(options, "\n".join([problem.name, *rows]), [r.to_dict() for r in reports])
     return int(any(r.refuted for r in reports))
 
 
@@ -121,7 +112,7 @@ def report(options: Namespace) -> int:
             executor=executor, progress=progress,
         )  # fmt: skip
     write_report(content, options.out)
-    _show(options, f"{content.validation}\nwritten to {options.out}", content.to_dict())
+    show(options, f"{content.validation}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
 
 
@@ -172,14 +163,3 @@ def _mismatch(words: Sequence[str] | None) -> Mismatch | None:
         except ValueError:
             raise ValueError(f"`--mismatch`: expected a number after {name}=, got {value!r}") from None
     return Mismatch(**values)
-
-
-def _show(options: Namespace, text: Any, data: Any) -> None:
-    """Print the text, and write JSON where ``--json`` asks for it."""
-    if options.json == "-":
-        json.dump(data, sys.stdout, indent=2, allow_nan=False)
-        print()
-        return
-    print(text)
-    if options.json is not None:
-        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,64 @@
+"""What sub-commands share: the problem and state that options name, and where results are shown."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from .envs.problem import Problem
+from .envs.problem_file import load_problem
+from .envs.suite import make_problem, problem_ids
+
+
+def named_problem(name: str, horizon: int | None = None) -> Problem:
+    """Problem by suite id or file name, with another horizon if one is given."""
+    if name in problem_ids():
+        problem = make_problem(name)
+    elif Path(name).is_file():
+        problem = load_problem(name)
+    else:
+        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
+    return problem if horizon is None else problem.replace(horizon=horizon)
+
+
+def problem_of(options: Namespace) -> Problem:
+    """Problem that ``problem``, ``--horizon`` and ``--initial-state`` describe."""
+    problem, state = named_problem(options.problem, options.horizon), state_of(options)
+    return problem if state is None else problem.replace(initial_state=state)
+
+
+def state_of(options: Namespace) -> list[float] | None:
+    """Joint state given by ``--initial-state``, separated by blanks or commas."""
+    if options.initial_state is None:
+        return None
+    words = " ".join(options.initial_state).replace(",", " ").split()
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"`--initial-state`: expected numbers, got {' '.join(words)!r}") from None
+
+
+def cells_of(options: Namespace) -> int | list[int] | None:
+    """Cells per axis given by ``--cells``: none, one number for all axes, or one each."""
+    if options.cells is None:
+        return None
+    return options.cells[0] if len(options.cells) == 1 else list(options.cells)
+
+
+def show(options: Namespace, text: Any, data: Any) -> None:
+    """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
+    if options.json != "-":
+        print(text)
+    write_json(options, data)
+
+
+def write_json(options: Namespace, data: Any) -> None:
+    """Write JSON to the path, or to standard output (``-``), that ``--json`` names, if any."""
+    if options.json == "-":
+        json.dump(data, sys.stdout, indent=2, allow_nan=False)
+        print()
+    elif options.json is not None:
+        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
