@@ -120,9 +120,10 @@ def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> floa
 
 def stranded_mass(joint: JointModel, laws: Laws, occupancies: Sequence[Occupancy]) -> float:
     """Upper bound on the probability of ever being undecided in a cell whose law has no choice."""
+    missing = sum(model.kernel.loss for model in joint.models)
     total = 0.0
     for t, occupancy in enumerate(occupancies):
-        total += occupancy.leftover
+        total += occupancy.leftover + t * missing
         for q, rows in enumerate(occupancy.terms.index):
             if joint.absorbing[q] or not len(rows):
                 continue
