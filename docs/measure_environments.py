@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 import certigym as cg
-from certigym.envs.dynamics import Dynamics, Worlds
+from certigym.validation.policies import RandomController
 from certigym.validation.rollout import rollout
 from certigym.validation.verdict import clopper_pearson
 from environment_pages import FOLDER, MEASURED
@@ -39,36 +36,12 @@ LATER = {"cyclic-delivery-v0": "its value function has more terms than a page ca
 """Problems that are not synthesized here, with the reason."""
 
 
-@dataclass(frozen=True, eq=False)
-class RandomInputs:
-    """A policy that draws every input uniformly from its box; its memory is the generator."""
-
-    dynamics: Dynamics
-
-    @classmethod
-    def batch(cls, dynamics: Dynamics) -> RandomInputs:
-        """Return the policy for batches of `dynamics`."""
-        return cls(dynamics)
-
-    def begin(self, worlds: Worlds, rng: np.random.Generator) -> np.random.Generator:
-        """Return the memory at the start."""
-        return rng
-
-    def act(self, worlds: Worlds, memory: np.random.Generator) -> tuple[tuple[np.ndarray, ...], np.random.Generator]:
-        """Return inputs (m, n, M) per block, and the memory."""
-        result = []
-        for block in self.dynamics.blocks:
-            shape = (*block.input_low.shape[:2], worlds.n_worlds)
-            result.append(block.input_low + (block.input_high - block.input_low) * memory.random(shape))
-        return tuple(result), memory
-
-
 def measured(id: str) -> dict[str, Any]:
     """Return the entry of one problem."""
     problem = cg.make_problem(id)
     result: dict[str, Any] = {"fingerprint": problem.fingerprint, "certificate": None}
     if id in LATER:
-        return {**result, "reason": LATER[id], "random": _rollouts(problem, RandomInputs)}
+        return {**result, "reason": LATER[id], "random": _rollouts(problem, RandomController())}
     try:
         certificate = cg.synthesize(problem, CELLS.get(id)).certificate
     except ValueError as error:
@@ -82,7 +55,7 @@ def measured(id: str) -> dict[str, Any]:
             "cells": CELLS.get(id),
             "rollouts": _rollouts(problem, certificate.controller),
         }
-    result["random"] = _rollouts(problem, RandomInputs)
+    result["random"] = _rollouts(problem, RandomController())
     return result
 
 
