@@ -76,7 +76,8 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
     Returns
     -------
     CheckReport
-        Truthy if every claim of the certificate was verified.
+        Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere. The
+        upper end of an exact claim (``gap``) is not verified here; rollouts test it (``certigym.validate``).
     """
     problem = certificate.problem if problem is None else problem
     failures: list[str] = []
