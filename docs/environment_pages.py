@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from automaton_picture import edges, svg
 from certigym.envs.agent import LinearAgent
 from certigym.envs.suite_ids import MODULES, gymnasium_id
+from certigym.validation.automaton_drawing import edges, svg
 from certigym.validation.validate import shown_bound
 
 FOLDER = Path(__file__).parent / "environments"

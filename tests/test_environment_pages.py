@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 import environment_pages
-from automaton_picture import edges
 from certigym.envs import dynamics as core
+from certigym.validation.automaton_drawing import edges
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from . import __version__
 from .learning_options import add_learning_commands
+from .plot_command import add_plot_command
 from .validation_options import add_validate_options, add_validation_commands
 
 NUMBER = re.compile(r"-(\d|\.\d)")
@@ -71,6 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
     render.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the episode (default: 0)")
     render.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second (default: 4)")
     _json(render)
+    add_plot_command(commands)
     add_validation_commands(commands)
     add_learning_commands(commands)
     return parser

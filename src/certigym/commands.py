@@ -18,6 +18,7 @@ from .envs.suite import make_problem, problem_ids
 from .learning_commands import certify as certify
 from .learning_commands import compare as compare
 from .learning_commands import train as train
+from .plot_command import plot as plot
 from .rendering_command import render_rollout
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.check import check as check_certificate

@@ -1,4 +1,4 @@
-"""Task automata as text and as SVG, for the pages of the environments."""
+"""Task automata as text and as SVG, for pages and figures."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from itertools import islice
 
 import numpy as np
 
-from certigym.envs.automaton import Automaton
-from certigym.envs.problem import Problem
+from ..envs.automaton import Automaton
+from ..envs.problem import Problem
 
 _CUBES = 4  # shown of a guard
 _PATHS = 5000  # looked at, of a state
@@ -94,17 +94,17 @@ def _cube(cube: dict[str, bool], families: Mapping[str, Sequence[str]]) -> str:
 
 def svg(automaton: Automaton, drawn: Sequence[Edge]) -> str:
     """Return a picture: states in columns by their distance from the initial one, edges numbered from 1."""
-    places = _places(automaton, drawn)
+    spots = places(automaton, drawn)
     labelled = automaton.n_states <= _LABELLED
     pairs = {(edge.source, edge.target) for edge in drawn}
-    width = max(x for x, _ in places.values()) + 70
-    height = max(y for _, y in places.values()) + 60
+    width = max(x for x, _ in spots.values()) + 70
+    height = max(y for _, y in spots.values()) + 60
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
         f'height="{height:g}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
     ]
-    x, y = places[automaton.initial]
+    x, y = spots[automaton.initial]
     parts.append(_path(f"M{x - 48:g} {y:g}L{x - _RADIUS:g} {y:g}", (x - _RADIUS, y), (x - 48, y)))
     numbers = []
     for number, edge in enumerate(drawn, 1):
@@ -112,12 +112,12 @@ def svg(automaton: Automaton, drawn: Sequence[Edge]) -> str:
             continue
         if not labelled and edge.source == edge.target:
             continue
-        curve, spot = _curve(places[edge.source], places[edge.target], (edge.target, edge.source) in pairs)
+        curve, spot = _curve(spots[edge.source], spots[edge.target], (edge.target, edge.source) in pairs)
         parts.append(curve)
         if labelled:
             numbers.append(_text(spot, str(number), "#a33", halo=True))
     parts += numbers
-    for q, spot in places.items():
+    for q, spot in spots.items():
         stroke, fill = ("#aab", "#f4f4f6") if automaton.dead[q] else ("#223", "white")
         circle = '<circle cx="{:g}" cy="{:g}" r="{:g}" fill="{}" stroke="{}"/>'
         parts.append(circle.format(*spot, _RADIUS, fill, stroke))
@@ -129,7 +129,7 @@ def svg(automaton: Automaton, drawn: Sequence[Edge]) -> str:
     return "\n".join([*parts, "</svg>", ""])
 
 
-def _places(automaton: Automaton, drawn: Sequence[Edge]) -> dict[int, tuple[float, float]]:
+def places(automaton: Automaton, drawn: Sequence[Edge]) -> dict[int, tuple[float, float]]:
     """Few states in breadth-first columns, dead ones in the last; more of them in a circle from the initial one on."""
     order = [automaton.initial]
     column = {automaton.initial: 0}

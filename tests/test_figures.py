@@ -1,0 +1,148 @@
+"""Figures are drawn without pyplot, say what they show in words and units, and show the certificate's own numbers."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.validation import figure_scenes as scenes
+from certigym.validation import figures
+from certigym.validation.figure_style import new_figure, save_figure
+
+
+@pytest.fixture(scope="module")
+def certificate() -> cg.Certificate:
+    return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), cells=50).certificate
+
+
+def test_a_slice_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) -> None:
+    figure = figures.value_figure(certificate, axes=[0], at=[-10.0, -4.0], points=60)
+    (plot,) = figure.axes
+    x, y = plot.lines[0].get_data()
+    states = np.column_stack([x, np.full(60, -4.0)])
+    assert np.array_equal(y, certificate.at(states))
+    assert "agent_0" in plot.get_xlabel() and "units" in plot.get_xlabel() and "at least" in plot.get_ylabel()
+
+
+def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) -> None:
+    figure = figures.value_figure(certificate, points=20)
+    mesh = figure.axes[0].collections[0]
+    assert mesh.get_clim() == (0.0, 1.0)
+    values: Any = np.asarray(mesh.get_array()).reshape(20, 20)
+    assert values[3, 7] == certificate.at([[-20 + 25 * 7.5 / 20, -20 + 25 * 3.5 / 20]])[0]
+    assert "lower bound" in figure.axes[1].get_ylabel()
+
+
+def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:
+    reports = cg.sweep_horizons(certificate.problem, [1, 2], 200, cells=20, relation="paper", epsilon=0.7)
+    figure = figures.horizon_figure(reports)
+    (plot,) = figure.axes
+    bound = plot.lines[0]
+    assert np.array_equal(bound.get_ydata(), [report.lower_bound for report in reports])
+    assert bound.get_marker() == "^" and "at least" in str(bound.get_label())
+    tinted = plot.collections[0].get_paths()[0].vertices
+    assert np.max(np.asarray(tinted)[:, 1]) == 1.0, "what a lower bound leaves open is tinted up to 1"
+
+
+def test_ranks_are_those_of_the_tree(certificate: cg.Certificate) -> None:
+    (plot,) = figures.rank_figure(certificate).axes
+    kept = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in plot.lines])
+    assert np.nanmax(kept) >= certificate.rank
+    assert certificate.rank in kept
+
+
+def test_the_relation_holds_in_the_picture() -> None:
+    problem = cg.make_problem("reach-avoid-kinematic-v0", horizon=4)
+    for certificate in (cg.synthesize(problem, cells=30).certificate,):
+        figure = figures.relation_figure(certificate, agent=1, coordinate=0, seed=3)
+        (plot,) = figure.axes
+        states = np.asarray(plot.lines[1].get_ydata())
+        boxes = [np.asarray(patch.get_paths()[0].vertices)[:, 1] for patch in plot.collections]
+        assert len(states) == len(boxes)
+        for state, box in zip(states, boxes, strict=True):
+            assert box.min() - 1e-9 <= state <= box.max() + 1e-9
+    with pytest.raises(ValueError, match="`agent`, `coordinate`"):
+        figures.relation_figure(certificate, agent=7)
+
+
+def test_the_tree_has_one_root_term_per_term_of_the_start(certificate: cg.Certificate) -> None:
+    layers = scenes._layers(certificate)
+    assert len(layers) == certificate.problem.horizon + 1
+    assert all(
+        child in following for layer, following in zip(layers, layers[1:]) for own in layer.values() for child in own
+    )
+    accepting = certificate.problem.automaton.accepting
+    assert all(accepting[q] for q, _ in layers[-1])
+    scenes.tree_figure(certificate)
+    long = cg.synthesize(certificate.problem.replace(horizon=40), cells=50).certificate
+    with pytest.raises(ValueError, match=r"`certificate`: expected a value tree of at most .* shorter horizon"):
+        scenes.tree_figure(long)
+
+
+@pytest.mark.parametrize("id", ["reach-avoid-v0", "meeting-v0", "door-formation-v0", "invariance-20-v0"])
+def test_automata_of_all_sizes_are_drawn(id: str) -> None:
+    problem = cg.make_problem(id)
+    (plot,) = scenes.automaton_figure(problem).axes
+    words = " ".join(text.get_text() for text in plot.texts)
+    for name in problem.automaton.state_names:
+        assert name in words
+
+
+def test_rollouts_mark_failures() -> None:
+    problem = cg.make_problem("package-delivery-v0", horizon=2)
+    certificate = cg.synthesize(problem, cells=10).certificate
+    figure = scenes.rollouts_figure(certificate, episodes=3)
+    crosses = [line for plot in figure.axes for line in plot.lines if line.get_marker() == "X"]
+    assert crosses and "0 of 3 rollouts satisfied" in figure.get_suptitle()
+
+
+def test_drawing_leaves_pyplot_alone(tmp_path: Path) -> None:
+    program = (
+        "import sys, certigym as cg\n"
+        "from certigym.validation.figure_scenes import automaton_figure\n"
+        "from certigym.validation.figure_style import save_figure\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        f"save_figure(automaton_figure(cg.make_problem('reach-avoid-v0')), {str(tmp_path / 'a.svg')!r})\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "<svg" in (tmp_path / "a.svg").read_text(encoding="utf-8")
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ValueError, match=r'figures need matplotlib; install it with `pip install "certigym\[viz\]"`'):
+        new_figure()
+
+
+def test_formats_are_checked(certificate: cg.Certificate, tmp_path: Path) -> None:
+    figure = scenes.automaton_figure(certificate.problem)
+    with pytest.raises(ValueError, match=r"`path`: expected a file name that ends in .png, .svg, .pdf, got .*a.bmp"):
+        save_figure(figure, tmp_path / "a.bmp")
+
+
+def test_the_command_draws_every_kind(
+    certificate: cg.Certificate, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "c.npz"
+    cg.save_certificate(certificate, file)
+    for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
+        out = tmp_path / f"{kind}.png"
+        assert main(["plot", kind, str(file), "--out", str(out)]) == 0
+        assert out.stat().st_size > 5_000
+    out = tmp_path / "horizon.svg"
+    arguments = ["plot", "horizon", "reach-avoid-v0", "--horizons", "1", "2", "--cells", "20", "--episodes", "100"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    assert out.stat().st_size > 5_000
+    assert main(["plot", "value", str(file), "--out", str(tmp_path / "v.txt")]) == 2
+    assert "`--out`: expected a file name that ends in .png" in capsys.readouterr().err
+    assert main(["plot", "value", str(file), "--out", str(tmp_path / "v.png"), "--axes", "0", "9"]) == 2
+    assert "`axes`: expected one or two different joint coordinates" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""The common look of all figures: matplotlib, loaded when the first figure is made, and never its global state.
+
+Colours are those of Okabe and Ito, which readers with any of the usual colour deficiencies can tell apart; maps use
+``cividis``. A certified lower bound is a dark solid line with the range that it leaves open above it tinted, so that it
+reads as a bound and not as an estimate; what rollouts show are points with limits.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+FORMATS = (".png", ".svg", ".pdf")
+INK, SOFT = "#1b1f24", "#6b7280"
+BOUND, ESTIMATE, FAILURE = "#0072B2", "#D55E00", "#B00020"
+SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+REGIONS = ("#009E73", "#D55E00", "#56B4E9", "#E69F00", "#CC79A7", "#0072B2")
+MARKS = ("o", "s", "^", "D", "v", "P")
+AT_LEAST = "^"
+"""Triangle that points up, the mark of a lower bound."""
+MAP = "cividis"
+
+
+def new_figure(width: float = 6.4, height: float = 4.0, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with rows x columns axes, sizes in inches; it belongs to no window and no pyplot state.
+
+    Raises
+    ------
+    ValueError
+        Without matplotlib.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure as Sheet
+    except ImportError as error:
+        raise ValueError('figures need matplotlib; install it with `pip install "certigym[viz]"`') from error
+    figure = Sheet(figsize=(width, height), layout="constrained", dpi=120, facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    panels = [axes for line in grid for axes in line]
+    for axes in panels:
+        _dress(axes)
+    return figure, panels
+
+
+def check_format(path: str | Path, argument: str = "path") -> None:
+    """Refuse a file name that is no PNG, SVG or PDF, before anything is computed.
+
+    Raises
+    ------
+    ValueError
+        If the name ends in anything else.
+    """
+    if Path(path).suffix.lower() not in FORMATS:
+        raise ValueError(f"`{argument}`: expected a file name that ends in {', '.join(FORMATS)}, got {str(path)!r}")
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, SVG or PDF; ValueError if the name ends in anything else."""
+    check_format(path)
+    figure.savefig(path, metadata={"Date": None} if Path(path).suffix.lower() == ".svg" else None)
+
+
+def draw_bound(axes: Axes, x: Any, lower: Any, label: str, color: str = BOUND, upper: Any = 1.0, **style: Any) -> None:
+    """A lower bound over x: a solid line, and the range up to ``upper`` (1 unless known better) tinted.
+
+    ``upper=None`` leaves the tint out, where several bounds share the axes.
+    """
+    lower = np.asarray(lower, dtype=float)
+    if upper is not None:
+        top = np.broadcast_to(np.asarray(upper, dtype=float), lower.shape)
+        axes.fill_between(x, lower, top, color=color, alpha=0.10, linewidth=0)
+    axes.plot(x, lower, color=color, linewidth=2.0, label=label, **style)
+
+
+def draw_estimates(axes: Axes, x: Any, estimate: Any, low: Any, high: Any, label: str, color: str = ESTIMATE) -> None:
+    """Success rates of rollouts with their limits."""
+    middle = np.asarray(estimate, dtype=float)
+    reach = np.maximum([middle - np.asarray(low), np.asarray(high) - middle], 0.0)
+    axes.errorbar(x, middle, yerr=reach, fmt="o", markersize=4, color=color, capsize=3, linewidth=1.2, label=label)
+
+
+def legend_above(axes: Axes, columns: int = 3) -> None:
+    """A legend over the axes, where it covers no data."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2, fontsize=8.5,
+        columnspacing=1.4, handlelength=1.8,
+    )  # fmt: skip
+
+
+def whole_ticks(axis: Axis) -> None:
+    """Ticks at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _dress(axes: Axes) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(SOFT)
+    axes.tick_params(colors=INK, labelsize=9)
+    axes.grid(color="#e5e7eb", linewidth=0.7)
+    axes.set_axisbelow(True)
