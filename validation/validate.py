@@ -113,7 +113,7 @@ def shown_bound(lower: float, gap: float | None) -> str:
     """A bound in words, its digits rounded down so that what is printed holds too."""
     digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
     shown = math.floor(lower * 10**digits) / 10**digits
-    claim = f"P >= {shown:.{digits}f}" if lower == 0 or lower > 1e-12 else f"P >= {lower:.3g}"
+    claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {lower:.3g}"
     return claim if gap is None else f"{claim} (exact to {gap:.1e})"
 
 
