@@ -21,11 +21,9 @@ from .abstraction import Relation
 from .ascent import Skeleton
 from .bounds import joint_delta, term_depths
 from .controller import AgentController, Controller
+from .described_relation import relation_from
 from .grid import FloatArray, Grid, start_share
 from .guards import Guards
-from .relation_exact import exact_relation
-from .relation_paper import paper_relation
-from .relation_tube import tube_relation
 from .terms import Terms
 
 MAX_JOINT_CELLS = 20_000_000
@@ -45,14 +43,13 @@ class AgentPart:
     coordinates : (d, d) array
         State = coordinates @ grid coordinates.
     relation : dict
-        ``{"kind": "exact"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, or
-        ``{"kind": "tube", "feedback", "inputs", "snap"}`` (matrices as nested lists, grid coordinates).
+        Kind and numbers, see ``described_relation``.
     lattice : tuple of (Z_k,) arrays
         Means per axis.
     masks, start_masks : (K, S), (K0, S) bool arrays
         Factors of the guards on the cells, for arriving and for starting in them.
     law : (T, Q, S) int32 array
-        Choice of each cell, -1 for none: a lattice point (``exact``) or an input (``paper``).
+        Choice of each cell, -1 for none: a lattice point (``exact``) or an input (all others).
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to.
     """
@@ -68,13 +65,7 @@ class AgentPart:
 
     def relation_of(self, agent: LinearAgent) -> Relation:
         """The relation of ``agent`` that is described, its numbers computed anew."""
-        if self.relation["kind"] == "exact":
-            return exact_relation(agent, self.coordinates)
-        if self.relation["kind"] == "tube":
-            feedback, inputs, snap = (np.array(self.relation[k], dtype=float) for k in ("feedback", "inputs", "snap"))
-            return tube_relation(agent, self.grid, self.coordinates, feedback, inputs, snap)
-        settings = {name: self.relation[name] for name in ("epsilon", "feedback", "inputs", "delta")}
-        return paper_relation(agent, self.grid.edges[0], **settings)
+        return relation_from(self.relation, agent, self.grid, self.coordinates)
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""

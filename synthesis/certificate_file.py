@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ..envs.problem import Problem
 from .ascent import Skeleton
 from .certificate import AgentPart, Certificate
+from .described_relation import check_description
 from .grid import Grid
 from .terms import Merges, Terms
 
@@ -248,7 +249,9 @@ class _Reader:
         points = math.prod(len(axis) for axis in lattice)
         shape = (self.problem.horizon, self.n_states, grid.n_cells)
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
-        _check_relation(entry["relation"], menu)
+        check_description(entry["relation"], self.problem.agents[self._position])
+        if (entry["relation"]["kind"] != "exact") != (menu is not None):
+            raise ValueError("a relation and its choices do not belong together")
         return AgentPart(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),
@@ -287,22 +290,6 @@ class _Reader:
             if len(rows) and any(rows[:, i].max() >= len(own) for i, own in enumerate(factors)):
                 raise ValueError("the value function points at factors that are not there")
         return Terms(factors, index)
-
-
-def _check_relation(relation: Any, menu: NDArray | None) -> None:
-    """A relation is of a known kind, with the numbers that belong to it."""
-    if not isinstance(relation, dict) or relation.get("kind") not in ("exact", "paper", "tube"):
-        raise ValueError("it has a relation of an unknown kind")
-    if (relation["kind"] != "exact") != (menu is not None):
-        raise ValueError("a relation and its choices do not belong together")
-    if relation["kind"] == "tube":
-        matrices = [np.array(relation[name], dtype=float) for name in ("feedback", "inputs", "snap")]
-        if [m.ndim for m in matrices] != [2, 2, 1] or not all(np.all(np.isfinite(m)) for m in matrices):
-            raise ValueError("a tube has settings that are no matrices")
-    paper = relation["kind"] == "paper"
-    numbers = [relation[name] for name in ("epsilon", "feedback", "inputs", "delta")] if paper else []
-    if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
-        raise ValueError("a relation has settings that are no numbers")
 
 
 def _check_numbers(numbers: dict[str, Any]) -> None:

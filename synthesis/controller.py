@@ -3,11 +3,11 @@
 Each agent sees its own state, the shared automaton state and the time (THEORY section 6).
 
 ``exact``   the cell of its state decides the target mean, and the input puts the mean of the next state on it.
-coupled     (``paper``, ``tube``) the agent remembers the abstract state xhat. From the next state it recovers the noise
-            ``w``, draws the abstract noise from the coupling, ``what = w + F e`` with probability ``min(1,
-            phi(what)/phi(w))`` and its mirror image otherwise (always ``what = w`` in a tube), and moves xhat as the
-            finite model does. When ``x - xhat`` leaves the relation the certificate claims nothing any more; the agent
-            starts again from the cell of its state.
+coupled     (``paper``, ``tube``, ``ellipsoid``) the agent remembers the abstract state xhat. From the next state it
+            recovers the noise ``w``, draws the abstract noise from the coupling, ``what = w + F e`` with probability
+            ``min(1, phi(what)/phi(w))`` and its mirror image otherwise (always ``what = w`` where F = 0), and moves
+            xhat as the finite model does. When ``x - xhat`` leaves the relation the certificate claims nothing any
+            more; the agent starts again from the cell of its state.
 
 Controllers are total: outside the workspace, in states and at times that no certificate speaks of, the input is the one
 of the nearest cell, and always admissible.
@@ -66,7 +66,7 @@ class AgentController:
     law : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
         Choice in each cell by time and automaton state; -1 where there is none.
     menu : (S, A) int32 array or None
-        Lattice point that each input of each cell leads to (``paper``).
+        Lattice point that each input of each cell leads to (coupled agents).
     """
 
     name: str
@@ -136,7 +136,7 @@ class AgentController:
         shape = (-1, *[1] * memory.cells.ndim)
         reach = relation.reach.reshape(shape)
         error = np.nan_to_num(points - np.moveaxis(self._centres[memory.cells], -1, 0))
-        lost = np.any(np.abs(error) > reach * (1 + 1e-9), axis=0)
+        lost = ~relation.related(error)
         inputs = np.moveaxis(relation.inputs[choice], -1, 0) + apply(relation.feedback, np.clip(error, -reach, reach))
         admissible = np.clip(inputs, relation.input_low.reshape(shape), relation.input_high.reshape(shape))
         inputs = np.where(lost | memory.lost, admissible, inputs)

@@ -1,11 +1,12 @@
-"""Relations in which the controller remembers the abstract state (``paper`` and ``tube``).
+"""Relations in which the controller remembers the abstract state (``paper``, ``tube`` and ``ellipsoid``).
 
 Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
 
     e' = (A + B K - F) e + beta,      |beta| <= half a cell (+ half a lattice spacing where means are snapped).
 
 A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E``; what bounds it, why it is
-invariant, and how likely the coupling fails is the business of ``relation_paper`` and ``relation_tube``.
+invariant, and how likely the coupling fails is the business of ``relation_paper``, ``relation_tube`` and
+``relation_ellipsoid``.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class CoupledRelation:
     Parameters
     ----------
     kind : str
-        ``"paper"`` or ``"tube"``.
+        ``"paper"``, ``"tube"`` or ``"ellipsoid"``.
     A, B : (d, d), (d, m) arrays
     drift : (d,) array
         Affine term.
@@ -53,6 +54,10 @@ class CoupledRelation:
         Whether related states lie in the same cell.
     snap : (d,) array
         Half lattice spacings that means may be rounded by.
+    shape : (d, d) array or None
+        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None where E is judged by the box around it.
+    epsilon : float
+        Radius of the ellipsoid; 0 where there is none.
     """
 
     kind: str
@@ -71,6 +76,8 @@ class CoupledRelation:
     coordinates: FloatArray
     is_cell: bool = False
     snap: FloatArray = field(default_factory=lambda: np.zeros(1))
+    shape: FloatArray | None = None
+    epsilon: float = 0.0
 
     @property
     def has_state_coordinates(self) -> bool:
@@ -81,7 +88,8 @@ class CoupledRelation:
     def arrays(self) -> tuple[FloatArray, ...]:
         """All numbers, for comparing relations."""
         return (self.A, self.B, self.drift, self.covariance, self.feedback, self.coupling, self.reach, self.inputs,
-                self.input_low, self.input_high, self.coordinates, np.array([self.delta]))  # fmt: skip
+                self.input_low, self.input_high, self.coordinates, np.array([self.delta, self.epsilon]),
+                np.zeros((0, 0)) if self.shape is None else self.shape)  # fmt: skip
 
     def to_grid(self, states: FloatArray) -> FloatArray:
         """Grid coordinates (d, ...) of states (d, ...), a new array."""
@@ -94,7 +102,12 @@ class CoupledRelation:
         return (centres @ self.A.T + self.drift)[:, None, :] + (self.inputs @ self.B.T)[None]
 
     def related(self, error: FloatArray) -> NDArray[np.bool_]:
-        """Whether errors (d, ...) lie in the box around E, which is E itself for scalar agents."""
+        """Whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
+
+        The last digits are forgiven: labels and inputs allow for a set larger by ``1e-9``.
+        """
+        if self.shape is not None:
+            return np.asarray(np.sum(error * apply(self.shape, error), axis=0) <= self.epsilon**2 * (1 + 1e-12))
         reach = self.reach.reshape(-1, *[1] * (error.ndim - 1)) * (1 + 1e-12)
         return np.asarray(np.all(np.abs(error) <= reach, axis=0))
 

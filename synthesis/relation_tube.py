@@ -85,7 +85,7 @@ def tube_relation(
         reach=reach,
         state_reach=np.abs(generators @ coordinates.T).sum(axis=0) * INFLATE,
         delta=0.0,
-        inputs=_input_grid(low, high, B, widths) if inputs is None else inputs,
+        inputs=input_grid(low, high, B, widths) if inputs is None else inputs,
         input_low=agent.input_box.low,
         input_high=agent.input_box.high,
         coordinates=coordinates,
@@ -175,7 +175,7 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
     return min(scored)[2]
 
 
-def _input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatArray) -> FloatArray:
+def input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatArray) -> FloatArray:
     """Abstract inputs (A, m): per input a symmetric grid whose steps move means by about a cell, and the extremes."""
     axes = []
     limit = {1: 41, 2: 13}.get(len(low), 5)

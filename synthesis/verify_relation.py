@@ -17,6 +17,7 @@ from ..envs.agent import LinearAgent
 from .certificate import AgentPart
 from .relation_coupled import CoupledRelation
 from .relation_tube import disturbance_of, tube_generators
+from .verify_ellipsoid import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 
 FloatArray = NDArray[Any]
 
@@ -72,14 +73,21 @@ def _verify_coupled(agent: LinearAgent, part: AgentPart) -> list[str]:
     half = np.array([0.5 * np.max(np.diff(edges)) for edges in part.grid.edges])
     snapped = np.max(np.abs(points - means), axis=(0, 1))
     closed = A + B @ relation.feedback
+    if relation.shape is not None:
+        return _verify_ellipsoid(agent, part, relation, relation.shape, closed - relation.coupling, snapped)
     failures = _verify_tube(agent, part, closed, half, snapped) if part.relation["kind"] == "tube" else []
     if part.relation["kind"] == "paper":
         failures = _verify_scalar(agent, relation, closed, half, snapped)
     reserve = np.abs(_generators(part, closed) @ relation.feedback.T).sum(axis=0)
+    return failures + _verify_reserve(agent, relation, reserve)
+
+
+def _verify_reserve(agent: LinearAgent, relation: CoupledRelation, reserve: FloatArray) -> list[str]:
+    """Every abstract input leaves ``reserve`` (m,) to both sides."""
     low, high = relation.inputs - reserve, relation.inputs + reserve
     if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):
-        failures.append("its abstract inputs leave no room for the feedback")
-    return failures
+        return ["its abstract inputs leave no room for the feedback"]
+    return []
 
 
 def _verify_scalar(
@@ -118,6 +126,32 @@ def _verify_tube(
     if steps < 1 or not 0.0 <= alpha < 1.0 or np.any(beyond > alpha * (half + snap) * (1 + 2e-9) + 1e-15):
         failures.append("its tube is not invariant")
     return failures
+
+
+def _verify_ellipsoid(
+    agent: LinearAgent,
+    part: AgentPart,
+    relation: CoupledRelation,
+    shape: FloatArray,
+    closed: FloatArray,
+    snapped: FloatArray,
+) -> list[str]:
+    """Invariance for every vertex of W, coupling, margins of labels and inputs; ``closed`` is ``A + B K - F``."""
+    epsilon, snap = relation.epsilon, relation.snap
+    if ellipsoid_factor(shape) is None or not epsilon > 0:
+        return ["its ellipsoid is none: its matrix is not positive definite, or badly conditioned"]
+    failures = []
+    if np.any(snap < 0) or np.any(snapped > snap + 1e-9 * disturbance_of(part.grid, None) / 2):
+        failures.append("its means are snapped by more than its ellipsoid allows for")
+    if not ellipsoid_is_invariant(shape, epsilon, closed, disturbance_of(part.grid, snap)):
+        failures.append("its ellipsoid was not proved invariant")
+    inverse = np.linalg.inv(part.coordinates)
+    variances = np.diag(inverse @ agent.noise_covariance @ inverse.T)
+    if relation.delta < ellipsoid_failure(shape, epsilon, relation.coupling, variances):
+        failures.append("its delta is smaller than the probability that the coupling fails")
+    if np.any(relation.state_reach < ellipsoid_support(shape, epsilon, part.coordinates)):
+        failures.append("the box around its ellipsoid is too small")
+    return failures + _verify_reserve(agent, relation, ellipsoid_support(shape, epsilon, relation.feedback))
 
 
 def _generators(part: AgentPart, closed: FloatArray) -> FloatArray:

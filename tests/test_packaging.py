@@ -15,7 +15,7 @@ import certigym
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("envs", "synthesis", "validation")
-HEAVY = ("matplotlib", "torch", "pygame", "scipy.stats", "stable_baselines3", "PIL")
+HEAVY = ("matplotlib", "torch", "pygame", "scipy.stats", "stable_baselines3", "PIL", "cvxpy")
 
 
 def python(program: str, cwd: Path = ROOT, path: Path = ROOT / "src") -> subprocess.CompletedProcess[str]:
