@@ -63,7 +63,10 @@ def paper_relation(
     is_cell = bool(abs(epsilon - 0.5 * width) <= 1e-9 * width and widths.min() >= width * (1 - 1e-9))
     epsilon = 0.5 * width if is_cell else float(epsilon)
     if not epsilon >= width / 2:
-        raise ValueError(f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}")
+        raise ValueError(
+            f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}; give a larger one, or "
+            "more `cells`"
+        )
     if isinstance(inputs, bool) or not isinstance(inputs, int) or inputs < 1:
         raise ValueError(f"`inputs`: expected a positive whole number, got {inputs!r}")
     a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
