@@ -47,7 +47,10 @@ def rollouts_figure(certificate: Certificate, episodes: int = 40, seed: int = 0)
     shown = all_panels[:MOST_PANELS]
     columns = 1 if len(shown) == 1 or not shown[0].is_map else 2
     rows = -(-len(shown) // columns)
-    height = 5.2 if shown[0].is_map and len(shown) == 1 else 2.6 * rows + 0.6
+    height = 2.6 * rows + 0.6
+    if shown[0].is_map and len(shown) == 1:
+        sides = np.subtract(shown[0].high, shown[0].low)
+        height = float(np.clip(6.0 * sides[1] / sides[0], 2.0, 6.5)) + 1.0
     figure, plots = new_figure(6.8, height, rows, columns)
     for panel, plot in zip(shown, plots, strict=False):
         rollouts_panel(plot, panel, states, success, problem.horizon)

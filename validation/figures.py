@@ -42,6 +42,10 @@ LEVELS = (0.1, 0.5, 0.9, 0.99)
 """Contours of a map of bounds."""
 
 
+STATES_SHOWN = 5
+"""Automaton states with a line and a name of their own in a figure of ranks; the others are grey."""
+
+
 def value_figure(
     certificate: Certificate, axes: Sequence[int] | None = None, at: Any = None, points: int | None = None
 ) -> Figure:
@@ -166,19 +170,23 @@ def rank_figure(certificate: Certificate) -> Figure:
     problem = certificate.problem
     left = problem.horizon - np.arange(problem.horizon)
     figure, (plot,) = _new(6.6, 4.0)
-    number, peak = 0, 1
-    for q, name in enumerate(problem.automaton.state_names):
-        kept = np.array([len(step.kept[q]) for step in certificate.skeleton])
-        formed = np.array([len(step.origin[q]) for step in certificate.skeleton])
-        if not kept.any():
-            continue
+    kept, formed = _counts(certificate)
+    order = [q for q in np.argsort(-kept.max(axis=1), kind="stable") if kept[q].any()]
+    for q in order[STATES_SHOWN:]:
+        plot.plot(left, np.where(kept[q] > 0, kept[q], np.nan), color="#b6bcc6", linewidth=0.9)
+    for number, q in enumerate(order[:STATES_SHOWN]):
         color, mark = SERIES[number % len(SERIES)], MARKS[number % len(MARKS)]
-        plot.plot(left, np.where(formed > 0, formed, np.nan), color=color, linewidth=1.2, linestyle=(0, (4, 2)))
-        label = f"state {name}: kept"
-        plot.plot(left, np.where(kept > 0, kept, np.nan), color=color, linewidth=2, marker=mark, ms=4, label=label)
-        number, peak = number + 1, max(peak, int(formed.max()))
+        plot.plot(left, np.where(formed[q] > 0, formed[q], np.nan), color=color, linewidth=1.2, linestyle=(0, (4, 2)))
+        label = f"state {problem.automaton.state_names[q]}: kept"
+        plot.plot(
+            left, np.where(kept[q] > 0, kept[q], np.nan), color=color, linewidth=2, marker=mark, ms=4, label=label
+        )
+    rest = len(order) - STATES_SHOWN
+    if rest > 0:
+        plot.plot([], [], color="#b6bcc6", linewidth=0.9, label=f"{rest} other states: kept")
     plot.plot([], [], color=SOFT, linewidth=1.2, linestyle=(0, (4, 2)), label="formed, before uniting and dropping")
-    if peak > 50:
+    peak = int(formed.max(initial=1))
+    if peak > 200:
         plot.set_yscale("log")
     else:
         plot.set_ylim(0, peak * 1.08 + 0.5)
@@ -187,10 +195,17 @@ def rank_figure(certificate: Certificate) -> Figure:
     plot.set_xlabel("steps left (control steps)")
     plot.set_ylabel("terms of the value function")
     legend_above(plot, 2)
-    rows = -(-(number + 1) // 2)
+    rows = -(-(min(len(order), STATES_SHOWN) + 1 + (rest > 0)) // 2)
     title = f"{problem.name}, horizon {problem.horizon}: rank {certificate.rank}"
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=10 + 14 * rows)
     return figure
+
+
+def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Terms (Q, T) that each automaton state keeps at each time, and those that were formed."""
+    steps, states = certificate.skeleton, range(certificate.problem.automaton.n_states)
+    kept = [[len(step.kept[q]) for step in steps] for q in states]
+    return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
 
 
 def relation_figure(certificate: Certificate, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
