@@ -9,7 +9,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs links clean
 
 demo: .venv/core
 	$(BIN)/certigym run reach-avoid-v0
@@ -22,8 +22,17 @@ lint: .venv/test
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 
+# warnings are errors; needs no network once the packages are installed
+docs: .venv/docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+# follows external links: needs a network
+links: .venv/docs
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/links
+
 clean:
-	rm -rf .venv build dist
+	rm -rf .venv build dist docs/_build
 
 .venv/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one: make PYTHON=/path/to/python" >&2; exit 1; }
@@ -38,4 +47,8 @@ clean:
 	$(PIP) --constraint constraints.txt --editable '.[test,rl]' || \
 		{ echo "no torch for this Python: the tests of learners will be skipped" >&2; \
 		$(PIP) --constraint constraints.txt --editable '.[test]'; }
+	@touch $@ .venv/core
+
+.venv/docs: pyproject.toml constraints.txt .venv/python
+	$(PIP) --constraint constraints.txt --editable '.[docs]'
 	@touch $@ .venv/core
