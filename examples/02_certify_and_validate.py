@@ -1,0 +1,40 @@
+"""From a problem to a certificate, its check, and rollouts that test it."""
+
+from __future__ import annotations
+
+import certigym as cg
+
+problem = cg.make_problem("reach-avoid-v0", horizon=6)
+result: cg.Synthesis = cg.synthesize(problem, cells=400)
+certificate: cg.Certificate = result.certificate
+print(f"certified {certificate.lower_bound:.6f} on average over the start box ({certificate.bound} bound)")
+print("from two other starts", certificate.at([[-15.0, -3.0], [-20.0, -3.0]]))
+print("from everywhere in a box", certificate.min([-12.0, -4.0], [-10.0, -3.0]))
+
+# verified by separate code, without simulation, and about this very problem
+verified = cg.check(certificate, problem)
+print(verified)
+assert verified
+
+# tested by simulation, without proof
+report: cg.ValidationReport = cg.validate(result, episodes=20_000, seed=0)
+print(report)
+assert report.verdict != "refuted"
+rollouts: cg.Rollouts = cg.rollout(problem, result.controller, 5_000, seed=1, initial_state=[-20.0, -3.0])
+print(f"{rollouts.successes} of {rollouts.episodes} from the far corner")
+
+# written and read: a certificate is a file that can be handed on
+cg.save_certificate(certificate, "reach_avoid.npz")
+again = cg.load_certificate("reach_avoid.npz")
+assert again.lower_bound == certificate.lower_bound
+
+# the controllers act on the observations of the environment
+controller: cg.Controller = again.controller
+env = cg.parallel_env(problem)
+observations, infos = env.reset(seed=0)
+controller.reset(observations, infos)
+while env.agents:
+    observations, rewards, terminations, truncations, infos = env.step(controller.act(observations, infos))
+print("satisfied" if infos["agent_0"]["satisfied"] else "not satisfied")
+one: cg.AgentController = controller.agents[0]
+print(f"{one.name} decides by {one.law.shape} (time, automaton state, cell)")

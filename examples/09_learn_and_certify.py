@@ -1,0 +1,18 @@
+"""Train a decentralised policy, certify it, improve it (needs the extra `rl`)."""
+
+from __future__ import annotations
+
+import certigym as cg
+from certigym.synthesis.decentralised import Decentralised
+
+problem = cg.make_problem("reach-avoid-v0", horizon=5)
+training: cg.Training = cg.train(problem, "ppo", steps=10_000, seed=0)
+print(f"{training.algorithm} on {training.information}: {training.curve[-1]}")
+
+file = training.save("trained")
+actor = cg.load_actor(file, problem)  # needs no torch
+assert isinstance(actor, Decentralised)  # only policies that see one agent at a time can be certified
+
+certified = cg.certify(problem, actor, cells=100)
+improved = cg.improve(problem, actor, cells=100)
+print(cg.compare(problem, {"raw": training, "certified": certified, "improved": improved}, episodes=4_000))

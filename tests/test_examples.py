@@ -1,0 +1,56 @@
+"""Examples run, each within a minute, and together show every public name."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import runpy
+import time
+from pathlib import Path
+
+import pytest
+
+import certigym as cg
+
+FOLDER = Path(__file__).parents[1] / "examples"
+SCRIPTS = sorted(FOLDER.glob("*.py"))
+NEEDS = {"09_learn_and_certify.py": "stable_baselines3", "10_many_workers.py": "dask"}
+SECONDS = 60.0
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_examples_run_within_a_minute(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = NEEDS.get(script.name)
+    if needed is not None and importlib.util.find_spec(needed) is None:
+        pytest.skip(f"needs {needed} (extra `rl` or `distributed`)")
+    monkeypatch.chdir(tmp_path)
+    began = time.process_time()
+    runpy.run_path(str(script), run_name="__main__")
+    assert time.process_time() - began < SECONDS
+
+
+def used_names(script: Path) -> set[str]:
+    """Names `cg.NAME` in the code of a script (not in its comments)."""
+    tree = ast.parse(script.read_text(encoding="utf-8"))
+    names = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute))
+    return {node.attr for node in names if isinstance(node.value, ast.Name) and node.value.id == "cg"}
+
+
+def test_together_they_show_every_public_name() -> None:
+    shown = set().union(*map(used_names, SCRIPTS))
+    assert set(cg.__all__) - {"__version__"} - shown == set()
+
+
+def test_scripts_are_numbered_and_notebooks_have_cells() -> None:
+    numbers = [int(path.name[:2]) for path in SCRIPTS if not path.name.startswith("notebook_")]
+    assert numbers == list(range(1, len(numbers) + 1))
+    notebooks = [path.read_text(encoding="utf-8") for path in SCRIPTS if path.name.startswith("notebook_")]
+    assert len(notebooks) == 2
+    for text in notebooks:
+        assert text.startswith("# %% [markdown]") and text.count("\n# %%\n") >= 4
+
+
+def test_every_example_says_what_it_shows() -> None:
+    for script in SCRIPTS:
+        first = script.read_text(encoding="utf-8").splitlines()[0]
+        assert first.startswith(('"""', "# %% [markdown]")), script.name
