@@ -39,6 +39,5 @@ worlds = cg.vector_env("reach-avoid-v0", 1000)
 worlds.reset(seed=0)
 satisfied = 0.0
 for _ in range(20):
-    _, reward_of_each, *_ = worlds.step(worlds.action_space.sample())
-    satisfied += float(reward_of_each.sum())
+    satisfied += float(worlds.step(worlds.action_space.sample())[1].sum())
 print(f"{satisfied:g} episodes satisfied by chance in 20 steps of 1000 worlds")
