@@ -16,6 +16,7 @@ United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a')
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -147,7 +148,9 @@ def _check_relations(certificate: Certificate) -> list[str]:
     failures = []
     seen: set[object] = set()
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        key = (agent.A.tobytes(), agent.B.tobytes(), id(part.grid), part.law.tobytes())
+        arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
+        arrays += [part.coordinates, part.law, *part.lattice, *([] if part.menu is None else [part.menu])]
+        key = (id(part.grid), json.dumps(part.relation, sort_keys=True), *(own.tobytes() for own in arrays))
         if key not in seen:
             seen.add(key)
             failures += [f"agent `{agent.name}`: {text}" for text in verify_relation(agent, part)]

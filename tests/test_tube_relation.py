@@ -137,6 +137,23 @@ def test_a_tube_that_is_too_thin_is_refused() -> None:
     assert not cg.check(replace(certificate, agents=(moved,)))
 
 
+def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> None:
+    low, high = [-5.0, -3.0], [5.0, 3.0]
+    problem = cg.Problem(
+        name="carts",
+        horizon=2,
+        agents=list(cart(initial_state=[0.0, 0.0]).copies(2)),
+        propositions={f"s{i}": cg.Proposition(f"cart_{i}", low, high) for i in range(2)},
+        specification=cg.Specification("G (s0 & s1)", "finite-trace"),
+    )
+    certificate = cg.synthesize(problem, [40, 40], relation="tube", max_sweeps=0).certificate
+    part = certificate.agents[0]
+    both = replace(certificate, agents=(part, part))
+    assert cg.check(both), str(cg.check(both))
+    wrong = replace(part, relation={**part.relation, "inputs": (np.array(part.relation["inputs"]) * 1.5).tolist()})
+    assert not cg.check(replace(certificate, agents=(part, wrong)))
+
+
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     from certigym.synthesis import abstraction
     from certigym.synthesis.labels import cell_labels
