@@ -3,6 +3,7 @@ verifier needs no solver to see it and nobody's word for it."""
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import replace
 from functools import cache
@@ -234,6 +235,22 @@ def test_a_reach_that_costs_a_cell_for_nothing_is_not_chosen() -> None:
     halves = found.support(np.eye(2))[0] / 0.125
     odd = 2 * np.ceil((halves - 1) / 2) + 1
     assert odd - 0.1 < halves < odd
+
+
+def test_three_states_and_their_four_pairs_of_vertices() -> None:
+    """Every vertex of W, 20,000 errors: a chain of three integrators."""
+    low, high = [-6.0] * 3, [6.0] * 3
+    A, B, noise = np.eye(3) + 0.5 * np.eye(3, k=1), [[0.0], [0.0], [0.5]], 0.1 * np.eye(3)
+    agent = cg.LinearAgent(name="x", A=A, B=B, noise_covariance=noise, state_low=low, state_high=high,
+                           input_low=[-8.0], input_high=[8.0], initial_state=[0.0] * 3)  # fmt: skip
+    grid = cells(agent)
+    found = find_ellipsoid(agent, grid, np.eye(3), np.full(3, 3.0), 0.01, share=0.4)
+    relation = ellipsoid_relation(agent, grid, np.eye(3), found)
+    assert 0 < relation.delta <= 0.01 and np.max(found.support(found.feedback)) <= 0.4 * 8.0 * (1 + 1e-6)
+    moved = (A + np.array(B) @ found.feedback - found.coupling) @ boundary(relation, 20_000)
+    for signs in itertools.product((1, -1), repeat=3):
+        image = moved + (0.125 * np.array(signs))[:, None]
+        assert np.all(relation.related(image))
 
 
 def test_agents_without_usable_inputs_need_no_feedback() -> None:
