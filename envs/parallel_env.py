@@ -183,6 +183,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     def _inputs(self, actions: dict[str, Any]) -> list[list[float]]:
         inputs = []
+        if len(actions) > len(self.possible_agents):
+            stranger = next(name for name in actions if name not in self.possible_agents)
+            raise ValueError(f"`actions`: expected agents of the problem, got {stranger!r}; leave it out")
         for name, agent in zip(self.possible_agents, self._episode.one_world.agents):
             if name not in actions:
                 raise ValueError(f"`actions`: expected one for every agent, got none for {name!r}")

@@ -257,6 +257,16 @@ def _rebuilt(*values: Any) -> Problem:
     return Problem(**dict(zip(("name", "horizon", "agents", "propositions", "specification"), values)))
 
 
+def checked_problem(value: Any) -> Problem:
+    """Return a problem, or raise ValueError with what to do."""
+    if not isinstance(value, Problem):
+        raise ValueError(
+            f"`problem`: expected a Problem, got {shown(value)}; make one with `make_problem`, `load_problem` or "
+            "`Problem`"
+        )
+    return value
+
+
 def checked_horizon(value: Any) -> int:
     """Return the horizon as an int, or raise ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 1 <= value <= 10**6:

@@ -82,7 +82,9 @@ def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
     if not isinstance(problem, Problem):
         raise ValueError(f"`problem`: expected a Problem or the id of one, got {type(problem).__name__}")
     for name in arguments:
-        raise ValueError(f"`{name}`: expected only with a problem id; use `problem.replace`")
+        raise ValueError(
+            f"`{name}`: expected only with a problem id; use `problem.replace`, or correct the name of the option"
+        )
     return problem
 
 

@@ -146,6 +146,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         if self._worlds is None:
             raise RuntimeError("call `reset` before `step`")
+        if np.ndim(actions) > 0 and len(actions) != self.num_envs:
+            raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
         worlds, fresh = self._worlds, self._ended
         if fresh.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:

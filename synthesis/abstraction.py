@@ -13,11 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from inspect import signature
 
 import numpy as np
 
 from ..envs.agent import LinearAgent
-from ..envs.problem import Problem
+from ..envs.problem import Problem, checked_problem
 from .agent_models import Bare, Relation, cheapest_model, exact_model, paper_model, tube_model
 from .choices import Choices
 from .grid import FloatArray, Grid, aligned_edges
@@ -127,6 +129,8 @@ def abstract(
     ValueError
         If the relation does not apply to an agent, or a number is out of range.
     """
+    checked_problem(problem)
+    _check_cells(cells, problem)
     number = 1 if targets_per_cell is None else targets_per_cell
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {targets_per_cell!r}")
@@ -164,6 +168,24 @@ def abstract(
     kinds = "/".join(sorted({model.relation.kind for model in models}))
     settings = {"relation": kinds, "cells": [list(m.grid.shape) for m in models], **used}
     return Abstraction(tuple(models), settings)
+
+
+def _check_cells(cells: Cells, problem: Problem) -> None:
+    """Refuse names that no agent has; agents that are left out get the default."""
+    for name in cells if isinstance(cells, Mapping) else ():
+        if name not in problem.agent_names:
+            known = ", ".join(problem.agent_names[:8])
+            raise ValueError(f"`cells`: expected names of agents among {known}, got {name!r}; correct the name")
+
+
+def check_settings(settings: Mapping[str, object]) -> None:
+    """Refuse settings of a relation that ``abstract`` does not have, with the nearest one that it has."""
+    known = [*signature(abstract).parameters][2:]
+    for name in settings:
+        if name not in known:
+            close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
+            raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
 
 
 def _identity(agent: LinearAgent) -> tuple[FloatArray, ...]:
@@ -245,7 +267,7 @@ def _cells_of(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)
     if len(per_axis) != agent.n_states or not whole:
         raise ValueError(
-            f"`cells`: expected a positive whole number or {agent.n_states} of them for agent `{agent.name}`, "
-            f"got {wanted!r}"
+            f"`cells`: expected a positive whole number or {agent.n_states} of them (cells per axis) for agent "
+            f"`{agent.name}`, got {wanted!r}"
         )
     return tuple(int(n) for n in per_axis)

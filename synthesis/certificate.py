@@ -81,6 +81,15 @@ class AgentPart:
         return tuple(len(axis) for axis in self.lattice)
 
 
+def checked_certificate(value: Any) -> Certificate:
+    """Return a certificate, or raise ValueError with what to do."""
+    if isinstance(value, Certificate):
+        return value
+    inside = isinstance(getattr(value, "certificate", None), Certificate)
+    remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
+    raise ValueError(f"`certificate`: expected a Certificate, got {type(value).__name__}; {remedy}")
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """A certified lower bound on the satisfaction probability of the continuous closed loop.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .ascent import Skeleton
-from .certificate import AgentPart, Certificate
+from .certificate import AgentPart, Certificate, checked_certificate
 from .described_relation import check_description
 from .grid import Grid
 from .terms import Merges, Terms
@@ -36,7 +36,8 @@ MAX_BYTES = 2 * 2**30
 
 
 def save_certificate(certificate: Certificate, path: str | Path) -> None:
-    """Write a certificate to ``path`` (``.npz``)."""
+    """Write a certificate to ``path`` (``.npz``); ValueError if it is none."""
+    checked_certificate(certificate)
     pool = _Pool()
     header = {
         "format": FORMAT,
@@ -79,6 +80,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     OSError
         If it cannot be read.
     """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"`{path}`: expected a certificate file, found none; write one with `save_certificate`")
     try:
         if (size := Path(path).stat().st_size) > max_bytes:
             raise ValueError(f"it has {size} bytes, more than {max_bytes}")

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.agent import LinearAgent
-from ..envs.problem import Problem
-from .abstraction import Abstraction, AgentModel, Cells, abstract
+from ..envs.problem import Problem, checked_problem
+from .abstraction import Abstraction, AgentModel, Cells, abstract, check_settings
 from .ascent import Laws, Limits, Sweep, sweep
 from .choices import TargetWindows
 from .decentralised import Decentralised, Policy, decentralised
@@ -190,7 +190,8 @@ def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: Fl
 def _wrapped(
     problem: Problem, policy: Policy, cells: Cells, relation: str, settings: dict[str, Any]
 ) -> tuple[Abstraction, JointModel, Laws]:
-    given = decentralised(problem, policy)
+    given = decentralised(checked_problem(problem), policy)
+    check_settings(settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     return abstraction, join(problem, abstraction), wrap(problem, abstraction, given)
 

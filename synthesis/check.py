@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..envs.agent import LinearAgent
 from ..envs.box import Box
 from ..envs.problem import Problem
-from .certificate import AgentPart, Certificate
+from .certificate import AgentPart, Certificate, checked_certificate
 from .grid import start_share
 from .regrow import BrokenTreeError, axis_tables, grid_noise, regrow
 from .relation_coupled import CoupledRelation
@@ -80,7 +80,7 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere. The
         upper end of an exact claim (``gap``) is not verified here; rollouts test it (``certigym.validate``).
     """
-    problem = certificate.problem if problem is None else problem
+    problem = checked_certificate(certificate).problem if problem is None else problem
     failures: list[str] = []
     recomputed = float("nan")
     if certificate.fingerprint != problem.fingerprint:

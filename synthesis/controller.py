@@ -231,6 +231,11 @@ class Controller:
         """
         actions = {}
         for name, observation in observations.items():
+            if name not in self._by_name:
+                raise ValueError(
+                    f"`observations`: expected agents of problem {self.problem.name!r}, got {name!r}; act in its own "
+                    "environment"
+                )
             agent = self._by_name[name]
             info = infos.get(name) if infos is not None else None
             if info is not None and "state" in info:

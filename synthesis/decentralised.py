@@ -123,7 +123,12 @@ class Given:
 
     def _checked(self, agent: int, answer: FloatArray, count: int) -> FloatArray:
         expected = (self.agents[agent].n_inputs, count)
-        if answer.shape != expected or not np.isfinite(answer).all():
+        if answer.shape == expected and not np.isfinite(answer).all():
+            raise ValueError(
+                f"`policy`: expected finite inputs for agent `{self.agents[agent].name}`, got numbers that are not, or "
+                "None; let the function return its input at every state"
+            )
+        if answer.shape != expected:
             raise ValueError(
                 f"`policy`: expected {expected[0]} finite inputs per state for agent `{self.agents[agent].name}`, got "
                 f"an answer of shape {answer.shape} for {count} states; functions of many states at once need "

@@ -56,7 +56,8 @@ def paper_relation(
     """
     if (agent.n_states, agent.n_inputs, agent.n_outputs) != (1, 1, 1):
         raise ValueError(
-            f"agent `{agent.name}`: the `paper` relation is for scalar agents, got {agent.n_states} states"
+            f"agent `{agent.name}`: the `paper` relation is for scalar agents, got {agent.n_states} states; "
+            "take `exact` or `tube`"
         )
     widths = np.diff(edges)
     width = float(widths.max()) * (1 + 1e-12)

@@ -147,7 +147,8 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
         found.append(-np.linalg.solve(cost + B.T @ value @ B, B.T @ value @ A))
     if not found:
         raise ValueError(
-            f"agent `{agent.name}`: expected a stabilisable pair `A`, `B`, got one that no feedback stabilises"
+            f"agent `{agent.name}`: expected a stabilisable pair `A`, `B`, got one that no feedback stabilises; "
+            "give it an input that moves what is unstable"
         )
     return found
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .abstraction import Abstraction, Cells, Relation, abstract
+from .abstraction import Abstraction, Cells, Relation, abstract, check_settings
 from .ascent import Laws, Limits, Sweep, forward, resting_laws, sweep
 from .bounds import (
     Bound,
@@ -94,6 +94,7 @@ def synthesize(
     began = time.perf_counter()
     if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
         raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
+    check_settings(settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
     joint = join(problem, abstraction)

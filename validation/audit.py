@@ -27,7 +27,7 @@ from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics
 from ..envs.problem import Problem
 from ..spread import Executor, in_order, interrupts_at_checkpoints
-from ..synthesis.certificate import Certificate
+from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.terms import Terms
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
 from .audit_report import AuditReport, report_of
@@ -139,7 +139,7 @@ def audit(
         If a number is out of range, or the value functions are not one per step.
     """
     check_confidence(confidence)
-    problem = certificate.problem if problem is None else problem
+    problem = checked_certificate(certificate).problem if problem is None else problem
     values = tuple(claimed_values(certificate) if values is None else values)
     if len(values) != problem.horizon:
         raise ValueError(f"`values`: expected one value function per step, {problem.horizon}, got {len(values)}")

@@ -227,6 +227,11 @@ def compare(
 
 def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]:
     """The contestants that a value of ``policies`` stands for."""
+    if isinstance(policy, str):
+        raise ValueError(
+            f"`policies`: expected a policy, certificate or training for {name!r}, got the text {policy!r}; load "
+            "it with `load_certificate` or `load_actor`"
+        )
     if isinstance(policy, Sequence):
         if len(policy) == 1:
             return contestants_of(problem, name, policy[0])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spread import Executor, interrupts_at_checkpoints
-from ..synthesis.certificate import Certificate
+from ..synthesis.certificate import Certificate, checked_certificate
 from .mismatch import Mismatch
 from .rollout import CHUNK, Loop, stream
 from .starts import corner_starts, neighbours, random_starts
@@ -174,6 +174,7 @@ def validate_field(
     ValueError
         If a shape or number is wrong.
     """
+    checked_certificate(certificate)
     check_confidence(confidence)
     states = np.atleast_2d(np.asarray(states, dtype=float))
     claims = certificate.at(states)
@@ -243,7 +244,7 @@ def find_weakest(
     FieldReport
         About the finalists; after Ctrl-C, about the candidates of the round that was going on.
     """
-    problem = certificate.problem
+    problem = checked_certificate(certificate).problem
     if candidates is None:
         candidates = np.concatenate([corner_starts(problem), random_starts(problem, 192, seed)])
     states = np.atleast_2d(np.asarray(candidates, dtype=float))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spread import Executor
-from ..synthesis.certificate import Certificate
+from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.check import CheckReport, check
 from .audit import audit
 from .audit_report import AuditReport
@@ -104,7 +104,7 @@ def gather_report(
     axes : sequence of int, optional
         Joint coordinates of the map, one or two; default: the first of the first two agents.
     """
-    problem = certificate.problem
+    problem = checked_certificate(certificate).problem
     settings: dict[str, Any] = {
         "confidence": confidence, "chunk": chunk, "executor": executor, "progress": progress
     }  # fmt: skip

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics, Worlds
-from ..envs.problem import Problem
+from ..envs.problem import Problem, checked_problem
 from ..spread import Executor, in_order, interrupts_at_checkpoints
 from .mismatch import Mismatch, degraded, disturbed
 
@@ -164,6 +164,12 @@ def rollout(
     ValueError
         If a number is out of range.
     """
+    checked_problem(problem)
+    if not hasattr(controller, "batch"):
+        raise ValueError(
+            f"`controller`: expected an object with `batch(dynamics)`, got {type(controller).__name__}; give the "
+            "`.controller` of a synthesis or certificate, or `as_controller(problem, policy)`"
+        )
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
     loop = Loop(problem, controller, seed, chunk, mismatch=mismatch)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..spread import Executor
-from ..synthesis.certificate import Certificate
+from ..synthesis.certificate import Certificate, checked_certificate
 from .mismatch import FAMILIES, Mismatch
 from .rollout import CHUNK, rollout
 from .validate import claim_at
@@ -141,6 +141,7 @@ def stress(
         As in ``validate``.
     """
     check_confidence(confidence)
+    checked_certificate(certificate)
     problem, lower, _, _ = claim_at(certificate, initial_state)
     pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
     counts: list[int] = []

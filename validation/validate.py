@@ -14,7 +14,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
-from ..synthesis.certificate import Certificate
+from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.synthesize import Synthesis
 from .mismatch import Mismatch
 from .rollout import CHUNK, Loop, stream
@@ -171,7 +171,7 @@ def validate(
     """
     began = time.perf_counter()
     check_confidence(confidence)
-    certificate = result.certificate if isinstance(result, Synthesis) else result
+    certificate = result.certificate if isinstance(result, Synthesis) else checked_certificate(result)
     problem, lower, gap, start = claim_at(certificate, initial_state)
     gap = gap if mismatch is None else None  # of another system nobody claims an upper bound
     loop = Loop(problem, certificate.controller, seed, chunk, mismatch=mismatch)

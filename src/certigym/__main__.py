@@ -109,8 +109,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # argparse takes "-10,-3" for an option; a leading blank marks it as a value
     options = build_parser().parse_args([f" {a}" if NUMBER.match(a) else a for a in given])
     from . import commands
+    from .arguments import check_places
 
     try:
+        check_places(getattr(options, "json", None), _file_of(options), getattr(options, "plot", None))
         return int(getattr(commands, options.command)(options))
     except (ValueError, OSError) as error:
         first = str(error).strip().replace("\n", " | ") or type(error).__name__
@@ -125,6 +127,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("certigym: interrupted", file=sys.stderr)
         return 130
+
+
+def _file_of(options: argparse.Namespace) -> str | None:
+    """File that `--out` names; two commands take a folder, which they make."""
+    return None if options.command in ("reproduce", "train") else getattr(options, "out", None)
 
 
 if __name__ == "__main__":

@@ -48,6 +48,13 @@ def cells_of(options: Namespace) -> int | list[int] | None:
     return options.cells[0] if len(options.cells) == 1 else list(options.cells)
 
 
+def check_places(*paths: str | None) -> None:
+    """Refuse files in folders that do not exist, before anything is computed."""
+    for path in paths:
+        if path is not None and path != "-" and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"`{path}`: expected a place in a folder that exists; make the folder first")
+
+
 def show(options: Namespace, text: Any, data: Any) -> None:
     """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
     if options.json != "-":

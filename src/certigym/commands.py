@@ -144,6 +144,8 @@ def reproduce(options: Namespace) -> int:
     from .validation import reproduce as figures
     from .validation.refutation import refute_published
 
+    if options.out and Path(options.out).exists() and not Path(options.out).is_dir():
+        raise ValueError(f"`--out`: expected a folder, got the file {options.out!r}; name a folder, it is made")
     show = (lambda text: print(text)) if options.json != "-" else (lambda text: None)
     if options.what == "refutation":
         result: Any = refute_published()

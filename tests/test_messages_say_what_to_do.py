@@ -1,0 +1,260 @@
+"""Mistakes are answered at once, by messages that name the argument, what was expected, what came, and a way out.
+
+Each case is a mistake that a new user makes. Read aloud: the argument in backticks, "expected", "got", and the words
+that say what to do (the last column).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+
+PROBLEM = cg.make_problem("reach-avoid-v0", horizon=3)
+RESULT = cg.synthesize(PROBLEM, cells=20)
+PLANAR: dict[str, Any] = {
+    "A": [[1.0, 0.5], [0.0, 1.0]], "B": [[0.0], [0.5]], "noise_covariance": np.eye(2) * 0.1, "state_low": [-10, -5],
+    "state_high": [10, 5], "input_low": [-1], "input_high": [1], "initial_state": [0, 0],
+}  # fmt: skip
+STRIP = {"goal": cg.Proposition("cart", [4, -5], [6, 5])}
+
+
+def agent(**changes: Any) -> cg.LinearAgent:
+    given: dict[str, Any] = {
+        "name": "cart", "A": [[0.9]], "B": [[0.5]], "noise_covariance": [[0.04]], "state_low": [-10],
+        "state_high": [10], "input_low": [-3], "input_high": [3], "initial_state": [-6],
+    }  # fmt: skip
+    return cg.LinearAgent(**{**given, **changes})
+
+
+def problem(
+    who: cg.LinearAgent | None = None, propositions: Any = None, formula: str = "F goal", **changes: Any
+) -> Any:
+    given: dict[str, Any] = {
+        "name": "task", "horizon": 5, "agents": [who or agent()],
+        "propositions": propositions or {"goal": cg.Proposition("cart", [4], [6])},
+        "specification": cg.Specification(formula, "co-safe"),
+    }  # fmt: skip
+    return cg.Problem(**{**given, **changes})
+
+
+def stepped(actions: Any) -> Any:
+    env = cg.parallel_env(PROBLEM)
+    env.reset(seed=0)
+    return env.step(actions)
+
+
+def rendered(env: Any) -> Any:
+    env.reset(seed=0)
+    return env.render()
+
+
+def batch_stepped(actions: Any) -> Any:
+    worlds = cg.vector_env(PROBLEM, 2)
+    worlds.reset(seed=0)
+    return worlds.step(actions)
+
+
+def wrapped(policy: Any) -> Any:
+    return cg.certify(PROBLEM, policy, cells=10)
+
+
+MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
+    # shapes and numbers of agents
+    (lambda: agent(A=[[0.9, 0.1]]), "A", "square matrix"),
+    (lambda: agent(A=0.9), "A", "such as [[0.9]]"),
+    (lambda: agent(B=[[0.5], [0.5]]), "B", "such as [[0.5]]"),
+    (lambda: agent(noise_covariance=[0.2]), "noise_covariance", "such as [[1.0]]"),
+    (lambda: agent(noise_covariance=[[-1.0]]), "noise_covariance", "positive semidefinite"),
+    (lambda: agent(input_low=[4]), "input_low", "exchange or correct the two"),
+    (lambda: agent(state_low=[10], state_high=[-10]), "state_low", "exchange or correct the two"),
+    (lambda: cg.Proposition("cart", [6], [4]), "low", "exchange or correct the two"),
+    # regions, names, horizons
+    (
+        lambda: problem(propositions={"goal": cg.Proposition("cart", [40], [60])}),
+        "propositions.goal",
+        "correct the region",
+    ),
+    (
+        lambda: problem(propositions={"goal": cg.Proposition("kart", [4], [6])}),
+        "propositions.goal",
+        "did you mean 'cart'",
+    ),
+    (lambda: problem(propositions=STRIP), "propositions.goal", "corners of length 1"),
+    (lambda: problem(specification="F goal"), "specification", "expected a Specification"),
+    (lambda: problem(horizon=0), "horizon", "from 1 to 1000000 (control steps)"),
+    (lambda: PROBLEM.replace(initial_state=[1.0]), "initial_state", "such as [0.0, 0.0]"),
+    (lambda: cg.Specification("F goal", "ltl"), "semantics", "'co-safe' or 'finite-trace'"),
+    (lambda: cg.make_problem("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
+    # synthesis
+    (lambda: cg.synthesize("reach-avoid-v0"), "problem", "make one with `make_problem`"),  # type: ignore[arg-type]
+    (lambda: cg.synthesize(PROBLEM, cells=0), "cells", "positive whole number"),
+    (lambda: cg.synthesize(PROBLEM, cells={"agent0": 10}), "cells", "correct the name"),
+    (lambda: cg.synthesize(PROBLEM, cell=10), "cell", "did you mean `cells`?"),
+    (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, exact"),
+    (lambda: cg.synthesize(PROBLEM, cells=20, relation="paper"), "epsilon", "more `cells`"),
+    (lambda: cg.translate("F a", ["a"], "co-safe", backend="ltl2ba"), "backend", "one of builtin, mona"),
+    (lambda: cg.automaton_from_hoa("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),
+    # environments
+    (lambda: cg.parallel_env("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
+    (lambda: cg.parallel_env(PROBLEM, render_mode="rgb"), "render_mode", "'rgb_array'"),
+    (lambda: cg.parallel_env(PROBLEM, observations="full"), "observations", "`problem.replace`"),
+    (lambda: cg.vector_env(PROBLEM, 0), "num_envs", "from 1 to"),
+    (lambda: stepped({"agent_0": [0.0]}), "actions", "one for every agent"),
+    (lambda: stepped({"agent_0": [0.0, 1.0], "agent_1": [0.0]}), "actions['agent_0']", "of shape (1,)"),
+    (lambda: stepped({"agent_0": [float("nan")], "agent_1": [0.0]}), "actions['agent_0']", "finite numbers"),
+    (lambda: stepped({"agent_0": [0.0], "agent_1": [0.0], "agent_2": [0.0]}), "actions", "leave it out"),
+    (lambda: batch_stepped(np.zeros((3, 2))), "actions", "one row for each of 2 worlds"),
+    # certificates and policies
+    (lambda: cg.validate(PROBLEM), "certificate", "make one with `synthesize`"),  # type: ignore[arg-type]
+    (lambda: cg.check(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.audit(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.stress(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.gather_report(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.validate_field(RESULT, [[0, 0]]), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.save_certificate(RESULT, "c.npz"), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    (lambda: cg.load_certificate("nowhere.npz"), "nowhere.npz", "write one with `save_certificate`"),
+    (lambda: cg.rollout(PROBLEM, RESULT, 10), "controller", "give the `.controller`"),  # type: ignore[arg-type]
+    (lambda: RESULT.controller.act({"x": np.zeros(3)}), "observations", "act in its own environment"),
+    (lambda: RESULT.certificate.at([1.0]), "states", "shape (M, 2)"),
+    (lambda: cg.validate(RESULT, 10, confidence=99), "confidence", "strictly between 0 and 1"),
+    (lambda: cg.validate(RESULT, 0), "episodes", "at least 1"),
+    (lambda: wrapped(lambda x, q, t: np.zeros(3)), "policy", "`vectorized`"),
+    (lambda: wrapped(lambda x, q, t: None), "policy", "return its input"),
+    (lambda: wrapped("mine.py"), "policy", "a function or a table"),
+    (lambda: cg.compare(PROBLEM, {"ours": "c.npz"}), "policies", "`load_certificate`"),
+    (lambda: cg.train(PROBLEM, "dqn"), "algorithm", "'ppo'"),
+    (lambda: cg.Mismatch(noise_family="cauchy"), "noise_family", "one of gaussian"),
+]
+
+
+@pytest.mark.parametrize(("mistake", "argument", "remedy"), MISTAKES)
+def test_python(
+    mistake: Callable[[], Any], argument: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((ValueError, FileNotFoundError)) as caught:
+        mistake()
+    message = str(caught.value)
+    assert f"`{argument}`" in message, message
+    came = any(words in message for words in (", got", "found none", "expected only with"))
+    assert "expected" in message and came, message
+    assert remedy in message, message
+    assert len(message) < 400 and "\n" not in message, "one line that can be read"
+
+
+AGENTS_THAT_NO_RELATION_TAKES = [
+    ({"A": [[1.2, 0.0], [0.0, 0.9]], "B": [[0.0], [1.0]]}, "auto", "give it an input that moves what is unstable"),
+    ({"A": [[1.5, 0.5], [0.0, 1.2]], "input_low": [-0.01], "input_high": [0.01]}, "tube", "ask for more `cells`"),
+    ({}, "exact", "as many independent inputs as states"),
+    ({}, "paper", "take `exact` or `tube`"),
+    ({"noise_covariance": np.zeros((2, 2))}, "auto", "give every state some noise"),
+]
+
+
+@pytest.mark.parametrize(("changes", "relation", "remedy"), AGENTS_THAT_NO_RELATION_TAKES)
+def test_agents_that_a_relation_does_not_take(changes: dict[str, Any], relation: str, remedy: str) -> None:
+    task = problem(agent(**{**PLANAR, **changes}), STRIP)
+    with pytest.raises(ValueError, match="cart") as caught:
+        cg.synthesize(task, cells=10, relation=relation)
+    assert remedy in str(caught.value)
+
+
+FORMULAS = [
+    ("F gaol", "did you mean goal?"),
+    ("F (goal", "expected an operator or )"),
+    ("goal && || goal", "expected a formula, got '|'"),
+    ("eventually goal", "expected an operator"),
+    ("G goal", "Bound it, as in G[0,10]"),
+]
+
+
+@pytest.mark.parametrize(("formula", "remedy"), FORMULAS)
+def test_formulas_are_shown_with_the_place(formula: str, remedy: str) -> None:
+    with pytest.raises(cg.FormulaError) as caught:
+        problem(formula=formula)
+    first, shown, mark = str(caught.value).splitlines()
+    assert remedy in first and shown.strip() == formula and set(mark.strip()) == {"^"}
+
+
+@pytest.mark.parametrize("make", [cg.parallel_env, cg.central_env, cg.vector_env])
+def test_step_before_reset(make: Any) -> None:
+    with pytest.raises(RuntimeError, match="call `reset`"):
+        make(PROBLEM).step(np.zeros((1, 2)) if make is cg.vector_env else np.zeros(2))
+
+
+FILES = [
+    ('name = "a"\nhorizn = 3\n', "did you mean `horizon`?"),
+    ('name = "a\n', "expected TOML"),
+    ("", "the problem: "),
+]
+
+
+@pytest.mark.parametrize(("text", "remedy"), FILES)
+def test_problem_files_name_file_and_key(text: str, remedy: str, tmp_path: Path) -> None:
+    (tmp_path / "task.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"^task\.toml: ") as caught:
+        cg.load_problem(tmp_path / "task.toml")
+    assert remedy in str(caught.value)
+
+
+def test_a_certificate_for_another_problem_does_not_check() -> None:
+    report = cg.check(RESULT.certificate, PROBLEM.replace(horizon=4))
+    assert not report and "made for another problem" in str(report)
+    with pytest.raises(ValueError, match=r"speaks of another problem .* give its controller alone"):
+        cg.compare(PROBLEM.replace(horizon=4), {"ours": RESULT})
+    with pytest.raises(ValueError, match="reset the controller of this environment's own problem"):
+        RESULT.controller.reset(cg.parallel_env("invariance-4-v0").reset(seed=0)[0])
+
+
+EXTRAS = [
+    ("stable_baselines3", "rl", lambda: cg.train(PROBLEM, "ppo", steps=64)),
+    ("PIL", "viz", lambda: rendered(cg.parallel_env(PROBLEM, render_mode="rgb_array"))),
+]
+
+
+@pytest.mark.parametrize(("module", "extra", "use"), EXTRAS)
+def test_missing_extras_are_named(
+    module: str, extra: str, use: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name == module or name.startswith(f"{module}.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "certigym.validation.learners", raising=False)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises((ValueError, ImportError), match=rf"certigym\[{extra}\]"):
+        use()
+
+
+COMMANDS = [
+    (["run", "reach-avoid-v1"], "see `certigym problems`"),
+    (["run", "reach-avoid-v0", "--horizon", "0"], "expected an integer from 1"),
+    (["run", "reach-avoid-v0", "--initial-state", "a", "b"], "expected numbers, got 'a b'"),
+    (["run", "reach-avoid-v0", "--json", "nowhere/r.json"], "make the folder first"),
+    (["synthesize", "reach-avoid-v0", "--out", "nowhere/c.npz"], "make the folder first"),
+    (["validate", "nowhere.npz"], "expected a certificate file, found none"),
+    (["render", "reach-avoid-v0", "--out", "a.txt"], "ends in .gif, .mp4 or .png"),
+    (["plot", "value", "reach-avoid-v0", "--out", "a.txt"], "ends in .png, .svg, .pdf"),
+    (["compare", "reach-avoid-v0", "--policies", "foo"], "FILE.py:NAME"),
+    (["certify", "reach-avoid-v0", "--policy", "mine.py"], "FILE.py:NAME"),
+    (["reproduce", "fig4", "--out", "a-file"], "name a folder"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "remedy"), COMMANDS)
+def test_command_line(
+    arguments: list[str], remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("a-file").write_text("", encoding="utf-8")
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("certigym: ") and said.err.count("\n") == 1
+    assert remedy in said.err, said.err
