@@ -1,4 +1,5 @@
-"""The wheel holds one package, made of the folders; imports go one way, stay light, and never name a bare folder."""
+"""Wheel and sdist hold one package, made of the folders, and work where they are installed; imports go one way, stay
+light, and never name a bare folder."""
 
 from __future__ import annotations
 
@@ -6,6 +7,9 @@ import ast
 import os
 import subprocess
 import sys
+import sysconfig
+import tarfile
+import venv
 import zipfile
 from pathlib import Path
 
@@ -25,13 +29,38 @@ def python(program: str, cwd: Path = ROOT, path: Path = ROOT / "src") -> subproc
     )
 
 
+def build(kind: str, target: Path) -> Path:
+    """Build an archive of the checkout."""
+    command = [sys.executable, "-m", "hatchling", "build", "--target", kind, "--directory", str(target)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (built,) = target.iterdir()
+    return built
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    target = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(target)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    (built,) = target.glob("*.whl")
-    return built
+    return build("wheel", tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build("sdist", tmp_path_factory.mktemp("sdist"))
+
+
+def installed(archive: Path, folder: Path) -> Path:
+    """A new environment with the archive in it; its dependencies are those of this one, so no network is needed."""
+    pytest.importorskip("pip")
+    venv.create(folder, with_pip=False)
+    binary = folder / ("Scripts" if os.name == "nt" else "bin")
+    program = binary / "python"
+    inside = {"base": str(folder), "platbase": str(folder)}
+    site, here = (Path(sysconfig.get_path("purelib", vars=v)) for v in (inside, None))
+    (site / "dependencies.pth").write_text(f"{here}\n", encoding="utf-8")  # of a path so named, .pth files do not count
+    command = [sys.executable, "-m", "pip", "--python", str(program), "install", "--quiet", "--no-deps", "--no-index",
+               "--no-build-isolation", "--no-warn-script-location", str(archive)]  # fmt: skip
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return binary
 
 
 def sources() -> dict[str, Path]:
@@ -66,6 +95,49 @@ def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> No
     )
     assert said.returncode == 0, said.stderr
     assert said.stdout.split() == [str(tmp_path / "site" / "certigym" / "__init__.py"), "2"]
+
+
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_archives_work_where_they_are_installed(kind: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    binary = installed(request.getfixturevalue(kind), tmp_path / "environment")
+    clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+    def said(*words: str) -> str:
+        done = subprocess.run(words, cwd=tmp_path, env=clean, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    command = str(binary / "certigym")
+    where = said(str(binary / "python"), "-c", "import certigym; print(certigym.__file__)")
+    assert (tmp_path / "environment").resolve() in Path(where.strip()).resolve().parents
+    assert "COMMAND" in said(command, "--help")
+    assert said(command, "--version").strip() == f"certigym {certigym.__version__}"
+    report = said(
+        command, "run", "reach-avoid-v0", "--horizon", "2", "--cells", "30", "--episodes", "500", "--out", "c.npz"
+    )
+    assert "certified    P >= 0.2" in report and "verdict      consistent" in report
+    assert "valid" in said(command, "check", "c.npz")
+
+
+def test_the_sdist_is_the_repository(sdist: Path) -> None:
+    """Everything that is tracked is in it, but for what belongs to the repository alone."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("needs the repository")
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.split(
+        "\n"
+    )
+    tracked = {name for name in listed if name and not name.startswith((".ci/", "src/certigym/envs"))}
+    links = {f"src/certigym/{folder}" for folder in FOLDERS}
+    with tarfile.open(sdist) as archive:
+        inside = {name.partition("/")[2] for name in archive.getnames()}
+    assert tracked - links - inside == set()
+
+
+def test_the_package_is_typed(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        assert "certigym/py.typed" in archive.namelist()
+        (metadata,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
+        assert "Classifier: Typing :: Typed" in archive.read(metadata).decode()
 
 
 def test_a_checkout_without_links_finds_its_folders(tmp_path: Path) -> None:
@@ -160,3 +232,5 @@ def test_type_checkers_see_the_exported_names() -> None:
 def test_versions_agree() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert f'version = "{certigym.__version__}"' in project
+    assert f"\nversion: {certigym.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## {certigym.__version__} (" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
