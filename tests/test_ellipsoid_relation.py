@@ -134,6 +134,8 @@ def test_errors_on_the_boundary_and_vertices_of_the_cells_stay_inside(name: str,
         image = moved + (half * signs)[:, None]
         largest = max(largest, float(np.max(np.sum(image * (form @ image), axis=0))) / relation.epsilon**2)
     assert 0.999 < largest <= 1.0
+    reaches = np.max(np.abs(part.coordinates @ boundary(relation, 20_000)), axis=1)
+    assert np.all((0.999 * relation.state_reach < reaches) & (reaches <= relation.state_reach))
     reserve = np.max(np.abs(relation.feedback @ boundary(relation, 20_000)), axis=1)
     assert np.all(np.abs(relation.inputs) + reserve <= agent.input_box.high)
 
