@@ -15,8 +15,11 @@ from typing import Any
 
 import pytest
 
+import certigym as cg
+import draw_figures
 from certigym.__main__ import build_parser, main
 from certigym.envs.problem_file import problem_from_toml
+from certigym.validation import figure_scenes, figures
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -111,6 +114,22 @@ def test_every_command_is_on_its_page() -> None:
     listed = set(re.findall(r"^\| `(\w+)` \|", (DOCS / "command_line.md").read_text(encoding="utf-8"), re.MULTILINE))
     (action,) = (a for a in build_parser()._actions if a.dest == "command")
     assert action.choices is not None and listed == set(action.choices)
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    named = re.findall(r"^\.\. auto(?:function|class):: (\w+)$", text, flags=re.MULTILINE)
+    assert set(cg.__all__) - {"__version__"} <= set(named) and len(named) == len(set(named))
+    drawn = {name for module in (figures, figure_scenes) for name in vars(module) if name.endswith("_figure")}
+    assert {name for name in named if name.endswith("_figure")} == (drawn - {"new_figure"}) | {"save_figure"}
+
+
+def test_every_figure_is_drawn_by_the_script_and_used() -> None:
+    present = {path.stem for path in (DOCS / "figures").iterdir()}
+    used = {name for page in PAGES for name in re.findall(r"figures/(\w+)\.png", page.read_text(encoding="utf-8"))}
+    assert present == used == set(draw_figures.FIGURES)
+    for path in (DOCS / "figures").iterdir():
+        assert path.stat().st_size < 100_000, "small enough to commit"
 
 
 LINK = re.compile(r"(?<!!)\[[^\]\n]+\]\(([^)\s]+)\)|!\[[^\]\n]*\]\(([^)\s]+)\)")
