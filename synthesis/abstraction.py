@@ -20,7 +20,15 @@ import numpy as np
 
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
-from .agent_models import Bare, Relation, cheapest_model, exact_model, paper_model, tube_model
+from .agent_models import (
+    Bare,
+    Relation,
+    cheapest_model,
+    ellipsoid_model,
+    exact_model,
+    paper_model,
+    tube_model,
+)
 from .choices import Choices
 from .grid import FloatArray, Grid, aligned_edges
 from .kernel import Kernel
@@ -32,8 +40,7 @@ DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
 Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
-
-RELATIONS = ("auto", "exact", "paper", "tube")
+RELATIONS = ("auto", "exact", "ellipsoid", "paper", "tube")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +112,7 @@ def abstract(
     feedback: float = 0.0,
     inputs: int = 10,
     delta: float | None = None,
+    share: float | None = None,
 ) -> Abstraction:
     """Finite models of the agents of ``problem``.
 
@@ -114,15 +122,20 @@ def abstract(
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str
-        ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"paper"``: scalar
-        agents, delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies and the inputs are
-        strong enough for the cells, else ``tube``.
+        ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"ellipsoid"``: any
+        agent that some ellipsoid can be found for, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents,
+        delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies and the inputs are strong
+        enough for the cells, else ``tube``.
     targets_per_cell : int
         ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
         Default: 2 for scalar agents, 1 for others.
-    epsilon, feedback, inputs, delta
-        ``paper``: half width of the relation, K of the interface, number of abstract inputs, and a failure probability
-        to be used instead of the (smaller) closed form.
+    epsilon, feedback, inputs
+        ``paper``: half width of the relation, K of the interface, number of abstract inputs.
+    delta : float, optional
+        ``paper``: a failure probability to be used instead of the (smaller) closed form. ``ellipsoid``: the largest
+        failure probability per step and agent, in [0, 1), default 0; more of it makes labels and inputs lose less.
+    share : float, optional
+        ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
 
     Raises
     ------
@@ -136,6 +149,9 @@ def abstract(
         raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {targets_per_cell!r}")
     if relation not in RELATIONS:
         raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {relation!r}")
+    for name, value, allowed in (("delta", delta, ("ellipsoid", "paper")), ("share", share, ("ellipsoid",))):
+        if value is not None and relation not in allowed:
+            raise ValueError(f"`{name}`: expected none with relation `{relation}`, got {value!r}; ask for `ellipsoid`")
     paper = {"epsilon": epsilon, "feedback": feedback, "inputs": inputs, "delta": delta}
     bare: dict[object, Bare] = {}
     whole: dict[object, AgentModel] = {}
@@ -151,6 +167,8 @@ def abstract(
                 bare[same] = exact_model(agent, grid, coordinates, per_cell)
             elif relation == "tube":
                 bare[same] = tube_model(agent, grid, coordinates, room)
+            elif relation == "ellipsoid":
+                bare[same] = ellipsoid_model(agent, grid, coordinates, room, 0.0 if delta is None else delta, share)
             else:
                 bare[same] = paper_model(agent, grid, paper)
         start_labels = cell_labels(problem, i, grid, coordinates)
@@ -163,8 +181,9 @@ def abstract(
             _, lattice, kernel, choices = bare[same]
             whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
         models.append(whole[key])
-    used: dict[str, object] = {}
-    used.update(paper if relation == "paper" else {"targets_per_cell": targets_per_cell})
+    used: dict[str, object] = {"targets_per_cell": targets_per_cell}
+    if relation in ("paper", "ellipsoid"):
+        used = dict(paper) if relation == "paper" else {"delta": delta, "share": share}
     kinds = "/".join(sorted({model.relation.kind for model in models}))
     settings = {"relation": kinds, "cells": [list(m.grid.shape) for m in models], **used}
     return Abstraction(tuple(models), settings)

@@ -76,12 +76,17 @@ def tube_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room: Fl
 
 
 def ellipsoid_model(
-    agent: LinearAgent, grid: Grid, coordinates: FloatArray, room: FloatArray, delta: float = 0.0
+    agent: LinearAgent,
+    grid: Grid,
+    coordinates: FloatArray,
+    room: FloatArray,
+    delta: float = 0.0,
+    share: float | None = None,
 ) -> Bare:
     """Relation, lattice, kernel and choices under the ``ellipsoid`` relation; ``room`` (d,) is that of the labels."""
 
     def relation(snap: FloatArray | None) -> CoupledRelation:
-        found = find_ellipsoid(agent, grid, coordinates, room, delta, snap)
+        found = find_ellipsoid(agent, grid, coordinates, room, delta, snap, share)
         return ellipsoid_relation(agent, grid, coordinates, found, snap=snap)
 
     return _snapped(relation, grid)

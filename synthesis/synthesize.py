@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .abstraction import Abstraction, Cells, Relation, abstract, check_settings
+from .abstraction import Abstraction, Cells, abstract, check_settings
 from .ascent import Laws, Limits, Sweep, forward, resting_laws, sweep
 from .bounds import (
     Bound,
@@ -25,8 +25,8 @@ from .bounds import (
 from .certificate import EXACT_GAP, AgentPart, Certificate
 from .choices import InputMenu
 from .controller import Controller
+from .described_relation import describe_relation
 from .joint import JointModel, join, start_of
-from .relation_coupled import CoupledRelation
 from .seeds import best_paths, path_laws, staged_paths
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
@@ -69,8 +69,9 @@ def synthesize(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
     relation : str
-        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"paper"`` (scalar agents), or ``"auto"``: per
-        agent ``exact`` where it applies and ``tube`` elsewhere; see ``abstract``.
+        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
+        choice), ``"paper"`` (scalar agents), or ``"auto"``: per agent ``exact`` where it applies and ``tube``
+        elsewhere; see ``abstract``.
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
@@ -166,7 +167,7 @@ def certify(
         part = AgentPart(
             grid=model.grid,
             coordinates=model.relation.coordinates,
-            relation=_described(model.relation),
+            relation=describe_relation(model.relation),
             lattice=model.lattice,
             masks=joint.masks[i],
             start_masks=joint.start_masks[i],
@@ -214,14 +215,3 @@ def best_bound(
     found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
     grown, bound = max(found, key=lambda pair: pair[1].lower)
     return grown, bound, {other.name: other.lower for _, other in found}
-
-
-def _described(relation: Relation) -> dict[str, Any]:
-    """Settings from which a certificate computes the relation anew."""
-    if not isinstance(relation, CoupledRelation):
-        return {"kind": "exact"}
-    if relation.kind == "paper":
-        return {"kind": "paper", "epsilon": float(relation.reach[0]), "feedback": float(relation.feedback[0, 0]),
-                "inputs": len(relation.inputs), "delta": relation.delta}  # fmt: skip
-    return {"kind": "tube", "feedback": relation.feedback.tolist(), "inputs": relation.inputs.tolist(),
-            "snap": relation.snap.tolist()}  # fmt: skip

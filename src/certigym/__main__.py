@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from . import __version__
-from .learning_options import add_learning_commands
+from .learning_options import RELATIONS, add_learning_commands
 from .plot_command import add_plot_command
 from .validation_options import add_validate_options, add_validation_commands
 
@@ -89,7 +89,9 @@ def _start(parser: argparse.ArgumentParser) -> None:
 
 
 def _synthesis(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--relation", choices=["auto", "exact", "tube", "paper"], default="auto", help="default: auto")
+    parser.add_argument("--relation", choices=RELATIONS, default="auto", help="default: auto")
+    parser.add_argument("--delta", type=float, metavar="P",
+                        help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
 
 

@@ -55,6 +55,11 @@ def check_places(*paths: str | None) -> None:
             raise ValueError(f"`{path}`: expected a place in a folder that exists; make the folder first")
 
 
+def relation_of(options: Namespace) -> dict[str, Any]:
+    """Relation given by ``--relation``, with ``--delta`` where it is given; keyword arguments of ``abstract``."""
+    return {"relation": options.relation, **({} if options.delta is None else {"delta": options.delta})}
+
+
 def show(options: Namespace, text: Any, data: Any) -> None:
     """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
     if options.json != "-":

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from .arguments import cells_of, problem_of, show
+from .arguments import cells_of, problem_of, relation_of, show
 from .envs.problem import Problem
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.certify import certify as certify_policy
@@ -61,9 +61,9 @@ def certify(options: Namespace) -> int:
     policy = _given(problem, options.policy)
     cells = cells_of(options)
     policies: dict[str, Any] = {"raw": policy}
-    last = policies["certified"] = certify_policy(problem, policy, cells, relation=options.relation)
+    last = policies["certified"] = certify_policy(problem, policy, cells, **relation_of(options))
     if options.improve:
-        last = policies["improved"] = improve_policy(problem, policy, cells, relation=options.relation)
+        last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
     if options.out:
         save_certificate(last.certificate, options.out)
     result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)

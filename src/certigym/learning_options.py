@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+RELATIONS = ("auto", "exact", "tube", "ellipsoid", "paper")
+
 POLICIES = "certified, ppo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
 
 
@@ -35,7 +37,10 @@ def add_learning_commands(commands: Any) -> None:
     _problem(certify)
     certify.add_argument("--policy", required=True, metavar="POLICY", help="actor (.npz) or FILE.py:NAME")
     certify.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
-    certify.add_argument("--relation", default="auto", help="how agents follow their finite models (default: auto)")
+    certify.add_argument("--relation", choices=RELATIONS, default="auto",
+                         help="how agents follow their finite models (default: auto)")  # fmt: skip
+    certify.add_argument("--delta", type=float, metavar="P",
+                         help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
     certify.add_argument("--out", metavar="CERT", help="save the certificate, of the improved policy if any (.npz)")
     _rollouts(certify)
