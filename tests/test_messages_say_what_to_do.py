@@ -216,6 +216,7 @@ def test_a_certificate_for_another_problem_does_not_check() -> None:
 
 EXTRAS = [
     ("stable_baselines3", "rl", lambda: cg.train(PROBLEM, "ppo", steps=64)),
+    ("cvxpy", "lmi", lambda: cg.synthesize(PROBLEM, cells=10, relation="ellipsoid")),
     ("PIL", "viz", lambda: rendered(cg.parallel_env(PROBLEM, render_mode="rgb_array"))),
 ]
 

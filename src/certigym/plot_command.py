@@ -6,6 +6,8 @@ import argparse
 from argparse import Namespace
 from typing import Any
 
+from .learning_options import RELATIONS
+
 KINDS = {
     "value": "certified bound over a slice of starts (--axes: one coordinate or two)",
     "horizon": "certified bound and rollouts against the horizon (--horizons)",
@@ -29,7 +31,8 @@ def add_plot_command(commands: Any) -> None:
         "--horizons", nargs="+", type=int, metavar="T", help="for `horizon` (default: 1 to the problem's)"
     )
     plot.add_argument("--initial-state", nargs="+", metavar="X", help="joint initial state, agent after agent")
-    plot.add_argument("--relation", default="auto", help="as for `synthesize` (default: auto)")
+    plot.add_argument("--relation", choices=RELATIONS, default="auto", help="as for `synthesize` (default: auto)")
+    plot.add_argument("--delta", type=float, metavar="P", help="as for `synthesize`")
     plot.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
     plot.add_argument("--axes", nargs="+", type=int, metavar="K", help="joint coordinates of `value`")
     plot.add_argument("--agent", type=int, default=0, metavar="I", help="number of the agent of `relation`")
@@ -51,7 +54,7 @@ def plot(options: argparse.Namespace) -> int:
 
 
 def _figure(options: Namespace) -> Any:
-    from .arguments import cells_of, problem_of
+    from .arguments import cells_of, problem_of, relation_of
     from .validation import figure_scenes as scenes
     from .validation import figures
     from .validation.sweeps import sweep_horizons
@@ -61,7 +64,7 @@ def _figure(options: Namespace) -> Any:
     if options.kind == "horizon":
         problem = _loaded(options).problem if _is_file(options) else problem_of(options)
         horizons = options.horizons or range(1, problem.horizon + 1)
-        settings = {"cells": cells_of(options), "relation": options.relation}
+        settings = {"cells": cells_of(options), **relation_of(options)}
         return figures.horizon_figure(
             sweep_horizons(problem, horizons, options.episodes or 2000, options.seed, **settings)
         )
@@ -81,12 +84,12 @@ def _is_file(options: Namespace) -> bool:
 
 def _loaded(options: Namespace) -> Any:
     """The certificate that is named, or one of the problem that is named."""
-    from .arguments import cells_of, problem_of
+    from .arguments import cells_of, problem_of, relation_of
     from .synthesis.certificate_file import load_certificate
     from .synthesis.synthesize import synthesize
 
     if not _is_file(options):
-        return synthesize(problem_of(options), cells_of(options), relation=options.relation).certificate
+        return synthesize(problem_of(options), cells_of(options), **relation_of(options)).certificate
     if options.horizon is not None or options.initial_state is not None or options.cells is not None:
         raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate has its own; leave them out")
     return load_certificate(options.problem)
