@@ -237,7 +237,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
         if block.propositions.size:
             with np.errstate(over="ignore", invalid="ignore"):
                 y = x if block.identity_output else linear(block.C, x)
-            result[block.propositions] = contains(y[:, block.owners], block.region_low, block.region_high)
+            result[block.propositions] = contains(y.take(block.owners, axis=1), block.region_low, block.region_high)
     return result
 
 

@@ -15,7 +15,7 @@ of the nearest cell, and always admissible.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -27,6 +27,7 @@ from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem
 from .abstraction import Relation
 from .grid import FloatArray, Grid
+from .lookup import cell_finder
 from .relation_coupled import CoupledRelation, couple
 from .relation_exact import ExactRelation, apply
 
@@ -106,20 +107,19 @@ class AgentController:
                 memory = follow(self.relation, self.grid, memory, points, uniform)
             return self._coupled(self.relation, memory, points, q, time)
         points = self.project(states)
-        law = self._laws[np.arange(states.shape[1])[:, None], self._time(time), q, self.grid.cell_of(points)]
-        return self._towards(law, points), None
+        return self._towards(self._choice(self._cell_of(points), q, time), points), None
 
-    def _time(self, time: int) -> int:
-        return min(time, self._laws.shape[1] - 1)
+    def _choice(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int32]:
+        """Choices (n, M) in cells (n, M) and automaton states (M,)."""
+        n, n_times, n_states, n_cells = self._laws.shape
+        first = (np.arange(n) * n_times + min(time, n_times - 1)) * n_states  # rows (Q, S) of each agent at this time
+        return self._laws.reshape(-1).take((first[:, None] + q) * n_cells + cells)
 
     def _towards(self, targets: NDArray[Any], points: FloatArray) -> FloatArray:
         """Inputs that put the mean of the next state on lattice points (n, M) from points (d, n, M) of the grid."""
         assert isinstance(self.relation, ExactRelation)
-        shape = tuple(len(axis) for axis in self.lattice)
-        indices = np.unravel_index(np.maximum(targets, 0), shape)
-        goal = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)])
-        inputs = self.relation.inputs(goal, points)
         idle = targets < 0
+        inputs = self.relation.inputs(_means(self.lattice, np.where(idle, 0, targets)), points)
         if idle.any():
             inputs[:, idle] = self.relation.input_centre[:, None]
         return inputs
@@ -132,7 +132,7 @@ class AgentController:
         The input is admissible by the relation; only where the relation is lost it is moved into the input box.
         """
         assert self.menu is not None
-        choice = np.maximum(self._laws[np.arange(len(memory.cells))[:, None], self._time(time), q, memory.cells], 0)
+        choice = np.maximum(self._choice(memory.cells, q, time), 0)
         shape = (-1, *[1] * memory.cells.ndim)
         reach = relation.reach.reshape(shape)
         error = np.nan_to_num(points - np.moveaxis(self._centres[memory.cells], -1, 0))
@@ -140,17 +140,24 @@ class AgentController:
         inputs = np.moveaxis(relation.inputs[choice], -1, 0) + apply(relation.feedback, np.clip(error, -reach, reach))
         admissible = np.clip(inputs, relation.input_low.reshape(shape), relation.input_high.reshape(shape))
         inputs = np.where(lost | memory.lost, admissible, inputs)
-        lattice = np.unravel_index(self.menu[memory.cells, choice], tuple(len(axis) for axis in self.lattice))
-        means = np.stack([axis[index] for axis, index in zip(self.lattice, lattice, strict=True)])
+        means = _means(self.lattice, self.menu[memory.cells, choice])
         return inputs, Memory(memory.cells, points, inputs, means, memory.lost)
 
     @cached_property
     def _centres(self) -> FloatArray:
         return self.grid.centres
 
+    @cached_property
+    def _cell_of(self) -> Callable[[FloatArray], NDArray[np.int64]]:
+        return cell_finder(self.grid)
+
     def project(self, states: FloatArray) -> FloatArray:
         """Grid coordinates of the states, moved into the grid where they are outside; NaN goes to the low edge."""
-        return _into(self.grid, self.relation.to_grid(states))
+        return _into(self.grid, states if self._in_state_coordinates else self.relation.to_grid(states))
+
+    @cached_property
+    def _in_state_coordinates(self) -> bool:
+        return self.relation.has_state_coordinates
 
 
 def follow(relation: CoupledRelation, grid: Grid, memory: Memory, points: FloatArray, uniform: FloatArray) -> Memory:
@@ -176,8 +183,16 @@ def follow(relation: CoupledRelation, grid: Grid, memory: Memory, points: FloatA
 
 def _into(grid: Grid, points: FloatArray) -> FloatArray:
     """Points moved into the grid; NaN goes to the low edge."""
-    pairs = zip(points, grid.edges, strict=True)
-    return np.stack([np.clip(np.nan_to_num(own, nan=edges[0]), edges[0], edges[-1]) for own, edges in pairs])
+    inside = np.empty(points.shape)
+    for own, moved, edges in zip(points, inside, grid.edges, strict=True):
+        np.fmin(np.fmax(own, edges[0]), edges[-1], out=moved)  # fmax passes over NaN
+    return inside
+
+
+def _means(lattice: tuple[FloatArray, ...], flat: NDArray[Any]) -> FloatArray:
+    """Lattice points (d, n, M) by their flat numbers (n, M)."""
+    indices = np.unravel_index(flat, tuple(len(axis) for axis in lattice)) if len(lattice) > 1 else (flat,)
+    return np.stack([axis.take(index) for axis, index in zip(lattice, indices, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,15 +339,24 @@ class BatchController:
         for groups, memories, (m, n), states in zip(
             self.blocks, memory.groups, self.shapes, worlds.states, strict=True
         ):
-            inputs, kept = np.empty((m, n, worlds.n_worlds)), []
+            inputs, kept = [], []
             for group, own in zip(groups, memories, strict=True):
                 uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if own is not None else None
-                here = states if len(group.members) == n else states[:, group.members]
-                inputs[:, group.members], own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
+                here = states if len(groups) == 1 else states.take(group.members, axis=1)
+                chosen, own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
+                inputs.append(chosen)
                 kept.append(own)
-            result.append(inputs)
+            result.append(inputs[0] if len(groups) == 1 else _placed(groups, inputs, (m, n, worlds.n_worlds)))
             remembered.append(tuple(kept))
         return tuple(result), BatchMemory(tuple(remembered), memory.rng)
+
+
+def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[int, int, int]) -> FloatArray:
+    """Inputs (m, n, M) of a block from those of its groups."""
+    inputs = np.empty(shape)
+    for group, part in zip(groups, parts, strict=True):
+        inputs[:, group.members] = part
+    return inputs
 
 
 def _signature(agent: AgentController) -> object:

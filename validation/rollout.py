@@ -229,9 +229,7 @@ class _Arranged:
 
 def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Iterator[Frame]:
     """The worlds of one chunk, time after time, until all of them are decided; always ``loop.chunk`` of them."""
-    rng, auxiliary, channel = (
-        np.random.default_rng(np.random.SeedSequence(loop.seed, spawn_key=(number, *tail))) for tail in ((), (1,), (2,))
-    )
+    rng, auxiliary = _generator(loop, number), _generator(loop, number, 1)
     size, mismatch = loop.chunk, loop.mismatch
     if loop.starts is None:
         worlds = core.initial(dynamics, rng, size)
@@ -239,7 +237,7 @@ def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> 
         rows = np.arange(number * size, (number + 1) * size) % len(loop.starts)
         worlds = core.initial_at(dynamics, loop.starts[rows])
     if mismatch is not None:
-        policy = degraded(policy, mismatch, channel)
+        policy = degraded(policy, mismatch, _generator(loop, number, 2))
     memory = policy.begin(worlds, auxiliary)
     inadmissible = np.zeros(size, dtype=bool)
     for _ in range(dynamics.problem.horizon):
@@ -247,12 +245,19 @@ def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> 
             break
         inputs, memory = policy.act(worlds, memory)
         yield Frame(worlds, memory, inadmissible)
-        inadmissible = inadmissible | (_beyond(dynamics, inputs) & ~(worlds.failed | worlds.accepted))
+        beyond = _beyond(dynamics, inputs)
+        inadmissible = inadmissible | (beyond & ~(worlds.failed | worlds.accepted))
         normals = core.noise(dynamics, rng, size)
         if mismatch is not None:
             inputs, normals = disturbed(dynamics, mismatch, inputs, normals)
-        worlds = core.transition(dynamics, worlds, _saturated(dynamics, inputs), normals)
+        if mismatch is not None or beyond.any():
+            inputs = _saturated(dynamics, inputs)
+        worlds = core.transition(dynamics, worlds, inputs, normals)
     yield Frame(worlds, None, inadmissible)
+
+
+def _generator(loop: Loop, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(loop.seed, spawn_key=key))
 
 
 def paths(loop: Loop, episodes: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:

@@ -1,0 +1,88 @@
+"""Cells of many points at once, exactly.
+
+Bisection costs some fifty nanoseconds per point, as no branch of it can be foreseen. Here an axis is cut into equal
+buckets with at most one cell edge in each; the bucket of a point is found by arithmetic, and one comparison with the
+edge in it decides the cell. Rounding does no harm: ``x -> floor(fl(fl(x - low) * scale))`` never decreases, so the
+edges in earlier buckets are not above x, and those in later ones are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import FloatArray, Grid
+
+FINEST = 64
+"""Most buckets per cell; axes that would need more are searched by bisection."""
+
+
+@dataclass(frozen=True, eq=False)
+class Buckets:
+    """One axis cut into buckets ``b(x) = floor((x - low) * scale)``.
+
+    Parameters
+    ----------
+    low : float
+        Low end of the axis, in state units.
+    scale : float
+        Buckets per state unit.
+    below : (n,) int64 array
+        Inner cell edges in the buckets before each.
+    edge : (n,) array
+        The inner cell edge in each bucket, in state units; infinite where there is none.
+    """
+
+    low: float
+    scale: float
+    below: NDArray[np.int64]
+    edge: FloatArray
+
+    def cell_of(self, points: FloatArray) -> NDArray[np.int64]:
+        """Cell of each point of the axis (exact); points must lie between its ends."""
+        bucket = ((points - self.low) * self.scale).astype(np.intp)
+        cells = self.below.take(bucket)
+        cells += points >= self.edge.take(bucket)
+        return cells
+
+
+def buckets(edges: FloatArray) -> Buckets | None:
+    """Buckets of an axis with increasing cell ``edges``; None if the cells are too unequal for them.
+
+    Examples
+    --------
+    >>> own = buckets(np.array([0.0, 1.0, 3.0]))
+    >>> own.cell_of(np.array([0.0, np.nextafter(1.0, 0.0), 1.0, 3.0])).tolist()
+    [0, 0, 1, 1]
+    """
+    inner, span = edges[1:-1], edges[-1] - edges[0]
+    per_cell = 2
+    while per_cell <= FINEST:
+        scale = per_cell * (len(edges) - 1) / span
+        own = ((inner - edges[0]) * scale).astype(np.intp)
+        if np.all(np.diff(own) > 0):
+            n_buckets = int(span * scale) + 1
+            edge = np.full(n_buckets, np.inf)
+            edge[own] = inner
+            return Buckets(float(edges[0]), float(scale), np.searchsorted(own, np.arange(n_buckets)), edge)
+        per_cell *= 2
+    return None
+
+
+def cell_finder(grid: Grid) -> Callable[[FloatArray], NDArray[np.int64]]:
+    """The same function of points (d, ...) inside the grid as ``grid.cell_of``, several times faster on many points."""
+    axes = [buckets(edges) for edges in grid.edges]
+    if any(axis is None for axis in axes):
+        return grid.cell_of
+    first, *rest = [axis for axis in axes if axis is not None]
+
+    def find(points: FloatArray) -> NDArray[np.int64]:
+        cells = first.cell_of(points[0])
+        for axis, size, own in zip(rest, grid.shape[1:], points[1:], strict=True):
+            cells = cells * size + axis.cell_of(own)
+        return cells
+
+    return find
