@@ -30,6 +30,7 @@ from .guards import Guards
 from .joint import JointModel
 from .kernel import UNIT
 from .occupancy import Occupancy
+from .train_ascent import TrainSweep
 
 SPARE = 1e-8
 """Added to the undecided mass of every step, so that a second, coarser computation of it does not exceed it."""
@@ -94,6 +95,17 @@ def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: floa
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
     gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss + stranded
     return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
+
+
+def train_bound(joint: JointModel, sweep: TrainSweep) -> Bound:
+    """Bound of a value held as tensor trains: less its error and, where relations can be lost, ``Delta T``.
+
+    A tenth of the tolerance is held back for a second evaluation, whose rounding may choose otherwise.
+    """
+    delta = joint_delta([model.delta for model in joint.models])
+    reserve = sweep.terms.error + 0.1 * sweep.rounding.tolerance + relative_rounding(joint, sweep.rank)
+    lower = sweep.value - reserve - delta * joint.horizon * INFLATE
+    return Bound("a-posteriori" if delta > 0 else "nominal", min(1.0, max(0.0, lower)))
 
 
 def a_posteriori_bound(joint: JointModel, sweep: Sweep, undecided: float) -> Bound:

@@ -25,6 +25,7 @@ from .described_relation import relation_from
 from .grid import FloatArray, Grid, start_share
 from .guards import Guards
 from .terms import Terms
+from .train_value import Rounding, Trains, Unread
 
 MAX_JOINT_CELLS = 20_000_000
 """Largest number of joint cells over which ``min`` is taken cell by cell."""
@@ -125,13 +126,15 @@ class Certificate:
     start_mask : (G0, I) int32 array
         The same for reading that letter, an index into ``agents[i].start_masks``.
     skeleton : tuple of Skeleton
-        Vertices of the value tree, by time.
-    terms : Terms
-        Value function at time 0.
+        Vertices of the value tree, by time; empty if the value function is held as tensor trains.
+    terms : Terms or None
+        Value function at time 0; None for tensor trains, which are grown again from the policies when asked for.
     rank : int
-        Largest number of terms of one automaton state.
+        Largest number of terms of one automaton state, or of columns of a bond.
     settings : dict
         Every setting of abstraction and policy search.
+    rounding : Rounding or None
+        How tensor trains were rounded; None for a value tree.
     """
 
     problem: Problem
@@ -150,9 +153,10 @@ class Certificate:
     start_target: NDArray[np.int32]
     start_mask: NDArray[np.int32]
     skeleton: tuple[Skeleton, ...]
-    terms: Terms
+    terms: Terms | None
     rank: int
     settings: dict[str, Any]
+    rounding: Rounding | None = None
 
     @property
     def fingerprint(self) -> str:
@@ -202,7 +206,7 @@ class Certificate:
         values = np.zeros(len(joint))
         for state in np.unique(q):
             here = np.flatnonzero(inside & (q == state))
-            for chunk in np.array_split(here, max(1, len(here) * len(self.terms.index[state]) // 2_000_000 + 1)):
+            for chunk in np.array_split(here, max(1, len(here) * self._corrected.work(state) // 2_000_000 + 1)):
                 values[chunk] = self._corrected.at(int(state), cells[chunk])
         return self._rounded(values)
 
@@ -233,7 +237,7 @@ class Certificate:
             raise ValueError(
                 f"`low`, `high`: expected at most {MAX_JOINT_CELLS} joint cells, got {count:.3g}; ask for a smaller box"
             )
-        smallest, chunk = np.inf, max(1, 2_000_000 // max(1, len(self._unread.index[0])))
+        smallest, chunk = np.inf, max(1, 2_000_000 // max(1, self._unread.work(0)))
         for first in range(0, int(count), chunk):
             numbers = np.unravel_index(np.arange(first, min(first + chunk, int(count))), shape)
             joint = np.column_stack([own[n] for own, n in zip(cells, numbers, strict=True)])
@@ -245,11 +249,36 @@ class Certificate:
         """What lost relations may cost a run that is undecided to the end: ``Delta T`` of the a-posteriori bound."""
         return self.delta * self.problem.horizon * (1 + 1e-9) if self.bound == "a-posteriori" else 0.0
 
+    @property
+    def tree(self) -> Terms:
+        """Value function at time 0 as the terms of the value tree.
+
+        Raises
+        ------
+        ValueError
+            If the value function is held as tensor trains, which have no terms.
+        """
+        if self.terms is None:
+            raise ValueError(
+                "`certificate`: expected one with a value tree, got tensor trains, which have no terms; synthesize "
+                'with `value="tree"` where the tree has few of them'
+            )
+        return self.terms
+
     @cached_property
-    def _corrected(self) -> Terms:
-        """Value function; under the a-posteriori bound each term gains ``Delta`` per step saved by accepting early."""
-        if self._correction == 0.0:
+    def value(self) -> Terms | Trains:
+        """Value function at time 0: the stored terms, or the tensor trains grown from the policies on first use."""
+        if self.terms is not None:
             return self.terms
+        from .regrow_trains import regrow_trains  # it reads certificates
+
+        return regrow_trains(self)
+
+    @cached_property
+    def _corrected(self) -> Terms | Trains:
+        """Value function; under the a-posteriori bound each term gains ``Delta`` per step saved by accepting early."""
+        if self._correction == 0.0 or self.terms is None:
+            return self.value
         guards = Guards(tuple(p.masks for p in self.agents), self.guard_source, self.guard_target, self.guard_mask)
         automaton = self.problem.automaton
         co_safe = automaton.semantics == "co-safe"
@@ -266,9 +295,14 @@ class Certificate:
         return Terms((np.concatenate(scaled), *factors[1:]), tuple(index))
 
     @cached_property
-    def _unread(self) -> Terms:
+    def _unread(self) -> Terms | Unread:
         """Value before the first letter is read, as terms of a single state: the start guards and what they lead to."""
         initial, terms = self.problem.automaton.initial, self._corrected
+        if isinstance(terms, Trains):
+            if self.problem.automaton.semantics == "co-safe" and self.problem.automaton.accepting[initial]:
+                everywhere = tuple(np.ones((1, part.grid.n_cells)) for part in self.agents)
+                return Unread(terms, np.array([initial]), np.zeros((1, len(self.agents)), dtype=int), everywhere)
+            return Unread(terms, self.start_target, self.start_mask, tuple(part.start_masks for part in self.agents))
         if self.problem.automaton.semantics == "co-safe" and self.problem.automaton.accepting[initial]:
             return Terms(terms.factors, (terms.index[initial],))
         counts = [len(terms.index[q]) for q in self.start_target]

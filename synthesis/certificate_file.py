@@ -28,6 +28,7 @@ from .certificate import AgentPart, Certificate, checked_certificate
 from .described_relation import check_description
 from .grid import Grid
 from .terms import Merges, Terms
+from .train_value import Rounding
 
 FORMAT = "certigym-certificate"
 VERSION = 1
@@ -50,9 +51,20 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
         "guards": [pool.put(a) for a in (certificate.guard_source, certificate.guard_target, certificate.guard_mask)],
         "start_guards": [pool.put(certificate.start_target), pool.put(certificate.start_mask)],
         "skeleton": [_put_skeleton(pool, step) for step in certificate.skeleton],
-        "terms": {
+        "terms": None
+        if certificate.terms is None
+        else {
             "factors": [pool.put(a) for a in certificate.terms.factors],
             "index": [pool.put(a) for a in certificate.terms.index],
+        },
+        "rounding": None
+        if certificate.rounding is None
+        else {
+            "tolerance": certificate.rounding.tolerance,
+            "visited": [
+                None if c is None else [pool.put(own.astype(np.int32)) for own in c]
+                for c in certificate.rounding.visited
+            ],
         },
     }
     header["digest"] = _digest(header, pool.arrays)
@@ -204,6 +216,9 @@ class _Reader:
             raise ValueError("its start guards are inconsistent")
         numbers = {name: header[name] for name in _NUMBERS}
         _check_numbers(numbers)
+        trains = header.get("rounding") is not None
+        if trains and (header["terms"] is not None or header["skeleton"]):
+            raise ValueError("it holds a value tree beside its tensor trains")
         return Certificate(
             problem=self.problem,
             agents=tuple(agents),
@@ -212,8 +227,9 @@ class _Reader:
             guard_mask=mask,
             start_target=start_target,
             start_mask=start_mask,
-            skeleton=tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
-            terms=self._terms(agents),
+            skeleton=() if trains else tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
+            terms=None if trains else self._terms(agents),
+            rounding=self._rounding(agents) if trains else None,
             settings=dict(header["settings"]),
             **numbers,
         )
@@ -280,6 +296,25 @@ class _Reader:
             merges.append(Merges(into, absorbed, agent))
             kept.append(self._integers(numbers[4], (None,), n).astype(np.int64))
         return Skeleton(tuple(origins), tuple(merges), tuple(kept))
+
+    def _rounding(self, agents: list[AgentPart]) -> Rounding:
+        entry = self.header["rounding"]
+        tolerance = entry["tolerance"]
+        if not isinstance(tolerance, float) or not 0 < tolerance < 1:
+            raise ValueError("its rounding has no tolerance between 0 and 1")
+        visited: list[tuple[NDArray, ...] | None] = []
+        for cells in self._each(entry["visited"], self.problem.horizon + 1, lambda item: item):
+            if cells is not None and len(cells) != self.n_agents:
+                raise ValueError("its rounding does not name the cells of every agent")
+            visited.append(
+                None
+                if cells is None
+                else tuple(
+                    self._integers(k, (None,), a.grid.n_cells).astype(np.int64)
+                    for k, a in zip(cells, agents, strict=True)
+                )
+            )
+        return Rounding(tolerance, tuple(visited))
 
     def _terms(self, agents: list[AgentPart]) -> Terms:
         entry = self.header["terms"]

@@ -27,10 +27,13 @@ from ..envs.agent import LinearAgent
 from ..envs.box import Box
 from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate, checked_certificate
+from .checked_kernel import axis_tables, grid_noise
 from .grid import start_share
-from .regrow import BrokenTreeError, axis_tables, grid_noise, regrow
+from .regrow import BrokenTreeError, regrow
+from .regrow_trains import BrokenTrainError, regrow_trains
 from .relation_coupled import CoupledRelation
 from .terms import Terms
+from .train_value import Trains
 from .verify_relation import verify_relation
 
 FloatArray = NDArray[Any]
@@ -92,12 +95,12 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
                 break
         else:
             try:
-                terms = regrow(certificate)
-            except BrokenTreeError as error:
+                value = regrow(certificate) if certificate.rounding is None else regrow_trains(certificate)
+            except (BrokenTreeError, BrokenTrainError) as error:
                 failures.append(str(error))
             else:
-                recomputed = _start_value(certificate, terms)
-                failures += _check_values(certificate, terms, recomputed)
+                recomputed = _start_value(certificate, value)
+                failures += _check_values(certificate, value, recomputed)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
@@ -222,16 +225,22 @@ def _targets(problem: Problem, q: int, classes: list[NDArray[np.bool_]]) -> set[
     return {-1 - entry for entry in frontier}
 
 
-def _start_value(certificate: Certificate, terms: Terms) -> float:
+def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
     """Regrown value at the problem's start, less what lost relations can cost."""
     delta = certificate.delta if certificate.bound == "a-posteriori" else 0.0
     if certificate.bound == "nominal" and certificate.delta > 0:
         return float("nan")  # the nominal value proves nothing then
-    plain = replace(certificate, terms=terms, relative_rounding=0.0, bound="nominal")
+    stored = terms if isinstance(terms, Terms) else None
+    plain = replace(certificate, terms=stored, relative_rounding=0.0, bound="nominal")
+    if isinstance(terms, Trains):
+        plain.__dict__["value"] = terms  # what its cached property would grow once more
     boxes = [agent.initial for agent in certificate.problem.agents]
     low, high = (np.concatenate([getattr(b, side) for b in boxes]) for side in ("low", "high"))
     value = float(plain.at(low)[0]) if np.array_equal(low, high) else plain.mean(low, high)
-    return max(0.0, value - delta * _undecided(certificate) * (1 + 1e-9)) if delta else value
+    if not delta:
+        return value
+    steps = certificate.problem.horizon if isinstance(terms, Trains) else _undecided(certificate)
+    return max(0.0, value - delta * steps * (1 + 1e-9))
 
 
 def _undecided(certificate: Certificate) -> float:
@@ -286,7 +295,7 @@ def _step(
     return following
 
 
-def _check_values(certificate: Certificate, terms: Terms, recomputed: float) -> list[str]:
+def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: float) -> list[str]:
     """The claims are not larger than what was regrown."""
     failures = []
     n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
@@ -295,6 +304,8 @@ def _check_values(certificate: Certificate, terms: Terms, recomputed: float) -> 
         failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
     tolerance = 1.0 + 1e-11
     stored, regrown = certificate.terms, terms
+    if stored is None or isinstance(regrown, Trains):
+        return failures if stored is None else [*failures, "it stores a value tree beside its tensor trains"]
     if any(len(a) != len(b) for a, b in zip(stored.index, regrown.index, strict=True)):
         return [*failures, "the stored value function has other terms than the tree"]
     for i, (mine, yours) in enumerate(zip(stored.factors, regrown.factors, strict=True)):

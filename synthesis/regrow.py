@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc
 
-from .certificate import AgentPart, Certificate
+from .certificate import Certificate
+from .checked_kernel import axis_tables, smooth
 from .terms import Terms
 
 FloatArray = NDArray[Any]
@@ -58,7 +58,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 vertex = _unite(part.masks, factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
                 distinct, where = _distinct(vertex, kept)
                 points = part.points(t, q)
-                values = _smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
+                values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
                 if certificate.bound == "robust tree":
                     values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
                 values = values * (points >= 0)
@@ -109,34 +109,3 @@ def _distinct(vertex: FloatArray, kept: NDArray[np.int64]) -> tuple[FloatArray, 
     first = np.zeros(len(number), dtype=np.int64)
     first[where[::-1]] = kept[::-1]
     return vertex[first], where
-
-
-def axis_tables(
-    covariance: FloatArray, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]
-) -> list[FloatArray]:
-    """Cell masses around every lattice point, per axis, from the complementary error function of the smaller tail."""
-    deviations = np.sqrt(np.diag(grid_noise(covariance, part.coordinates)))
-    key = (deviations.tobytes(), *(e.tobytes() for e in part.grid.edges), *(a.tobytes() for a in part.lattice))
-    if key not in known:
-        known[key] = []
-        for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
-            x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))
-            right, left = 0.5 * erfc(x), 0.5 * erfc(-x)
-            upper_half = x[:, :-1] + x[:, 1:] > 0
-            mass = np.where(upper_half, right[:, :-1] - right[:, 1:], left[:, 1:] - left[:, :-1])
-            known[key].append(np.maximum(mass - 1e-15 * np.where(upper_half, right[:, :-1], left[:, 1:]), 0.0))
-    return known[key]
-
-
-def _smooth(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
-    """Expected value (n, Z) of factors (n, S) around every lattice point."""
-    tensor = factors.reshape(len(factors), *(table.shape[1] for table in tables))
-    for axis, table in enumerate(tables, start=1):
-        tensor = np.moveaxis(np.tensordot(tensor, table, axes=(axis, 1)), -1, axis)
-    return tensor.reshape(len(factors), int(np.prod(tensor.shape[1:])))
-
-
-def grid_noise(covariance: FloatArray, coordinates: FloatArray) -> FloatArray:
-    """Covariance of the noise in grid coordinates (state = coordinates @ grid coordinates)."""
-    inverse = np.linalg.inv(coordinates)
-    return np.asarray(inverse @ covariance @ inverse.T)

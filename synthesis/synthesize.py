@@ -11,7 +11,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from .abstraction import Abstraction, Cells, abstract, check_settings
-from .ascent import Laws, Limits, Sweep, forward, resting_laws, sweep
+from .ascent import Limits, Sweep, forward, sweep
 from .bounds import (
     Bound,
     a_posteriori_bound,
@@ -20,6 +20,7 @@ from .bounds import (
     robust_bound,
     robust_loss,
     stranded_mass,
+    train_bound,
     undecided_steps,
 )
 from .certificate import EXACT_GAP, AgentPart, Certificate
@@ -27,10 +28,11 @@ from .choices import InputMenu
 from .controller import Controller
 from .described_relation import describe_relation
 from .joint import JointModel, join, start_of
-from .seeds import best_paths, path_laws, staged_paths
+from .relaxation import upper_bound
+from .search import FINAL, improve
+from .train_ascent import TrainSweep
 
-FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
-"""What the last pass, with frozen policies, may leave out."""
+VALUES = ("auto", "tree", "train")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,8 @@ class Synthesis:
     certificate : Certificate
     controller : Controller
     stats : dict
-        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``dropped``.
+        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``dropped``,
+        ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see ``relaxation``).
     """
 
     certificate: Certificate
@@ -57,6 +60,7 @@ def synthesize(
     relation: str = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
+    value: str = "auto",
     progress: Callable[[str, float], None] | None = None,
     **settings: Any,
 ) -> Synthesis:
@@ -76,6 +80,9 @@ def synthesize(
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
         Pruning during the search.
+    value : str
+        How the value function is held: ``"tree"`` of products (exact up to what is pruned), ``"train"`` (tensor trains,
+        rounded with a certified error: for tasks whose trees grow too many terms), or ``"auto"``.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     **settings
@@ -95,73 +102,38 @@ def synthesize(
     began = time.perf_counter()
     if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
         raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
+    if value not in VALUES:
+        raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
     check_settings(settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
     joint = join(problem, abstraction)
     search = Limits() if limits is None else limits
-    best, values = improve(problem, joint, search, max_sweeps, progress)
+    best, values, relaxations = improve(problem, joint, search, max_sweeps, progress, value)
     used = {**abstraction.settings, "max_sweeps": max_sweeps, "limits": vars(search), "final_limits": vars(FINAL)}
     certificate = certify(problem, abstraction, joint, best, used, "occupancy-weighted coordinate ascent")
     seconds = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
-    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
+    most = upper_bound(joint, start_of(problem, joint), relaxations)
+    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped,
+             "abstract_upper_bound": most}  # fmt: skip
     return Synthesis(certificate, certificate.controller, stats)
 
 
-SOLVED = 0.9
-"""Value from which the naive start is good enough and no further ones are tried."""
-
-
-def improve(
-    problem: Problem,
-    joint: JointModel,
-    limits: Limits,
-    max_sweeps: int,
-    progress: Callable[[str, float], None] | None = None,
-) -> tuple[Sweep, list[float]]:
-    """Best policies found by coordinate ascent, evaluated with frozen laws; and the value after each sweep.
-
-    The first start weighs all cells alike. If it leaves much to be gained, starts with synchronised jumps follow (see
-    ``seeds``): one sweep each, and the best of them to the end. The best policies are kept, whatever pruning did to a
-    later sweep.
-    """
-    start = start_of(problem, joint)
-    naive = sweep(joint, resting_laws(joint), None, limits, improve=True).laws
-    values: list[float] = []
-
-    def run(laws: Laws, sweeps: int, best: Sweep | None, name: str) -> Sweep | None:
-        """Sweep from ``laws`` until nothing improves; the better of what comes out and ``best``."""
-        last = -1.0
-        for _ in range(sweeps):
-            found = sweep(joint, laws, start, limits, improve=True)
-            values.append(found.value)
-            best = found if best is None or found.value > best.value else best
-            if progress is not None:
-                progress(name, best.value)
-            if found.value <= last * (1 + 1e-7):
-                break
-            last, laws = found.value, found.laws
-        return best
-
-    best = run(naive, max_sweeps, None, "naive start")
-    if best is not None and best.value < SOLVED and max_sweeps > 1:
-        paths = best_paths(joint, start, width=32, count=1)
-        tried = [
-            run(path_laws(joint, p, naive), 1, None, "staged start")
-            for path in paths
-            for p in staged_paths(joint, path)
-        ]
-        for found in sorted((f for f in tried if f is not None), key=lambda f: -f.value)[:2]:
-            best = run(found.laws, max_sweeps - 1, max(best, found, key=lambda f: f.value), "staged start")
-    laws = naive if best is None else best.laws
-    return sweep(joint, laws, start, FINAL, improve=False), values
-
-
 def certify(
-    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep, settings: dict[str, Any], search: str
+    problem: Problem,
+    abstraction: Abstraction,
+    joint: JointModel,
+    best: Sweep | TrainSweep,
+    settings: dict[str, Any],
+    search: str,
 ) -> Certificate:
     """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
-    grown, bound, bounds = best_bound(problem, abstraction, joint, best)
+    grown: Sweep | TrainSweep
+    if isinstance(best, TrainSweep):
+        grown, bound = best, train_bound(joint, best)
+        bounds = {bound.name: bound.lower}
+    else:
+        grown, bound, bounds = best_bound(problem, abstraction, joint, best)
     parts = []
     for i, model in enumerate(joint.models):
         part = AgentPart(
@@ -192,10 +164,11 @@ def certify(
         guard_mask=joint.guards.mask,
         start_target=joint.start_guards.target,
         start_mask=joint.start_guards.mask,
-        skeleton=grown.skeleton,
-        terms=grown.terms,
+        skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
+        terms=grown.terms if isinstance(grown, Sweep) else None,
         rank=grown.rank,
         settings=settings,
+        rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
     )
 
 

@@ -38,6 +38,10 @@ class Terms:
         """Largest number of terms of one state."""
         return max(len(rows) for rows in self.index)
 
+    def work(self, q: int) -> int:
+        """Numbers held per joint cell in ``at``."""
+        return len(self.index[q])
+
     def total(self, q: int, weights: Sequence[NDArray]) -> float:
         """``sum_r prod_i <weights[i], factor>`` for weights (S_i,) per agent."""
         rows = self.index[q]

@@ -109,8 +109,8 @@ def count_a_vertex_twice(c: Certificate) -> Certificate:
 
 
 def inflate_the_value_elsewhere(c: Certificate) -> Certificate:
-    factors = (c.terms.factors[0] * 1.001, c.terms.factors[1])
-    return replace(c, terms=Terms(factors, c.terms.index))
+    factors = (c.tree.factors[0] * 1.001, c.tree.factors[1])
+    return replace(c, terms=Terms(factors, c.tree.index))
 
 
 def drop_the_last_step(c: Certificate) -> Certificate:

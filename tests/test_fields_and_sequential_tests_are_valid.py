@@ -37,8 +37,8 @@ def certificate() -> Certificate:
 
 def inflated(c: Certificate, factor: float) -> Certificate:
     """The same certificate with every claim multiplied."""
-    factors = (c.terms.factors[0] * factor, *c.terms.factors[1:])
-    return replace(c, terms=Terms(factors, c.terms.index), lower_bound=min(1.0, c.lower_bound * factor))
+    factors = (c.tree.factors[0] * factor, *c.tree.factors[1:])
+    return replace(c, terms=Terms(factors, c.tree.index), lower_bound=min(1.0, c.lower_bound * factor))
 
 
 def test_p_values_are_binomial_tails() -> None:
@@ -76,9 +76,9 @@ def test_one_start_of_a_field_agrees_with_validate(certificate: Certificate) -> 
 
 def test_the_weakest_start_is_found(certificate: Certificate) -> None:
     """Claims are too large only where agent one starts right of 3.4, a tenth of the axis."""
-    grid, factor = certificate.agents[0].grid, certificate.terms.factors[0].copy()
+    grid, factor = certificate.agents[0].grid, certificate.tree.factors[0].copy()
     factor[:, grid.centres[:, 0] > 3.4] *= 1.25
-    wrong = replace(certificate, terms=Terms((factor, *certificate.terms.factors[1:]), certificate.terms.index))
+    wrong = replace(certificate, terms=Terms((factor, *certificate.tree.factors[1:]), certificate.tree.index))
     field = find_weakest(wrong, 60_000, seed=4, confidence=CONFIDENCE)
     assert field.verdict == REFUTED, str(field)
     assert field.states[field.weakest, 0] > 3.4

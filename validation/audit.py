@@ -29,6 +29,7 @@ from ..envs.problem import Problem
 from ..spread import Executor, in_order, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.terms import Terms
+from ..synthesis.train_value import Trains
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
 from .audit_report import AuditReport, report_of
 from .claims import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
@@ -48,7 +49,7 @@ class _Setup:
 
     loop: Loop
     certificate: Certificate
-    values: tuple[Terms, ...]
+    values: tuple[Terms | Trains, ...]
     charge: Charge | None
 
 
@@ -106,7 +107,7 @@ def audit(
     *,
     problem: Problem | None = None,
     controller: Batchable | None = None,
-    values: Sequence[Terms] | None = None,
+    values: Sequence[Terms | Trains] | None = None,
     charge: Charge | None = None,
     confidence: float = 0.999,
     chunk: int = CHUNK,
@@ -124,7 +125,7 @@ def audit(
         The continuous system, if it is not the certificate's own.
     controller : optional
         What drives it; default: the certificate's.
-    values : sequence of Terms, optional
+    values : sequence of Terms or Trains, optional
         Value functions at times 0 .. T - 1; default: ``claimed_values(certificate)``.
     charge : Charge, optional
         ``Delta * Theta``; default: that of the certificate, 0 unless its bound is the a-posteriori one. (With a charge
@@ -229,7 +230,13 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
     _add(q, wealth, step, ledger.wealth[time], ledger.worlds[time], ledger.increments[time])
     parts, certificate, now = None, setup.certificate, setup.values[time]
     following = setup.values[time + 1] if time + 1 < problem.horizon else terminal_values(certificate)
-    if not remembers(before.frame.memory) and setup.charge is None and tree_fits(certificate, time, now, following):
+    if (
+        isinstance(now, Terms)
+        and isinstance(following, Terms)
+        and not remembers(before.frame.memory)
+        and setup.charge is None
+        and tree_fits(certificate, time, now, following)
+    ):
         parts = levels_by_agent(
             certificate, time, now, following, q, before.cells[rows], after.cells[rows],
             agents_outside(dynamics, after.frame.worlds)[rows],

@@ -19,7 +19,9 @@ from ..synthesis.bounds import term_depths
 from ..synthesis.certificate import Certificate
 from ..synthesis.guards import Guards
 from ..synthesis.regrow import regrow
+from ..synthesis.regrow_trains import regrow_trains
 from ..synthesis.terms import Terms
+from ..synthesis.train_value import Trains
 
 PRODUCTS = 4_000_000
 """Most products of factors that are formed at once."""
@@ -32,7 +34,7 @@ class Charge(Protocol):
         """Charges (M,) with ``T - time`` steps to go, in automaton states (M,) and joint cells (M, I)."""
 
 
-def claimed_values(certificate: Certificate) -> tuple[Terms, ...]:
+def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
     """Value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, and the regrown others.
 
     Raises
@@ -40,7 +42,12 @@ def claimed_values(certificate: Certificate) -> tuple[Terms, ...]:
     ValueError
         If the certificate's tree is broken.
     """
-    values: list[Terms] = [certificate.terms] * certificate.problem.horizon
+    horizon = certificate.problem.horizon
+    if certificate.terms is None:
+        trains: dict[int, Terms | Trains] = {}
+        regrow_trains(certificate, trains.__setitem__)
+        return tuple(trains[time] for time in range(horizon))
+    values: list[Terms | Trains] = [certificate.terms] * horizon
 
     def keep(time: int, terms: Terms) -> None:
         if time > 0:
@@ -50,28 +57,43 @@ def claimed_values(certificate: Certificate) -> tuple[Terms, ...]:
     return tuple(values)
 
 
-def values_at(terms: Terms, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+def values_at(terms: Terms | Trains, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
     """Values (M,) in automaton states (M,) at joint cells (M, I)."""
     values = np.zeros(len(q))
     for state in np.unique(q):
         here = np.flatnonzero(q == state)
-        parts = max(1, -(-len(here) * len(terms.index[state]) // PRODUCTS))
+        parts = max(1, -(-len(here) * terms.work(int(state)) // PRODUCTS))
         for rows in np.array_split(here, parts):
             values[rows] = terms.at(int(state), cells[rows])
     return values
 
 
-def charge_of(certificate: Certificate, values: Sequence[Terms]) -> Charge | None:
+def charge_of(certificate: Certificate, values: Sequence[Terms | Trains]) -> Charge | None:
     """What the certificate's bound subtracts, ``Delta Theta`` read off the depths of its tree; None if nothing."""
     if certificate.bound != "a-posteriori":
         return None
     automaton, horizon = certificate.problem.automaton, certificate.problem.horizon
+    trees = [value for value in values if isinstance(value, Terms)]
+    if len(trees) < len(values):
+        return StepCharge(certificate.delta * (1 + 1e-9), horizon)
     co_safe = automaton.semantics == "co-safe"
     absorbing = automaton.dead | automaton.accepting if co_safe else automaton.dead
     masks = tuple(part.masks for part in certificate.agents)
     guards = Guards(masks, certificate.guard_source, certificate.guard_target, certificate.guard_mask)
     depths = [term_depths(certificate.skeleton[t:], guards, automaton.accepting, absorbing) for t in range(horizon)]
-    return DepthCharge(tuple(values), tuple(map(tuple, depths)), certificate.delta * (1 + 1e-9), horizon, co_safe)
+    return DepthCharge(tuple(trees), tuple(map(tuple, depths)), certificate.delta * (1 + 1e-9), horizon, co_safe)
+
+
+@dataclass(frozen=True, eq=False)
+class StepCharge:
+    """``Delta`` for every step that is left: the bound of tensor trains."""
+
+    delta: float
+    horizon: int
+
+    def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        """Charges (M,); see ``Charge``."""
+        return np.full(len(q), self.delta * (self.horizon - time))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +145,7 @@ def cells_of(certificate: Certificate, states: NDArray[Any]) -> NDArray[Any]:
     return np.stack([a.grid.cell_of(a.project(x.T)) for a, x in zip(agents, own, strict=True)], axis=1)
 
 
-def bound_by_steps_left(certificate: Certificate, values: Sequence[Terms], state: Any) -> NDArray[Any]:
+def bound_by_steps_left(certificate: Certificate, values: Sequence[Terms | Trains], state: Any) -> NDArray[Any]:
     """Lower bounds (T,) from one joint state when the last 1, 2, .., T steps of the policies are played."""
     state = np.atleast_2d(np.asarray(state, dtype=float))
     problem = certificate.problem

@@ -195,7 +195,7 @@ def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
     co_safe = automaton.semantics == "co-safe"
     goals = set(np.flatnonzero(automaton.accepting).tolist())
     roots = [(int(q), k) for q in dict.fromkeys(certificate.start_target.tolist())
-             for k in range(len(certificate.terms.index[q]))]  # fmt: skip
+             for k in range(len(certificate.tree.index[q]))]  # fmt: skip
     layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
     for step in skeleton:
         following: dict[Vertex, list[Vertex]] = {}

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..synthesis.certificate import Certificate
+from ..synthesis.regrow_trains import regrow_trains
 from ..synthesis.relation_coupled import CoupledRelation
+from ..synthesis.train_value import Trains
 from .claims import standing_cells
 from .figure_regions import bands, region_boxes
 from .figure_style import (
@@ -203,6 +205,15 @@ def rank_figure(certificate: Certificate) -> Figure:
 
 def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
     """Terms (Q, T) that each automaton state keeps at each time, and those that were formed."""
+    if certificate.rounding is not None:
+        columns: list[list[int]] = []
+
+        def note(time: int, value: Trains) -> None:
+            columns.append([0 if train is None else train.rank for train in value.states])
+
+        regrow_trains(certificate, note)
+        ranks = np.array(columns[::-1]).T
+        return ranks, ranks
     steps, states = certificate.skeleton, range(certificate.problem.automaton.n_states)
     kept = [[len(step.kept[q]) for step in steps] for q in states]
     return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])

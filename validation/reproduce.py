@@ -118,8 +118,8 @@ def table1(out: Path, progress: Progress = _quiet) -> list[Row]:
         small = problem.replace(horizon=min(problem.horizon, 7))
         certificate = synthesize(small, cells, max_sweeps=1).certificate
         sizes = [part.grid.n_cells for part in certificate.agents]
-        measured = sum(factors.nbytes for factors in certificate.terms.factors)
-        terms = sum(len(index) for index in certificate.terms.index)
+        measured = sum(factors.nbytes for factors in certificate.tree.factors)
+        terms = sum(len(index) for index in certificate.tree.index)
         rows.append(
             {
                 "problem": name,

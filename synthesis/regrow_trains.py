@@ -1,0 +1,92 @@
+"""The tensor trains of a certificate, grown again from its policies.
+
+Like ``regrow``: policies, guards and the rounding's settings come from the certificate, kernel and relations are
+computed anew. Rounding chooses its own subspaces again and measures its own error, so that the outcome is right
+whatever the certificate says; cells outside ``visited`` count as failure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checked_kernel import axis_tables, smooth
+from .guards import Guards
+from .kernel import UNIT
+from .train import Train, frobenius_sup, ones
+from .train_value import Trains, arrival, core_rows, routes
+
+if TYPE_CHECKING:
+    from .certificate import Certificate
+
+FloatArray = NDArray[Any]
+
+ROWS = 256
+"""Rows of a core that are smoothed at once."""
+
+
+class BrokenTrainError(ValueError):
+    """What a certificate says about its tensor trains makes no sense."""
+
+
+def regrow_trains(certificate: Certificate, each: Callable[[int, Trains], None] | None = None) -> Trains:
+    """Value function at time 0 as tensor trains, with their errors; ``each(t, value)`` at t = T - 1 .. 0.
+
+    Raises
+    ------
+    ValueError
+        If the certificate has no trains, or its cells are no cells.
+    """
+    problem, agents = certificate.problem, certificate.agents
+    automaton, n_cells = problem.automaton, [part.grid.n_cells for part in agents]
+    rounding = certificate.rounding
+    if rounding is None:
+        raise BrokenTrainError("it has a value tree and no tensor trains")
+    visited = rounding.visited
+    if len(visited) != problem.horizon + 1 or not 0 < rounding.tolerance < 1:
+        raise BrokenTrainError("its rounding does not fit its horizon")
+    for cells in visited:
+        for own, n in zip(cells or (), n_cells, strict=cells is not None):
+            if len(own) == 0 or own[0] < 0 or own[-1] >= n or np.any(np.diff(own) <= 0):
+                raise BrokenTrainError("the cells that its tensor trains cover are no cells")
+    masks = tuple(part.masks for part in agents)
+    guards = Guards(masks, certificate.guard_source, certificate.guard_target, certificate.guard_mask)
+    ways = routes(guards, masks, automaton.n_states)
+    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    kernels = [axis_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
+    finished = automaton.accepting & (automaton.semantics == "co-safe")
+    value = Trains(tuple(ones(n_cells, visited[-1]) if yes else None for yes in automaton.accepting))
+    for t in reversed(range(problem.horizon)):
+        states: list[Train | None] = []
+        for q in range(automaton.n_states):
+            if finished[q]:
+                states.append(ones(n_cells, visited[t]))
+                continue
+            arriving = arrival(value, ways[q], rounding.tolerance / problem.horizon)
+            states.append(None if arriving is None else _moved(certificate, kernels, arriving, t, q))
+        value = Trains(tuple(states))
+        if each is not None:
+            each(t, value)
+    return value
+
+
+def _moved(certificate: Certificate, kernels: list[list[FloatArray]], arriving: Train, t: int, q: int) -> Train:
+    """Expected value one step before arriving."""
+    cells = certificate.rounding.visited[t] if certificate.rounding is not None else None
+    cores, scale, operations = [], 1.0, 4
+    for i, (part, axes) in enumerate(zip(certificate.agents, kernels, strict=True)):
+        core = arriving.cores[i]
+        points = part.points(t, q)
+        points = points if cells is None else points[cells[i]]
+        rows = core_rows(arriving, i, part.grid.n_cells)
+        values = np.empty((len(rows), len(points)))
+        for first in range(0, len(rows), ROWS):
+            values[first : first + ROWS] = smooth(rows[first : first + ROWS], axes)[:, np.maximum(points, 0)]
+        values *= points >= 0
+        cores.append(np.ascontiguousarray(np.moveaxis(values.reshape(core.shape[0], core.shape[2], len(points)), 2, 1)))
+        scale *= frobenius_sup(core)
+        operations += sum(table.shape[1] for table in axes) + 4 * len(axes) + core.shape[2]
+    return Train(tuple(cores), arriving.error + 2.0 * operations * UNIT * scale, cells)
