@@ -1,0 +1,134 @@
+"""The finite joint model written out state by state, as a model checker wants it.
+
+Joint cells times automaton states, and one failure state that takes what is lost: cells outside the workspace, failed
+letters, and the tails that the kernels leave out. Grows like the product of the agents' cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import product
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from certigym import Problem
+from certigym.synthesis.abstraction import AgentModel
+from certigym.synthesis.ascent import Laws
+from certigym.synthesis.choices import TargetWindows
+from certigym.synthesis.oracle import joint_outcomes
+
+
+@dataclass(frozen=True, eq=False)
+class Explicit:
+    """A Markov chain or decision process with explicit states.
+
+    Parameters
+    ----------
+    transitions : sparse (rows, states)
+        Probabilities; every row sums to 1.
+    first : (states + 1,) int array
+        Rows of a state s: ``first[s] .. first[s + 1] - 1``, one per choice; one each in a chain.
+    goal : (states,) bool array
+    """
+
+    transitions: scipy.sparse.csr_array
+    first: NDArray[np.int64]
+    goal: NDArray[np.bool_]
+
+    def reach_within(self, steps: int) -> NDArray[np.float64]:
+        """Largest probability (states,) to reach the goal within so many steps, by plain value iteration."""
+        value = self.goal.astype(float)
+        for _ in range(steps):
+            value = np.maximum.reduceat(self.transitions @ value, self.first[:-1])
+            value[self.goal] = 1.0
+        return value
+
+
+def chain_under(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> Explicit:
+    """The Markov chain of a co-safe task under time-dependent laws; state ``(t Q + q) S + s`` and the failure last."""
+    outcome = _outcomes(problem, models)
+    n_states, n_joint = outcome.shape
+    layer = n_states * n_joint
+    failure = (problem.horizon + 1) * layer
+    rows = []
+    for t in range(problem.horizon):
+        for q in range(n_states):
+            factors = [_law_rows(model, law[t, q]) for model, law in zip(models, laws)]
+            rows.append(_landing(_kron(factors), outcome[q], (t + 1) * layer, failure))
+    rows.append(_selves(np.arange(problem.horizon * layer, failure + 1), failure + 1))
+    accepting = np.repeat(np.asarray(problem.automaton.accepting), n_joint)
+    goal = np.append(np.tile(accepting, problem.horizon + 1), False)
+    return Explicit(scipy.sparse.csr_array(scipy.sparse.vstack(rows)), np.arange(failure + 2), goal)
+
+
+def decision_process(problem: Problem, models: Sequence[AgentModel]) -> Explicit:
+    """The Markov decision process of a co-safe task: all joint targets are choices; state ``q S + s``, failure last."""
+    outcome = _outcomes(problem, models)
+    n_states, n_joint = outcome.shape
+    failure = n_states * n_joint
+    tables = [model.kernel.tables[0].toarray() for model in models]
+    windows = [_windows(model) for model in models]
+    joint_cells = list(product(*(range(model.n_cells) for model in models)))
+    choices = [list(product(*(own[s] for own, s in zip(windows, cells)))) for cells in joint_cells]
+    counts = [max(1, len(own)) for own in choices]
+    rows = []
+    for q in range(n_states):
+        if problem.automaton.accepting[q]:
+            rows.append(_selves(np.repeat(np.arange(q * n_joint, (q + 1) * n_joint), counts), failure + 1))
+            continue
+        points = np.array([point for own in choices for point in own or [(-1,) * len(models)]])
+        law = _kron_rows([table[points[:, i]] for i, table in enumerate(tables)])
+        rows.append(_landing(law * (points[:, :1] >= 0), outcome[q], 0, failure))
+    rows.append(_selves(np.array([failure]), failure + 1))
+    first = np.concatenate([[0], np.cumsum([*counts * n_states, 1])])
+    goal = np.append(np.repeat(np.asarray(problem.automaton.accepting), n_joint), False)
+    return Explicit(scipy.sparse.csr_array(scipy.sparse.vstack(rows)), first, goal)
+
+
+def _outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:
+    """Successor (Q, S) of every automaton state in every joint cell; negative where the task fails."""
+    if problem.automaton.semantics != "co-safe":
+        raise ValueError(f"`problem`: expected a co-safe task, got {problem.automaton.semantics}")
+    return joint_outcomes(problem, models).reshape(problem.automaton.n_states, -1)
+
+
+def _windows(model: AgentModel) -> list[range]:
+    assert isinstance(model.choices, TargetWindows) and len(model.grid.shape) == 1
+    return [range(int(low[0]), int(high[0])) for low, high in zip(model.choices.low, model.choices.high)]
+
+
+def _law_rows(model: AgentModel, law: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Transition rows (S, S) of one agent under a law; 0 where there is no choice."""
+    points = model.choices.points(law)
+    return np.asarray(model.kernel.tables[0].toarray()[np.maximum(points, 0)] * (points >= 0)[:, None])
+
+
+def _kron(factors: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return reduce(lambda joint, factor: np.asarray(np.kron(joint, factor)), factors)
+
+
+def _kron_rows(factors: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    joint = np.ones((len(factors[0]), 1))
+    for factor in factors:
+        joint = (joint[:, :, None] * factor[:, None, :]).reshape(len(joint), -1)
+    return joint
+
+
+def _landing(law: NDArray[np.float64], outcome: NDArray[np.int64], offset: int, failure: int) -> scipy.sparse.csr_array:
+    """Rows (n, failure + 1) of laws over joint cells, each cell's letter read; the rest goes to the failure."""
+    n_joint = len(outcome)
+    kept = np.where(outcome >= 0, law, 0.0)
+    row, cell = np.nonzero(kept)
+    lost = np.maximum(0.0, 1.0 - kept.sum(axis=1))
+    columns = np.concatenate([offset + outcome[cell] * n_joint + cell, np.full(len(law), failure)])
+    entries, rows = np.concatenate([kept[row, cell], lost]), np.concatenate([row, np.arange(len(law))])
+    return scipy.sparse.csr_array((entries, (rows, columns)), (len(law), failure + 1))
+
+
+def _selves(states: NDArray[np.int64], size: int) -> scipy.sparse.csr_array:
+    """Rows that stay where they are."""
+    return scipy.sparse.csr_array((np.ones(len(states)), (np.arange(len(states)), states)), (len(states), size))
