@@ -28,6 +28,9 @@ MANY_TERMS = 64
 SOLVED = 0.9
 """Share of the upper bound from which a start is good enough and no further ones are tried."""
 
+SAME = 1e-5
+"""Relative difference up to which two starts have led to the same value, and further ones are left out."""
+
 COARSE, FINE, PAIR = 1e-2, 1e-4, 1e-7
 """What rounding of trains may change, as a share of the value: during the search, for what is reported, and that for
 two agents, whose rank is that of a matrix."""
@@ -90,7 +93,7 @@ def _with_trees(
             best = found if best is None or found.value > best.value else best
             if progress is not None:
                 progress(name, best.value)
-            if found.value <= last * (1 + 1e-7):
+            if found.value <= last * (1 + 1e-7) or found.value >= most * (1 - 1e-9):
                 break
             last, laws = found.value, found.laws
         return best
@@ -98,7 +101,10 @@ def _with_trees(
     best = run(naive, max_sweeps, None, "naive start")
     if best is None or best.value >= SOLVED * most or max_sweeps < 2:
         return best
-    tried = [run(relaxed_laws(relaxations), 1, None, "relaxed start")]
+    relaxed = run(relaxed_laws(relaxations), 1, None, "relaxed start")
+    if relaxed is not None and abs(relaxed.value - best.value) <= SAME * best.value:
+        return max(best, relaxed, key=lambda one: one.value)  # two starts that differ have come to the same
+    tried = [relaxed]
     for path in best_paths(joint, start, width=32, count=1):
         tried += [run(path_laws(joint, p, naive), 1, None, "staged start") for p in staged_paths(joint, path)]
     for found in sorted((f for f in tried if f is not None), key=lambda f: -f.value)[:2]:

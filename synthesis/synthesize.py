@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .abstraction import Abstraction, Cells, abstract, check_settings
+from .abstraction import RELATIONS, Abstraction, Cells, abstract, check_settings
 from .ascent import Limits, Sweep, forward, sweep
 from .bounds import (
     Bound,
@@ -45,7 +45,8 @@ class Synthesis:
     controller : Controller
     stats : dict
         ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``dropped``,
-        ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see ``relaxation``).
+        ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see ``relaxation``), and with
+        ``relation="best"`` what was ``tried``: the lower bound of each relation, or why it does not apply.
     """
 
     certificate: Certificate
@@ -74,8 +75,8 @@ def synthesize(
         Cells per axis; more of them cost time and raise the bound.
     relation : str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents), or ``"auto"``: per agent ``exact`` where it applies and ``tube``
-        elsewhere; see ``abstract``.
+        choice), ``"paper"`` (scalar agents), ``"auto"``: per agent ``exact`` where it applies and ``tube`` elsewhere
+        (see ``abstract``), or ``"best"``: every one of these that applies, and the largest bound is kept.
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
@@ -105,6 +106,9 @@ def synthesize(
     if value not in VALUES:
         raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
     check_settings(settings)
+    if relation == "best":
+        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress}
+        return _best_relation(problem, cells, how, settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
     joint = join(problem, abstraction)
@@ -117,6 +121,27 @@ def synthesize(
     stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped,
              "abstract_upper_bound": most}  # fmt: skip
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def _best_relation(problem: Problem, cells: Cells, search: dict[str, Any], settings: dict[str, Any]) -> Synthesis:
+    """The synthesis with the largest bound among all relations that apply; ``stats["tried"]`` lists them all.
+
+    A relation that does not apply raises ``ValueError``, whose text is what is listed; other errors are not expected.
+    """
+    tried: dict[str, float | str] = {}
+    best: Synthesis | None = None
+    for relation in RELATIONS:
+        try:
+            found = synthesize(problem, cells, relation=relation, **search, **settings)
+        except ValueError as error:
+            tried[relation] = " ".join(str(error).split())
+            continue
+        tried[relation] = found.certificate.lower_bound
+        if best is None or found.certificate.lower_bound > best.certificate.lower_bound:
+            best = found
+    if best is None:
+        raise ValueError("`relation`: expected one that applies, got none: " + "; ".join(map(str, tried.values())))
+    return Synthesis(best.certificate, best.controller, {**best.stats, "tried": tried})
 
 
 def certify(

@@ -50,7 +50,8 @@ class ValidationReport:
         ``abstract``, ``synthesize`` (None if the certificate was loaded) and ``validate``.
     details : dict
         Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
-        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply.
+        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply; ``abstract_upper_bound`` and ``tried``
+        of a synthesis (see ``synthesize``).
     """
 
     problem: str
@@ -88,7 +89,14 @@ class ValidationReport:
         claim = shown_bound(self.lower_bound, self.gap)
         times = ", ".join(f"{name} {value:.2f} s" for name, value in self.seconds.items() if value is not None)
         start = {"point": "from the initial state", "mean": "mean over the initial box"}[self.details["start"]]
-        notes = []
+        above, notes = [], []
+        if "abstract_upper_bound" in self.details:
+            most = math.ceil(self.details["abstract_upper_bound"] * 1e6) / 1e6
+            above.append(f"optimum      <= {most:.6f} on these cells, whatever the policy")
+        for relation, outcome in self.details.get("tried", {}).items():
+            above.append(
+                f"tried        {relation}: {shown_bound(outcome, None) if isinstance(outcome, float) else outcome}"
+            )
         if "mismatch" in self.details:
             notes.append(f"mismatch     {self.details['mismatch']}")
         if self.details.get("inadmissible"):
@@ -100,6 +108,7 @@ class ValidationReport:
                 f"problem      {self.problem}, horizon {self.horizon}, {start}",
                 f"method       {self.method} ({self.details['bound']} bound, rank {self.rank})",
                 f"certified    {claim}",
+                *above,
                 f"simulated    {self.successes} of {self.episodes} episodes: {self.estimate:.6f}, "
                 f"{100 * self.confidence:g} % limits [{self.ci_low:.6f}, {self.ci_high:.6f}]",
                 *notes,
@@ -205,6 +214,8 @@ def validate(
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
+        if initial_state is None:
+            details |= {name: result.stats[name] for name in ("abstract_upper_bound", "tried") if name in result.stats}
     report = ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,

@@ -89,7 +89,8 @@ def _start(parser: argparse.ArgumentParser) -> None:
 
 
 def _synthesis(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--relation", choices=RELATIONS, default="auto", help="default: auto")
+    parser.add_argument("--relation", choices=(*RELATIONS, "best"), default="auto",
+                        help="default: auto; best: try all that apply")  # fmt: skip
     parser.add_argument("--delta", type=float, metavar="P",
                         help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
