@@ -81,7 +81,12 @@ def parse_formula(text: str) -> Formula:
     if len(text) > MAX_LENGTH:
         raise FormulaError(f"the formula is longer than {MAX_LENGTH} characters; write families as all(...), any(...)")
     parser = _Parser(text)
-    formula = parser.binary(0)
+    try:
+        formula = parser.binary(0)
+    except FormulaError as error:
+        raise error.with_traceback(
+            None
+        ) from None  # not with hundreds of frames of a deep nest
     if parser.token.kind != "end":
         raise parser.unexpected("expected an operator or the end of the formula")
     return formula
