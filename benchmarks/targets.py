@@ -1,0 +1,93 @@
+"""What one core should manage, measured: ``python benchmarks/targets.py [--json PATH]``.
+
+CPU seconds, imports included where a command is run; rollouts also as a ratio to drawing their noise, with the same
+generators and chunks. Machines differ: `unit` relates times to a product of two 1000 x 1000 matrices of the same run.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import resource
+import subprocess
+import sys
+
+import numpy as np
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.joint import join, start_of
+from certigym.validation.rollout import CHUNK
+from measuring import Row, Rows, cpu, options, save, show
+
+DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875]
+
+
+def command(*words: str) -> float:
+    """CPU seconds of one command in a process of its own: the least of three."""
+    best = float("inf")
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "certigym", *words], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        best = min(best, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return best
+
+
+def delivery_sweep() -> float:
+    """One improving sweep of the package delivery at the paper's size, all terms within the usual limits."""
+    problem = cg.make_problem("package-delivery-v0").replace(initial_state=DELIVERY_START)
+    joint = join(problem, abstract(problem, 1200, relation="exact"))
+    start = start_of(problem, joint)
+    laws = sweep(joint, resting_laws(joint), start, Limits(), improve=True).laws
+    return cpu(lambda: sweep(joint, laws, start, Limits(), improve=True))[0]
+
+
+def noise_alone(problem: cg.Problem, episodes: int) -> None:
+    """Draw what rollouts of so many episodes draw if none is decided early, and do nothing with it."""
+    dynamics = core.Dynamics.of(problem)
+    for number in range(-(-episodes // CHUNK)):
+        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(number,)))
+        for _ in range(problem.horizon):
+            core.noise(dynamics, rng, CHUNK)
+
+
+def rollout_row(name: str, cells: int, episodes: int = 100_000) -> Row:
+    """Rollouts against their noise."""
+    problem = cg.make_problem(name)
+    controller = cg.synthesize(problem, cells, max_sweeps=1).controller
+    alone, _ = cpu(lambda: noise_alone(problem, episodes))
+    seconds, runs = cpu(lambda: cg.rollout(problem, controller, episodes))
+    return {"task": name, "T": problem.horizon, "episodes": episodes, "seconds": seconds, "noise alone": alone,
+            "ratio": seconds / alone, "target": 3.0, "successes": runs.successes}  # fmt: skip
+
+
+def main() -> None:
+    chosen = options(__doc__)
+    matrix = np.random.default_rng(0).random((1000, 1000))
+    unit, _ = cpu(lambda: matrix @ matrix)
+    problem = cg.make_problem("reach-avoid-v0", horizon=7)
+    reach_avoid, _ = cpu(lambda: cg.synthesize(problem, 1000))
+    with_rollouts = ("run", "reach-avoid-v0", "--episodes", "100000")
+    measured: Rows = [
+        {"work": "RA2, T = 7, 1000 cells: synthesis", "seconds": reach_avoid, "target": 0.2},
+        {"work": "PD8, T = 20, 1200 cells: one sweep", "seconds": delivery_sweep(), "target": 5.0},
+        {"work": " ".join(("certigym", *with_rollouts)), "seconds": command(*with_rollouts), "target": 4.0},
+        {"work": "certigym --help", "seconds": command("--help"), "target": 0.3},
+    ]  # fmt: skip
+    for row in measured:
+        row["units"] = row["seconds"] / unit
+    names = [("reach-avoid-v0", 1000), ("package-delivery-v0", 250), ("package-delivery-eased-v0", 250)]
+    results = {"one core": measured, "rollouts against their noise": [rollout_row(*name) for name in names]}
+    for title, rows in results.items():
+        show(title, rows)
+    save(results, chosen.json)
+
+
+if __name__ == "__main__":
+    main()
