@@ -84,9 +84,7 @@ def parse_formula(text: str) -> Formula:
     try:
         formula = parser.binary(0)
     except FormulaError as error:
-        raise error.with_traceback(
-            None
-        ) from None  # not with hundreds of frames of a deep nest
+        raise error.with_traceback(None) from None  # not with hundreds of frames of a deep nest
     if parser.token.kind != "end":
         raise parser.unexpected("expected an operator or the end of the formula")
     return formula
