@@ -124,8 +124,18 @@ class AxisTable:
     def push(self, masses: NDArray) -> NDArray:
         """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
         pushed = np.zeros((*masses.shape[:-1], self.shape[1]))
-        for z0, z1, s0, s1, entries in self.blocks:
-            pushed[..., s0:s1] += masses[..., z0:z1] @ entries
+        products = masses.size // self.shape[0] * sum(entries.size for *_, entries in self.blocks)
+        if products < LARGE:
+            for z0, z1, s0, s1, entries in self.blocks:
+                pushed[..., s0:s1] += masses[..., z0:z1] @ entries
+            return pushed
+        used = np.flatnonzero(
+            (masses != 0).any(axis=tuple(range(masses.ndim - 1)))
+        )  # policies choose few of the points
+        ends = np.searchsorted(used, [z1 for _, z1, *_ in self.blocks])
+        for own, (z0, _, s0, s1, entries) in zip(np.split(used, ends[:-1]), self.blocks, strict=True):
+            if len(own):
+                pushed[..., s0:s1] += masses[..., own] @ entries[own - z0]
         return pushed
 
 
@@ -141,6 +151,9 @@ def _by_support(values: NDArray) -> list[tuple[NDArray[np.int64], int, int]]:
 
 SUPPORT = 64
 """Ranges of nonzero cells are rounded outwards to multiples of this."""
+
+LARGE = 4_000_000
+"""Products from which it pays to look for the lattice points that carry mass before pushing it."""
 
 REACH = 9.0
 """Standard deviations beyond which masses count as 0; both tails together hold less than 3e-19."""

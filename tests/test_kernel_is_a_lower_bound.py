@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from certigym.synthesis.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.kernel import LARGE, AxisTable, Kernel, gaussian_masses, gaussian_table
 
 mpmath.mp.dps = 50
 
@@ -81,3 +81,16 @@ def test_rows_with_narrow_support_are_smoothed_alike() -> None:
     np.testing.assert_allclose(banded.smooth(values), values @ banded.toarray().T, rtol=1e-12, atol=1e-300)
     stacked = values.reshape(3, 3, 1200)
     np.testing.assert_allclose(banded.smooth(stacked).reshape(9, -1), banded.smooth(values), rtol=1e-12)
+
+
+def test_masses_on_few_lattice_points_are_pushed_alike() -> None:
+    edges, means = np.linspace(-20.0, 5.0, 1201), np.linspace(-21.0, 6.0, 1500)
+    banded, _ = gaussian_table(means, edges, 0.5)
+    rng = np.random.default_rng(3)
+    masses = rng.random((3, 20, 1500)) * (rng.random(1500) < 0.2)
+    masses[..., 300:700] = 0.0
+    assert masses.size // 1500 * sum(entries.size for *_, entries in banded.blocks) > LARGE
+    expected = masses @ banded.toarray()
+    np.testing.assert_allclose(banded.push(masses), expected, rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(banded.push(masses[0, :1]), expected[0, :1], rtol=1e-12, atol=1e-300)
+    assert not banded.push(np.zeros((400, 1500))).any()
