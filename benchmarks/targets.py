@@ -82,7 +82,7 @@ def main() -> None:
     ]  # fmt: skip
     for row in measured:
         row["units"] = row["seconds"] / unit
-    names = [("reach-avoid-v0", 1000), ("package-delivery-v0", 250), ("package-delivery-eased-v0", 250)]
+    names = [("reach-avoid-v0", 1000), ("package-delivery-v0", 250)]
     results = {"one core": measured, "rollouts against their noise": [rollout_row(*name) for name in names]}
     for title, rows in results.items():
         show(title, rows)
