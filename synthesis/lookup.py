@@ -8,6 +8,7 @@ edges in earlier buckets are not above x, and those in later ones are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +19,9 @@ from .grid import FloatArray, Grid
 
 FINEST = 64
 """Most buckets per cell; axes that would need more are searched by bisection."""
+
+SHORTEST = 1e-290
+"""Shortest axis, in state units, that is cut into buckets: their number per state unit must be a number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +62,8 @@ def buckets(edges: FloatArray) -> Buckets | None:
     >>> own.cell_of(np.array([0.0, np.nextafter(1.0, 0.0), 1.0, 3.0])).tolist()
     [0, 0, 1, 1]
     """
-    inner, span = edges[1:-1], edges[-1] - edges[0]
-    per_cell = 2
+    inner, span = edges[1:-1], float(edges[-1]) - float(edges[0])
+    per_cell = 2 if SHORTEST <= span < math.inf else FINEST + 1
     while per_cell <= FINEST:
         scale = per_cell * (len(edges) - 1) / span
         own = ((inner - edges[0]) * scale).astype(np.intp)

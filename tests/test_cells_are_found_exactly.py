@@ -39,6 +39,16 @@ def test_axes_with_very_unequal_cells_are_bisected() -> None:
     np.testing.assert_array_equal(cell_finder(grid)(beside(edges)[None]), grid.cell_of(beside(edges)[None]))
 
 
+BEYOND = [np.array([0.0, 5e-324]), np.array([0.0, 1e-310, 3e-310]), np.array([-1e308, 0.0, 1e308])]
+
+
+@pytest.mark.parametrize("edges", BEYOND)
+def test_axes_beyond_numbers_are_bisected(edges: np.ndarray) -> None:
+    grid = Grid((edges,))
+    assert buckets(edges) is None
+    np.testing.assert_array_equal(cell_finder(grid)(edges[None]), grid.cell_of(edges[None]))
+
+
 def test_two_axes_are_numbered_in_c_order() -> None:
     grid = Grid((AXES["uneven"], AXES["aligned"]))
     rng = np.random.default_rng(1)
@@ -46,7 +56,7 @@ def test_two_axes_are_numbered_in_c_order() -> None:
     np.testing.assert_array_equal(cell_finder(grid)(points), grid.cell_of(points))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=12, unique=True))
 def test_any_axis_is_searched_exactly(corners: list[float]) -> None:
     edges = np.sort(np.array(corners)) + 0.0
