@@ -62,9 +62,10 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
         following = np.zeros_like(value)
         for q in range(len(value)):
             expected = _read(problem, value, outcome[q])
+            for i, model in enumerate(models):  # all expectations first: nobody chooses knowing another's noise
+                expected = np.moveaxis(_expected_along(model, np.moveaxis(expected, i, -1)), -1, i)
             for i, model in enumerate(models):
-                expected = _best_along(model, np.moveaxis(expected, i, -1))
-                expected = np.moveaxis(expected, -1, i)
+                expected = np.moveaxis(_best_along(model, np.moveaxis(expected, i, -1)), -1, i)
             following[q] = expected
         value = _absorb(problem, following)
     return value
@@ -123,12 +124,18 @@ def _full_table(model: AgentModel) -> NDArray:
     return table
 
 
+def _expected_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (.., S) of arriving in an agent's cells turned into expectations (.., Z) at its lattice points."""
+    smoothed = model.kernel.smooth(np.ascontiguousarray(values).reshape(-1, model.n_cells))
+    return smoothed.reshape(*values.shape[:-1], -1)
+
+
 def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Expected values (.., S) of an agent turned into the best over its admissible targets (.., S)."""
+    """Expectations (.., Z) at an agent's lattice points turned into the best over its admissible targets (.., S)."""
     lead = values.shape[:-1]
     windows = model.choices
     assert isinstance(windows, TargetWindows)
-    on_lattice = model.kernel.smooth(values.reshape(-1, model.n_cells))
+    on_lattice = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
     best = np.zeros((len(on_lattice), model.n_cells))
     tensor = on_lattice.reshape(-1, *windows.shape)
     for s in range(model.n_cells):
