@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,8 +59,14 @@ class Train:
         """Largest number of columns of a bond."""
         return max(core.shape[2] for core in self.cores)
 
+    @cached_property
+    def spread(self) -> float:
+        """Upper bound on what floating point may change of one value, or of one mean under weights of mass 1."""
+        operations = sum(sum(core.shape) for core in self.cores) + 2 * len(self.cores)
+        return 2.0 * operations * UNIT * float(np.prod([frobenius_sup(core) for core in self.cores]))
+
     def at(self, cells: NDArray[Any]) -> FloatArray:
-        """Values (M,) at joint cells (M, I); within ``error`` of the function it stands for."""
+        """Values (M,) at joint cells (M, I); within ``error + spread`` of the function it stands for."""
         values = np.zeros(len(cells))
         covered = np.ones(len(cells), dtype=bool)
         if self.cells is not None:
@@ -77,7 +84,7 @@ class Train:
         return values
 
     def total(self, weights: Sequence[FloatArray]) -> float:
-        """``sum_s f(s) prod_i weights[i][s_i]`` for weights (S_i,) per agent."""
+        """``sum_s f(s) prod_i weights[i][s_i]`` for weights (S_i,) per agent, up to ``spread`` per unit of mass."""
         row = np.ones(1)
         for i, (core, weight) in enumerate(zip(self.cores, weights, strict=True)):
             row = row @ np.tensordot(core, weight if self.cells is None else weight[self.cells[i]], axes=(1, 0))
@@ -180,6 +187,8 @@ def rounded(parts: Sequence[Masked], tolerance: float, relative: float | None = 
     left, carry = 1.0, np.ones((1, 1))
     for i, core in enumerate(cores):
         whole = np.tensordot(carry, core, axes=1)
+        size = float(np.linalg.norm(carry)) * frobenius_sup(core)
+        error += left * (carry.shape[1] + 2) * UNIT * size * float(tails[i])
         if i == n_agents - 1:
             finished.append(whole)
             break
@@ -239,9 +248,15 @@ def _from_the_right(parts: Sequence[Masked], cut: _Cut) -> tuple[list[Core], flo
         blocks = [
             _read(train.cores[i], d.reached(i, train.cells), m) for (train, d), m in zip(parts, right, strict=True)
         ]
+        sizes = [
+            (m.shape[1] + 2) * frobenius_sup(train.cores[i]) * float(np.linalg.norm(m, axis=(1, 2)).max(initial=0.0))
+            for (train, _), m in zip(parts, right, strict=True)
+        ]
+        error += heads[i] * UNIT * float(np.linalg.norm(sizes)) * tail
         whole = np.concatenate([block.reshape(-1, *block.shape[2:]) for block in blocks])
         if i == 0:
             cores.append(whole.sum(axis=0, keepdims=True))  # one root per part
+            error += len(parts) * UNIT * sum(frobenius_sup(block[0]) for block in blocks) * tail
             break
         core, carry, lost = _split(np.ascontiguousarray(whole.transpose(2, 1, 0)), cut, heads[i] * tail)
         error += heads[i] * lost * tail
