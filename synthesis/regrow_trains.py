@@ -8,6 +8,7 @@ whatever the certificate says; cells outside ``visited`` count as failure.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,17 +16,13 @@ from numpy.typing import NDArray
 
 from .checked_kernel import axis_tables, smooth
 from .guards import Guards
-from .kernel import UNIT
-from .train import Train, frobenius_sup, ones
-from .train_value import Trains, arrival, core_rows, routes
+from .train import Train, ones
+from .train_value import Trains, arrival, assembled, routes, smoothed_core
 
 if TYPE_CHECKING:
     from .certificate import Certificate
 
 FloatArray = NDArray[Any]
-
-ROWS = 256
-"""Rows of a core that are smoothed at once."""
 
 
 class BrokenTrainError(ValueError):
@@ -76,17 +73,8 @@ def regrow_trains(certificate: Certificate, each: Callable[[int, Trains], None] 
 def _moved(certificate: Certificate, kernels: list[list[FloatArray]], arriving: Train, t: int, q: int) -> Train:
     """Expected value one step before arriving."""
     cells = certificate.rounding.visited[t] if certificate.rounding is not None else None
-    cores, scale, operations = [], 1.0, 4
+    cores = []
     for i, (part, axes) in enumerate(zip(certificate.agents, kernels, strict=True)):
-        core = arriving.cores[i]
-        points = part.points(t, q)
-        points = points if cells is None else points[cells[i]]
-        rows = core_rows(arriving, i, part.grid.n_cells)
-        values = np.empty((len(rows), len(points)))
-        for first in range(0, len(rows), ROWS):
-            values[first : first + ROWS] = smooth(rows[first : first + ROWS], axes)[:, np.maximum(points, 0)]
-        values *= points >= 0
-        cores.append(np.ascontiguousarray(np.moveaxis(values.reshape(core.shape[0], core.shape[2], len(points)), 2, 1)))
-        scale *= frobenius_sup(core)
-        operations += sum(table.shape[1] for table in axes) + 4 * len(axes) + core.shape[2]
-    return Train(tuple(cores), arriving.error + 2.0 * operations * UNIT * scale, cells)
+        points = part.points(t, q) if cells is None else part.points(t, q)[cells[i]]
+        cores.append(smoothed_core(arriving, i, part.grid.n_cells, points, partial(smooth, tables=axes)))
+    return assembled(arriving, cores, [[table.shape[1] for table in axes] for axes in kernels], cells)

@@ -29,6 +29,9 @@ from .train import Cells, Core, Diagram, Train, diagram, frobenius_sup, ones, ro
 ROWS = 256
 """Rows of a core that are smoothed at once."""
 
+Smooth = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Expected values (n, Z) of rows (n, S) at every lattice point."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trains:
@@ -37,7 +40,7 @@ class Trains:
     Parameters
     ----------
     states : tuple of Train or None
-        Each holds a function f with ``|f - V_q| <= error``.
+        Each holds a function f with ``|f - V_q| <= error``; reading it costs up to ``spread`` more.
     """
 
     states: tuple[Train | None, ...]
@@ -49,8 +52,8 @@ class Trains:
 
     @property
     def error(self) -> float:
-        """Largest error of a state."""
-        return max((train.error for train in self.states if train is not None), default=0.0)
+        """Largest error of a state, that of reading it included."""
+        return max((train.error + train.spread for train in self.states if train is not None), default=0.0)
 
     def work(self, q: int) -> int:
         """Numbers held per joint cell in ``at``, which takes joint cells in parts itself."""
@@ -61,7 +64,7 @@ class Trains:
         train = self.states[q]
         if train is None:
             return np.zeros(len(cells))
-        return np.maximum(0.0, train.at(cells) - train.error)
+        return np.maximum(0.0, train.at(cells) - (train.error + train.spread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,7 @@ class Unread:
             if train is not None:
                 shares = [own[m] * w for own, m, w in zip(self.masks, mask, weights, strict=True)]
                 mass = float(np.prod([own.sum() for own in shares]))
-                total += max(0.0, train.total(shares) - train.error * mass * (1 + 1e-12))
+                total += max(0.0, train.total(shares) - (train.error + train.spread) * mass * (1 + 1e-12))
         return total
 
     def at(self, q: int, cells: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -154,27 +157,34 @@ def arrival(value: Trains, successors: Sequence[tuple[int, Diagram]], tolerance:
 
 def moved(arriving: Train, models: Sequence[AgentModel], laws: Sequence[Law], cells: Cells = None) -> Train:
     """Expected value one step before arriving, under one law per agent, at the given cells (all by default)."""
-    scale, cores, operations = 1.0, [], 4
-    for i, (model, law) in enumerate(zip(models, laws, strict=True)):
-        core = arriving.cores[i]
-        scale *= frobenius_sup(core)
-        cores.append(expected(arriving, i, model, law, None if cells is None else cells[i]))
-        operations += sum(model.kernel.shape) + 4 * len(model.kernel.shape) + core.shape[2]
+    where = [None] * len(models) if cells is None else cells
+    cores = [expected(arriving, i, *own) for i, own in enumerate(zip(models, laws, where, strict=True))]
+    return assembled(arriving, cores, [model.kernel.shape for model in models], cells)
+
+
+def assembled(arriving: Train, cores: Sequence[Core], shapes: Sequence[Sequence[int]], cells: Cells) -> Train:
+    """Train of expected cores, charged with the rounding of sums over ``shapes[i]`` cells per axis of each agent."""
+    operations = 4 + sum(sum(shape) + 4 * len(shape) for shape in shapes)
+    operations += sum(core.shape[2] for core in arriving.cores)
+    scale = float(np.prod([frobenius_sup(core) for core in arriving.cores]))
     return Train(tuple(cores), arriving.error + 2.0 * operations * UNIT * scale, cells)
 
 
 def expected(arriving: Train, i: int, model: AgentModel, law: Law, at: NDArray[np.integer] | None = None) -> Core:
     """Expected matrices (r, n, r') of agent i under a law (S,), at n cells; 0 where there is no choice."""
-    rows = core_rows(arriving, i, model.n_cells)
     points = model.choices.points(law)
-    points = points if at is None else points[at]
-    used = np.maximum(points, 0)
-    moved_rows = np.empty((len(rows), len(points)))
+    return smoothed_core(arriving, i, model.n_cells, points if at is None else points[at], model.kernel.smooth)
+
+
+def smoothed_core(arriving: Train, i: int, n_cells: int, points: NDArray[np.integer], smooth: Smooth) -> Core:
+    """Matrices (r, n, r') of agent i, ``smooth`` of its rows over all cells read at n points; 0 where there is none."""
+    rows = core_rows(arriving, i, n_cells)
+    values = np.empty((len(rows), len(points)))
     for first in range(0, len(rows), ROWS):
-        moved_rows[first : first + ROWS] = model.kernel.smooth(rows[first : first + ROWS])[:, used]
-    moved_rows[:, points < 0] = 0.0
+        values[first : first + ROWS] = smooth(rows[first : first + ROWS])[:, np.maximum(points, 0)]
+    values[:, points < 0] = 0.0
     shape = (arriving.cores[i].shape[0], arriving.cores[i].shape[2], len(points))
-    return np.ascontiguousarray(np.moveaxis(moved_rows.reshape(shape), 2, 1))
+    return np.ascontiguousarray(np.moveaxis(values.reshape(shape), 2, 1))
 
 
 def core_rows(train: Train, i: int, n_cells: int) -> NDArray[np.float64]:
@@ -234,7 +244,7 @@ def evaluate(
 
 
 def start_value(start: Occupancy, value: Trains) -> float:
-    """``sum_q <mu_0,q , V_q>`` as computed; within the largest error of the truth, since the masses sum to 1."""
+    """``sum_q <mu_0,q , V_q>`` as computed; within ``value.error`` of the truth, since the masses sum to 1."""
     total = 0.0
     for q, rows in enumerate(start.terms.index):
         train = value.states[q]
