@@ -29,7 +29,7 @@ from ..envs.automaton import Automaton
 from ..envs.problem import Problem
 from .abstraction import AgentModel
 from .ascent import Laws
-from .best_response import best_choices
+from .best_response import TIE, best_choices
 from .grid import FloatArray
 from .joint import JointModel
 from .kernel import UNIT
@@ -78,7 +78,8 @@ def upper_bound(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxati
             total += product
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
     n = joint.horizon * sum(s + 1 for s in joint.n_cells) + len(joint.models)
-    return min(1.0, total * (1.0 + 4.0 * n * UNIT) + loss + 1e-12)
+    ties = joint.horizon * len(joint.models) * TIE  # an incumbent stays where it is that close to the best
+    return min(1.0, total * (1.0 + 4.0 * n * UNIT + 2.0 * ties) + loss + 1e-12)
 
 
 def relaxed_laws(relaxations: tuple[Relaxation, ...]) -> Laws:
