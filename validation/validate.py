@@ -92,7 +92,7 @@ class ValidationReport:
         above, notes = [], []
         if "abstract_upper_bound" in self.details:
             most = math.ceil(self.details["abstract_upper_bound"] * 1e6) / 1e6
-            above.append(f"optimum      <= {most:.6f} on these cells, whatever the policy")
+            above.append(f"optimum      <= {most:.6f} for any policy on these cells (finer ones may do better)")
         for relation, outcome in self.details.get("tried", {}).items():
             above.append(
                 f"tried        {relation}: {shown_bound(outcome, None) if isinstance(outcome, float) else outcome}"
