@@ -33,6 +33,33 @@ def scalar_agent(name: str, **changes: Any) -> LinearAgent:
     return LinearAgent(**{**values, **changes})
 
 
+def cart(**changes: Any) -> LinearAgent:
+    """A position-velocity agent with one input."""
+    values: dict[str, Any] = {
+        "name": "cart",
+        "A": [[1.0, 0.5], [0.0, 1.0]],
+        "B": [[0.0], [0.5]],
+        "noise_covariance": [[0.04, 0.0], [0.0, 0.04]],
+        "state_low": [-6.0, -3.0],
+        "state_high": [6.0, 3.0],
+        "input_low": [-2.0],
+        "input_high": [2.0],
+        "initial_state": [-3.0, 0.0],
+    }
+    return LinearAgent(**{**values, **changes})
+
+
+def cart_reach(agent: LinearAgent, horizon: int = 8) -> Problem:
+    """The cart is to come to a position in [1, 5]."""
+    return Problem(
+        name="cart",
+        horizon=horizon,
+        agents=[agent],
+        propositions={"goal": Proposition("cart", [1.0, -3.0], [5.0, 3.0])},
+        specification=Specification("F goal", "co-safe"),
+    )
+
+
 def two_agents(formula: str = "(!b | !c) U a", semantics: str = "co-safe", horizon: int = 4, **changes: Any) -> Problem:
     """Two scalar agents; regions a = [1, 3), b = [-2, 0), both = [-4, 4] of the first, c = [-3, -1) of the second."""
     return Problem(

@@ -20,38 +20,17 @@ from certigym.synthesis.controller import BatchMemory
 from certigym.synthesis.labels import cell_labels
 from certigym.synthesis.relation_coupled import CoupledRelation
 from certigym.validation.verdict import REFUTED
+from problems import cart, cart_reach
 
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
 
 FALSE_ALARM = 1e-6
 
 
-def problem(**changes: object) -> cg.Problem:
-    """One position-velocity agent that is to reach [1, 5]."""
-    values: dict[str, object] = {
-        "name": "cart",
-        "A": [[1.0, 0.5], [0.0, 1.0]],
-        "B": [[0.0], [0.5]],
-        "noise_covariance": [[0.04, 0.0], [0.0, 0.04]],
-        "state_low": [-6.0, -3.0],
-        "state_high": [6.0, 3.0],
-        "input_low": [-2.0],
-        "input_high": [2.0],
-        "initial_state": [-3.0, 0.0],
-    }
-    return cg.Problem(
-        name="cart",
-        horizon=8,
-        agents=[cg.LinearAgent(**{**values, **changes})],  # type: ignore[arg-type]
-        propositions={"goal": cg.Proposition("cart", [1.0, -3.0], [5.0, 3.0])},
-        specification=cg.Specification("F goal", "co-safe"),
-    )
-
-
 CASES = {
-    "diagonal": problem(),
-    "correlated": problem(noise_covariance=[[0.04, 0.02], [0.02, 0.05]]),
-    "wide": problem(B=[[0.1, 0.0], [0.5, 0.2]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0]),
+    "diagonal": cart_reach(cart()),
+    "correlated": cart_reach(cart(noise_covariance=[[0.04, 0.02], [0.02, 0.05]])),
+    "wide": cart_reach(cart(B=[[0.1, 0.0], [0.5, 0.2]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0])),
 }
 
 
@@ -140,21 +119,21 @@ def test_tampered_certificates_are_refused() -> None:
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
-    certificate = cg.synthesize(problem(), [40, 40], relation="ellipsoid", max_sweeps=0).certificate
+    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="ellipsoid", max_sweeps=0).certificate
     assert not cg.check(certificate)
 
 
 def test_delta_belongs_to_relations_that_have_one() -> None:
     for relation in ("auto", "exact", "tube"):
         with pytest.raises(ValueError, match=rf"`delta`: expected none with relation `{relation}`, got 0.01"):
-            abstract(problem(), 40, relation=relation, delta=0.01)
+            abstract(cart_reach(cart()), 40, relation=relation, delta=0.01)
     with pytest.raises(ValueError, match=r"`delta`: expected a number of at least 0 and below 1, got 1.0"):
-        abstract(problem(), 40, relation="ellipsoid", delta=1.0)
+        abstract(cart_reach(cart()), 40, relation="ellipsoid", delta=1.0)
     with pytest.raises(ValueError, match=r"`share`: expected none with relation `tube`, got 0.3"):
-        abstract(problem(), 40, relation="tube", share=0.3)
-    spent = abstract(problem(), 40, relation="ellipsoid", share=0.3).models[0].relation
+        abstract(cart_reach(cart()), 40, relation="tube", share=0.3)
+    spent = abstract(cart_reach(cart()), 40, relation="ellipsoid", share=0.3).models[0].relation
     assert isinstance(spent, CoupledRelation) and np.max(spent.inputs) >= 2.0 * (1 - 0.3) - 1e-6
-    settings = abstract(problem(), 40, relation="ellipsoid", delta=0.01).settings
+    settings = abstract(cart_reach(cart()), 40, relation="ellipsoid", delta=0.01).settings
     assert settings["relation"] == "ellipsoid" and settings["delta"] == 0.01
 
 

@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
+import problems
 from certigym.synthesis import relation_ellipsoid
 from certigym.synthesis.agent_models import ellipsoid_model
 from certigym.synthesis.certificate import AgentPart
@@ -36,20 +37,10 @@ FALSE_ALARM = 1e-6
 ROOM = np.array([2.5, 5.0])
 
 
-def cart(**changes: object) -> cg.LinearAgent:
+def cart(**changes: Any) -> cg.LinearAgent:
     """The position-velocity agent of RA4 on a smaller track."""
-    values: dict[str, object] = {
-        "name": "cart",
-        "A": [[1.0, 0.5], [0.0, 1.0]],
-        "B": [[0.0], [0.5]],
-        "noise_covariance": [[0.25, 0.0], [0.0, 0.25]],
-        "state_low": [-6.0, -5.0],
-        "state_high": [6.0, 5.0],
-        "input_low": [-2.0],
-        "input_high": [2.0],
-        "initial_state": [-3.0, 0.0],
-    }
-    return cg.LinearAgent(**{**values, **changes})  # type: ignore[arg-type]
+    wide: dict[str, Any] = {"state_low": [-6.0, -5.0], "state_high": [6.0, 5.0]}
+    return problems.cart(**{**wide, "noise_covariance": [[0.25, 0.0], [0.0, 0.25]], **changes})
 
 
 def cells(agent: cg.LinearAgent, n: int = 48) -> Grid:

@@ -15,34 +15,9 @@ from certigym.synthesis.controller import BatchMemory
 from certigym.synthesis.relation_coupled import CoupledRelation
 from certigym.synthesis.relation_tube import tube_generators, tube_relation
 from certigym.validation.verdict import REFUTED
+from problems import cart, cart_reach
 
 FALSE_ALARM = 1e-6
-
-
-def cart(**changes: object) -> cg.LinearAgent:
-    """A position-velocity agent with one input."""
-    values: dict[str, object] = {
-        "name": "cart",
-        "A": [[1.0, 0.5], [0.0, 1.0]],
-        "B": [[0.0], [0.5]],
-        "noise_covariance": [[0.04, 0.0], [0.0, 0.04]],
-        "state_low": [-6.0, -3.0],
-        "state_high": [6.0, 3.0],
-        "input_low": [-2.0],
-        "input_high": [2.0],
-        "initial_state": [-3.0, 0.0],
-    }
-    return cg.LinearAgent(**{**values, **changes})  # type: ignore[arg-type]
-
-
-def reach(agent: cg.LinearAgent, horizon: int = 8) -> cg.Problem:
-    return cg.Problem(
-        name="cart",
-        horizon=horizon,
-        agents=[agent],
-        propositions={"goal": cg.Proposition("cart", [1.0, -3.0], [5.0, 3.0])},
-        specification=cg.Specification("F goal", "co-safe"),
-    )
 
 
 def test_the_zonotope_of_a_nilpotent_loop_is_the_finite_sum() -> None:
@@ -56,7 +31,7 @@ def test_the_zonotope_of_a_nilpotent_loop_is_the_finite_sum() -> None:
 
 def test_unstable_loops_have_no_tube() -> None:
     assert tube_generators(np.array([[1.1]]), np.array([0.1])) is None
-    model = abstract(reach(cart()), [40, 40], relation="tube").models[0]
+    model = abstract(cart_reach(cart()), [40, 40], relation="tube").models[0]
     with pytest.raises(ValueError, match="stabilises"):
         tube_relation(cart(), model.grid, np.eye(2), np.zeros((1, 2)))
 
@@ -77,7 +52,7 @@ def test_the_zonotope_is_invariant_along_every_direction(seed: int) -> None:
 
 
 def test_relations_are_never_lost_and_inputs_are_admissible() -> None:
-    problem = reach(cart())
+    problem = cart_reach(cart())
     controller = cg.synthesize(problem, [60, 60], relation="tube", max_sweeps=1).controller
     dynamics = Dynamics.of(problem)
     policy, rng = controller.batch(dynamics), np.random.default_rng(2)
@@ -118,7 +93,7 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_tube_bounds_hold_and_check(name: str) -> None:
     """One-sided at 1e-6 / 5, 30,000 rollouts."""
-    result = cg.synthesize(reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)
+    result = cg.synthesize(cart_reach(CASES[name]), [60, 60], relation="tube", max_sweeps=1)
     certificate = result.certificate
     assert certificate.bound == "nominal" and not certificate.exact
     assert cg.check(certificate), str(cg.check(certificate))
@@ -128,7 +103,7 @@ def test_tube_bounds_hold_and_check(name: str) -> None:
 
 
 def test_a_tube_that_is_too_thin_is_refused() -> None:
-    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
     part = certificate.agents[0]
     assert cg.check(certificate)
     other = replace(part, relation={**part.relation, "feedback": [[0.0, 0.0]]})
@@ -159,7 +134,7 @@ def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch)
     from certigym.synthesis.labels import cell_labels
 
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
-    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
     assert not cg.check(certificate)
 
 
@@ -167,9 +142,9 @@ def test_tubes_travel(tmp_path: object) -> None:
     from pathlib import Path
 
     path = Path(str(tmp_path)) / "c.npz"
-    certificate = cg.synthesize(reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
+    certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate
     cg.save_certificate(certificate, path)
     loaded = cg.load_certificate(path)
-    assert cg.check(loaded, reach(cart()))
+    assert cg.check(loaded, cart_reach(cart()))
     first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
     assert first == again
