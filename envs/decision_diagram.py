@@ -244,13 +244,17 @@ class DecisionDiagrams:
         return memo[f]
 
     def restrict(self, f: int, assignment: Mapping[int, bool]) -> int:
-        """Return the cofactor of `f`: the function left when some variables have the given values."""
+        """Return the cofactor of `f`: the function left when some variables have the given values.
+
+        Nodes that test later variables than all of these stand for themselves: nothing below them is visited.
+        """
         memo: dict[int, int] = {}
+        last = max(assignment, default=-1)
         stack = [f]
         while stack:
             n = stack[-1]
             variable = self._variable[n]
-            if n in memo or variable == _BELOW_ALL:
+            if n in memo or variable > last:
                 memo[n] = memo.get(n, n)
                 stack.pop()
                 continue

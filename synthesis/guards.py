@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,9 @@ def compile_guards(problem: Problem, label_sets: Sequence[BoolArray], states: Co
 
 Cube = tuple[int, ...]
 """One guard: per agent the label sets it admits, as the bits of an integer."""
+
+Path = tuple[int, int, Any] | None
+"""Way from the root of a decision tree, last split first: agent, its label sets as bits, way to there."""
 
 
 class _RobustAutomaton:
@@ -177,12 +181,12 @@ class _RobustAutomaton:
         """Paths of the decision tree of ``root`` to live successors, as (successor, cube)."""
         optimal = len(self.support(root)) <= OPTIMAL_LIMIT
         found: list[tuple[int, Cube]] = []
-        stack: list[tuple[int, dict[int, int]]] = [(root, {})]
+        stack: list[tuple[int, Path]] = [(root, None)]
         while stack:
             f, path = stack.pop()
             if self.diagrams.is_terminal(f):
                 if self._is_live_terminal(f):
-                    found.append((self.diagrams.value(f), tuple(path.get(i, full) for i, full in enumerate(self.full))))
+                    found.append((self.diagrams.value(f), self._cube(path)))
                     if len(found) > MAX_GUARDS:
                         raise ValueError(
                             f"`specification`: one automaton state needs more than {MAX_GUARDS} disjoint guards; "
@@ -190,8 +194,15 @@ class _RobustAutomaton:
                         )
                 continue
             i = self._split(f, optimal)
-            stack += [(cofactor, {**path, i: bits}) for cofactor, bits in reversed(self.cofactors(f, i))]
+            stack += [(cofactor, (i, bits, path)) for cofactor, bits in reversed(self.cofactors(f, i))]
         return found
+
+    def _cube(self, path: Path) -> Cube:
+        """Bits of every agent along a path; all label sets where the path does not split the agent."""
+        bits = list(self.full)
+        while path is not None:
+            i, bits[i], path = path
+        return tuple(bits)
 
 
 def _merge_neighbours(cubes: list[tuple[int, Cube]]) -> list[tuple[int, Cube]]:
