@@ -27,6 +27,15 @@ Bare = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
 FINE = 8
 """Distinct means per cell and axis up to which every mean is a lattice point; beyond, means are snapped."""
 
+ROUNDING = 1e-11
+"""Share of a cell by which rounding moves means; E is enlarged by far more."""
+
+NEAR = 1e-7
+"""Share of a cell up to which means count as one where that spares lattice points; E allows for it."""
+
+SPARED = 0.8
+"""Share of the lattice points of an axis that must be left for means to be taken together."""
+
 STRANDED = 0.02
 """Share of cells without an admissible target up to which the ``exact`` relation is preferred to a tube."""
 
@@ -95,35 +104,40 @@ def ellipsoid_model(
 def _snapped(relation_for: Callable[[FloatArray | None], CoupledRelation], grid: Grid) -> Bare:
     """Model of a relation that allows for means rounded by half a lattice spacing (d,).
 
-    Where the means fall on few distinct coordinates of an axis these are its lattice; otherwise the axis gets a lattice
-    of ``FINE`` points per cell, and what means are rounded by widens the set of errors.
+    Where the means fall on few distinct coordinates of an axis these are its lattice, those that differ by rounding of
+    the cell edges being taken together; otherwise the axis gets a lattice of ``FINE`` points per cell. What means are
+    rounded by widens the set of errors.
     """
     relation = relation_for(None)
     widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
-    distinct = [len(_distinct(relation.means(grid.centres)[..., k], widths[k])) for k in range(len(widths))]
-    coarse = np.array([n > FINE * s for n, s in zip(distinct, grid.shape, strict=True)])
-    if not coarse.any():
-        return _with_menu(relation, grid, (None,) * len(widths))
-    spacing = np.where(coarse, widths / FINE, 0.0)
-    steps = tuple(float(w) if c else None for w, c in zip(spacing, coarse, strict=True))
-    return _with_menu(relation_for(spacing / 2), grid, steps)
+    means = relation.means(grid.centres)
+    snap, spacing = np.zeros(len(widths)), list[float | None]()
+    for k, width in enumerate(widths):
+        values = np.unique(means[..., k])
+        distinct, together = len(_distinct(values, width, 0.0)), len(_distinct(values, width, NEAR))
+        if together <= SPARED * distinct:
+            snap[k], distinct = NEAR * width, together
+        if distinct > FINE * grid.shape[k]:
+            snap[k] = width / FINE / 2
+        spacing.append(width / FINE if distinct > FINE * grid.shape[k] else None)
+    return _with_menu(relation_for(snap) if snap.any() else relation, grid, tuple(spacing))
 
 
 def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | None, ...]) -> Bare:
     """Lattice (all distinct means of an axis, or multiples of its ``spacing``), kernel and menu."""
     means = relation.means(grid.centres)
     lattice, index, tables, loss = [], [], [], 0.0
+    snaps = np.broadcast_to(relation.snap, len(grid.edges))
     for k, edges in enumerate(grid.edges):
         values, width = means[..., k], float(np.max(np.diff(edges)))
         step = spacing[k]
-        axis = _distinct(values, width) if step is None else _multiples(values, step)
-        nearest = (
-            np.clip(np.searchsorted(axis, values), 1, len(axis) - 1) if len(axis) > 1 else np.zeros(values.shape, int)
-        )
+        axis = _distinct(np.unique(values), width, snaps[k] / width) if step is None else _multiples(values, step)
         if len(axis) == 1:
             nearest = np.zeros(values.shape, dtype=np.int64)
         else:
+            nearest = np.clip(np.searchsorted(axis, values), 1, len(axis) - 1)
             nearest -= (values - axis[nearest - 1]) < (axis[nearest] - values)
+        assert np.max(np.abs(axis[nearest] - values)) <= snaps[k] * (1 + 1e-9) + 10 * ROUNDING * width
         table, missing = gaussian_table(axis, edges, float(np.sqrt(relation.covariance[k])))
         lattice.append(axis)
         index.append(nearest)
@@ -135,10 +149,17 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
     return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
 
 
-def _distinct(values: FloatArray, width: float) -> FloatArray:
-    """Distinct values; rounding noise, far below what the tube is enlarged by, does not make two of one."""
-    ordered = np.unique(values)
-    return ordered[np.concatenate([[True], np.diff(ordered) > 1e-11 * width])]
+def _distinct(ordered: FloatArray, width: float, near: float) -> FloatArray:
+    """Increasing values but for those within ``near`` cells of the one kept before.
+
+    Rounding noise, far below what E is enlarged by, never makes two values of one.
+    """
+    gap = np.maximum(near, ROUNDING) * width
+    kept = ordered[np.concatenate([[True], np.diff(ordered) > gap])]
+    last = ordered[np.append(np.searchsorted(ordered, kept[1:]) - 1, len(ordered) - 1)]
+    if np.all(last - kept <= gap) or near <= ROUNDING:
+        return kept
+    return _distinct(ordered, width, 0.0)  # values that creep along have no gaps to be told apart by
 
 
 def _multiples(values: FloatArray, step: float) -> FloatArray:

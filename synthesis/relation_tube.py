@@ -11,6 +11,7 @@ and workspace shrink by E, the abstract inputs by K E.
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,9 @@ def tube_generators(closed: FloatArray, disturbance: FloatArray) -> FloatArray |
 
 
 def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> list[FloatArray]:
-    """Feedbacks (m, d) to try, by linear-quadratic design with cheap to dear inputs (grid coordinates).
+    """Feedbacks (m, d) to try, by linear-quadratic design (grid coordinates).
+
+    Inputs from cheap to dear, and errors that weigh alike in cells, or those of one axis more or less than the others.
 
     Raises
     ------
@@ -138,8 +141,10 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
     cells = disturbance_of(grid, None)
     room = 0.5 * (agent.input_box.high - agent.input_box.low)
     found = []
-    for price in np.logspace(-2.0, 4.0, 13):
-        weight, cost = np.diag(1.0 / cells**2), np.diag(price / np.maximum(room, 1e-9) ** 2)
+    alike = np.zeros((1, len(A)))
+    one_axis = [share * axis for axis in np.eye(len(A)) for share in (-3.0, -1.5, 1.5, 3.0)] if len(A) > 1 else []
+    for share, price in product(np.concatenate([alike, *(row[None] for row in one_axis)]), np.logspace(-2.0, 4.0, 13)):
+        weight, cost = np.diag(10.0**share / cells**2), np.diag(price / np.maximum(room, 1e-9) ** 2)
         try:
             value = solve_discrete_are(A, B, weight, cost)
         except (LinAlgError, ValueError):
@@ -177,7 +182,10 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
 
 
 def input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatArray) -> FloatArray:
-    """Abstract inputs (A, m): per input a symmetric grid whose steps move means by about a cell, and the extremes."""
+    """Abstract inputs (A, m): per input a symmetric grid whose steps move means by whole cells, and the extremes.
+
+    The extremes are rounded inwards to moves of half a cell, so that means stay on a lattice of few points.
+    """
     axes = []
     limit = {1: 41, 2: 13}.get(len(low), 5)
     for j in range(len(low)):
@@ -186,13 +194,14 @@ def input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatAr
         if half <= 0 or not moves.any():  # nothing to choose
             axes.append(np.array([middle]))
             continue
-        step = float(np.min(widths[moves] / np.abs(B[moves, j])))
+        step = cell = float(np.min(widths[moves] / np.abs(B[moves, j])))
         while 2 * half / step + 1 > limit:
             step *= 2.0
         while 2 * half / step + 1 < min(limit, 9) / 2:
             step /= 2.0
-        count = int(np.floor(half / step))
-        axis = middle + step * np.arange(-count, count + 1)
-        extremes = [v for v in (low[j], high[j]) if np.min(np.abs(axis - v)) > 0.25 * step]
-        axes.append(np.unique(np.concatenate([axis, extremes])))
+        count, unit = int(np.floor(half / step)), 0.5 * min(cell, step)
+        largest = unit * np.floor(half / unit)
+        offsets = step * np.arange(-count, count + 1)
+        extremes = [-largest, largest] if largest > count * step + 0.25 * step else []
+        axes.append(middle + np.unique(np.concatenate([offsets, extremes])))
     return np.stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")], axis=-1)
