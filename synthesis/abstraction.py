@@ -39,6 +39,9 @@ from .relation_exact import ExactRelation
 DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
+NEAREST = 0.1
+"""Share of the room in a region that a start near its face leaves at least, where feedbacks are chosen."""
+
 Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
 RELATIONS = ("auto", "exact", "ellipsoid", "paper", "tube")
 
@@ -154,29 +157,35 @@ def abstract(
             raise ValueError(f"`{name}`: expected none with relation `{relation}`, got {value!r}; ask for `ellipsoid`")
     paper = {"epsilon": epsilon, "feedback": feedback, "inputs": inputs, "delta": delta}
     bare: dict[object, Bare] = {}
+    shared: dict[object, Bare] = {}
     whole: dict[object, AgentModel] = {}
     models = []
     for i, agent in enumerate(problem.agents):
         grid, coordinates = _grid(problem, i, _cells_of(agent, cells))
-        same = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
+        room = _label_room(problem, i)
+        alike = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
+        minds_room = relation in ("tube", "ellipsoid") or np.linalg.matrix_rank(agent.B) < agent.n_states
+        same = (*alike, room.tobytes() if minds_room else b"")
         if same not in bare:
-            per_cell, room = targets_per_cell or (2 if agent.n_states == 1 else 1), _label_room(problem, i)
+            per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
             if relation == "auto":
-                bare[same] = cheapest_model(agent, grid, coordinates, per_cell, room)
+                found = cheapest_model(agent, grid, coordinates, per_cell, room)
             elif relation == "exact":
-                bare[same] = exact_model(agent, grid, coordinates, per_cell)
+                found = exact_model(agent, grid, coordinates, per_cell)
             elif relation == "tube":
-                bare[same] = tube_model(agent, grid, coordinates, room)
+                found = tube_model(agent, grid, coordinates, room)
             elif relation == "ellipsoid":
-                bare[same] = ellipsoid_model(agent, grid, coordinates, room, 0.0 if delta is None else delta, share)
+                found = ellipsoid_model(agent, grid, coordinates, room, 0.0 if delta is None else delta, share)
             else:
-                bare[same] = paper_model(agent, grid, paper)
+                found = paper_model(agent, grid, paper)
+            numbers = (*alike, *(a.tobytes() for a in found[0].arrays))
+            bare[same] = shared.setdefault(numbers, found)  # rooms that differ often lead to the same relation
         start_labels = cell_labels(problem, i, grid, coordinates)
         labels = start_labels
         follows = bare[same][0]
         if isinstance(follows, CoupledRelation) and not follows.is_cell:
             labels = error_labels(problem, i, grid, coordinates, follows.state_reach)
-        key = (same, labels.key, start_labels.key)
+        key = (id(bare[same]), labels.key, start_labels.key)
         if key not in whole:
             _, lattice, kernel, choices = bare[same]
             whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
@@ -260,9 +269,13 @@ def _boundaries(problem: Problem, i: int, axis: int) -> list[float]:
 
 
 def _label_room(problem: Problem, i: int) -> FloatArray:
-    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace."""
+    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
+
+    A start near a face of the workspace, or of a region that it lies in, counts as less room.
+    """
     agent = problem.agents[i]
     room = 0.5 * (agent.workspace.high - agent.workspace.low)
+    near = np.minimum(agent.initial.low - agent.workspace.low, agent.workspace.high - agent.initial.high)
     for proposition in problem.propositions.values():
         if proposition.agent != agent.name:
             continue
@@ -274,7 +287,9 @@ def _label_room(problem: Problem, i: int) -> FloatArray:
                 )
                 if inside[1] > inside[0]:
                     room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
-    return np.asarray(room)
+                    left = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
+                    near[k] = min(near[k], left) if left >= 0 else near[k]
+    return np.asarray(np.minimum(room, np.maximum(near, NEAREST * room)))
 
 
 def _cells_of(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:
