@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy as np
 from .arrays import read_only
 from .labeling import contains, inside, linear, row_times
 from .problem import Problem
+from .reading import Reader, reader
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,12 @@ class Block:
     region_high: np.ndarray
     columns: np.ndarray
 
+    @cached_property
+    def motion(self) -> tuple[np.ndarray, ...]:
+        """A, B, offset and noise factor, with a single agent where all are equal: faster to multiply by."""
+        arrays = (self.A, self.B, self.offset, self.noise_factor)
+        return tuple(a[..., :1, :] if np.all(a == a[..., :1, :]) else a for a in arrays)
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
@@ -97,6 +105,11 @@ class Dynamics:
         accepting = np.asarray(automaton.accepting) & (automaton.semantics == "co-safe")
         return cls(problem, blocks, tuple(place[i] for i in range(problem.n_agents)), read_only(accepting))
 
+    @cached_property
+    def reader(self) -> Reader | None:
+        """Tables by which `transition` decides; None if it must compute."""
+        return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
+
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
@@ -111,7 +124,8 @@ class Worlds:
     time : int, or np.ndarray of int, shape (M,)
         Control steps taken: one number, or one per world where `restart` has set some of them back.
     failed, accepted : np.ndarray of bool, shape (M,)
-        At most one of them holds; both are absorbing. Accepted is never set for finite-trace tasks.
+        At most one of them holds; both are absorbing. Accepted is never set for finite-trace tasks; for others it says
+        that the world has not failed and its automaton state is accepting.
     """
 
     states: tuple[np.ndarray, ...]
@@ -192,7 +206,10 @@ def transition(
     if np.any(worlds.time >= dynamics.problem.horizon):
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
     states = tuple(successor(block, x, u, z) for block, x, u, z in zip(dynamics.blocks, worlds.states, inputs, normals))
-    return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
+    if dynamics.reader is None:
+        return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
+    q, failed, accepted = dynamics.reader.read(states, worlds.q, worlds.failed)
+    return Worlds(states, read_only(q), worlds.time + 1, read_only(failed), read_only(accepted))
 
 
 def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -202,15 +219,20 @@ def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.n
     workspace.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack(moved(block.A, block.B, block.offset, block.noise_factor, x, u, z))
+        components = moved(*block.motion, x, u, z)
+    return np.stack(components) if len(components) > 1 else components[0][None]
 
 
 def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any) -> list[Any]:
     """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move."""
-    return [
-        row_times(a, x) + row_times(b, u) + c + row_times(factor, z)
-        for a, b, c, factor in zip(A, B, offset, noise_factor)
-    ]
+    components = []
+    for a, b, c, factor in zip(A, B, offset, noise_factor):
+        total = row_times(a, x)  # of its own: arrays are added to in place
+        total += row_times(b, u)
+        total += c
+        total += row_times(factor, z)
+        components.append(total)
+    return components
 
 
 def decided(accepting: Any, q: Any, following: Any, failed: Any, accepted: Any, outside: Any) -> tuple[Any, Any, Any]:

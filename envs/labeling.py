@@ -86,7 +86,7 @@ def row_times(row: Any, x: Any) -> Any:
     """
     total = row[0] * x[0]
     for k in range(1, len(x)):
-        total = total + row[k] * x[k]
+        total += row[k] * x[k]
     return total
 
 
