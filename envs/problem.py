@@ -20,6 +20,7 @@ from .agent import LinearAgent
 from .arrays import float_array, shown
 from .automaton import Automaton
 from .families import checked_propositions, expand
+from .independent import Group, independent_groups
 from .labeling import Labeling, Proposition, inside
 from .specification import Specification
 from .translate import translate
@@ -28,6 +29,9 @@ from .translate import translate
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Problem:
     """Agents and a task, validated; the task automaton and the labelling are built at construction.
+
+    A task that falls apart into so many independent ones that the automaton of the whole would be too large has none;
+    its parts are `tasks`, each a problem of its own (see `independent`).
 
     Parameters
     ----------
@@ -49,10 +53,10 @@ class Problem:
         Families expanded; ordered agent by agent.
     families : mapping from str to tuple of str
         Members of each family, in agent order.
-    automaton : Automaton
-        Deterministic, complete; its propositions are ordered as `propositions`.
     labeling : Labeling
         Membership, classes and letters.
+    groups : tuple of Group
+        Agents with independent tasks, where the automaton of the whole is not built; empty otherwise.
 
     Raises
     ------
@@ -81,8 +85,9 @@ class Problem:
     propositions: Mapping[str, Proposition]
     families: Mapping[str, tuple[str, ...]]
     specification: Specification
-    automaton: Automaton
     labeling: Labeling
+    groups: tuple[Group, ...]
+    _automaton: Automaton | None
 
     def __init__(
         self,
@@ -101,6 +106,7 @@ class Problem:
         declared = checked_propositions(propositions)
         expanded, families = expand(declared, [agent.name for agent in members])
         labeling = Labeling.of(members, expanded)
+        groups = _groups(specification, labeling, families)
         values = {
             "name": name,
             "horizon": checked_horizon(horizon),
@@ -109,17 +115,62 @@ class Problem:
             "propositions": MappingProxyType({key: expanded[key] for key in labeling.names}),
             "families": MappingProxyType(families),
             "specification": specification,
-            "automaton": _automaton(specification, labeling.names, families),
             "labeling": labeling,
+            "groups": groups,
+            "_automaton": None if groups else _automaton(specification, labeling.names, families),
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
     def __repr__(self) -> str:
-        return f"Problem({self.name!r}, {self.n_agents} agents, horizon {self.horizon}, {self.automaton!r})"
+        task = f"{len(self.groups)} independent tasks" if self.groups else repr(self.automaton)
+        return f"Problem({self.name!r}, {self.n_agents} agents, horizon {self.horizon}, {task})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (self.name, self.horizon, self.agents, dict(self.declared), self.specification)
+
+    @property
+    def automaton(self) -> Automaton:
+        """Deterministic, complete automaton of the task; its propositions are ordered as `propositions`.
+
+        Raises
+        ------
+        ValueError
+            If the task falls apart into independent ones, whose joint automaton would be too large.
+        """
+        if self._automaton is None:
+            raise ValueError(
+                f"`problem`: expected a task with one automaton, got {len(self.groups)} independent tasks, whose joint "
+                "automaton would be too large; take the problems of `problem.tasks` one by one"
+            )
+        return self._automaton
+
+    @cached_property
+    def tasks(self) -> tuple[Problem, ...]:
+        """The independent tasks as problems of their own, by their first agents; the problem itself if there is one.
+
+        The task is satisfied with the product of their probabilities, or at least that for co-safe semantics (see
+        `independent`).
+        """
+        return tuple(self._task(group) for group in self.groups) or (self,)
+
+    def _task(self, group: Group) -> Problem:
+        """The problem of one group of agents."""
+        names = self.labeling.names
+        own = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
+        members = [self.agent_names[i] for i in group.agents]
+        listed = ", ".join(members[:3]) + (", ..." if len(members) > 3 else "")
+        if self.specification.semantics == "co-safe":
+            specification = Specification(automaton=group.automaton)
+        else:
+            specification = Specification(str(group.formula), "finite-trace")
+        return Problem(
+            name=f"{self.name[:120]} ({listed[:70]})",
+            horizon=self.horizon,
+            agents=[self.agents[i] for i in group.agents],
+            propositions={name: self.propositions[name] for name in own},
+            specification=specification,
+        )
 
     @property
     def n_agents(self) -> int:
@@ -160,7 +211,7 @@ class Problem:
         disturbance_scale: float | None = None,
         name: str | None = None,
     ) -> Problem:
-        """Return the problem with another horizon, name, start or noise; automaton and labelling are shared.
+        """Return the problem with another horizon, name, start or noise; automata and labelling are shared.
 
         Parameters
         ----------
@@ -179,7 +230,7 @@ class Problem:
         """
         changed = object.__new__(Problem)
         changed.__dict__.update(self.__dict__)
-        for cached in ("initial_q", "fingerprint"):
+        for cached in ("initial_q", "fingerprint", "tasks"):
             changed.__dict__.pop(cached, None)
         if name is not None:
             object.__setattr__(changed, "name", name)
@@ -224,7 +275,11 @@ class Problem:
         data = self.to_dict()
         del data["name"]
         data["propositions"] = [[key, value.to_dict()] for key, value in self.propositions.items()]
-        data["specification"] = self.automaton.to_dict()
+        if self.groups:
+            parts = [[group.agents, group.automaton.to_dict()] for group in self.groups]
+            data["specification"] = {"semantics": self.specification.semantics, "groups": parts}
+        else:
+            data["specification"] = self.automaton.to_dict()
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -288,6 +343,17 @@ def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:
                 "`initial_low` and `initial_high`"
             )
     return tuple(agents)
+
+
+def _groups(
+    specification: Specification, labeling: Labeling, families: Mapping[str, tuple[str, ...]]
+) -> tuple[Group, ...]:
+    if specification.formula is None:
+        return ()
+    owners = np.repeat(np.arange(len(labeling.agents)), [len(own) for own in labeling.agent_propositions])
+    return independent_groups(
+        specification.formula, specification.semantics, labeling.names, families, owners.tolist(), len(labeling.agents)
+    )
 
 
 def _automaton(
