@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .envs.problem import Problem as Problem
     from .envs.problem_file import load_problem as load_problem
     from .envs.specification import Specification as Specification
+    from .envs.split import split_axes as split_axes
     from .envs.suite import make_problem as make_problem
     from .envs.suite import problem_ids as problem_ids
     from .envs.translate import translate as translate
@@ -121,6 +122,7 @@ _EXPORTS = {
     "problem_ids": "envs.suite",
     "rollout": "validation.rollout",
     "save_certificate": "synthesis.certificate_file",
+    "split_axes": "envs.split",
     "stress": "validation.stress",
     "sweep_horizons": "validation.sweeps",
     "synthesize": "synthesis.synthesize",

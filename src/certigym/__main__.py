@@ -82,6 +82,7 @@ def _problem(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("problem", metavar="ID|FILE", help="suite id or TOML problem file")
     parser.add_argument("--horizon", type=int, metavar="T", help="control steps (default: the problem's)")
     _start(parser)
+    parser.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
 
 def _start(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from .envs.problem import Problem
 from .envs.problem_file import load_problem
+from .envs.split import split_axes
 from .envs.suite import make_problem, problem_ids
 
 
@@ -25,9 +26,10 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
 
 
 def problem_of(options: Namespace) -> Problem:
-    """Problem that ``problem``, ``--horizon`` and ``--initial-state`` describe."""
+    """Problem that ``problem``, ``--horizon``, ``--initial-state`` (before the split) and ``--split`` describe."""
     problem, state = named_problem(options.problem, options.horizon), state_of(options)
-    return problem if state is None else problem.replace(initial_state=state)
+    problem = problem if state is None else problem.replace(initial_state=state)
+    return split_axes(problem) if getattr(options, "split", False) else problem
 
 
 def state_of(options: Namespace) -> list[float] | None:
