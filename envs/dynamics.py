@@ -73,6 +73,11 @@ class Block:
         arrays = (self.A, self.B, self.offset, self.noise_factor)
         return tuple(a[..., :1, :] if np.all(a == a[..., :1, :]) else a for a in arrays)
 
+    @cached_property
+    def input_range(self) -> tuple[float, float]:
+        """Largest interval that all components of the inputs of all agents may be in."""
+        return float(self.input_low.max()), float(self.input_high.min())
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
@@ -107,7 +112,7 @@ class Dynamics:
 
     @cached_property
     def reader(self) -> Reader | None:
-        """Tables by which `transition` decides; None if it must compute."""
+        """Tables by which worlds are judged; None if they would not do."""
         return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
 
 
@@ -203,13 +208,11 @@ def transition(
     ValueError
         If the worlds are at the horizon.
     """
-    if np.any(worlds.time >= dynamics.problem.horizon):
+    over = worlds.time >= dynamics.problem.horizon
+    if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
     states = tuple(successor(block, x, u, z) for block, x, u, z in zip(dynamics.blocks, worlds.states, inputs, normals))
-    if dynamics.reader is None:
-        return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
-    q, failed, accepted = dynamics.reader.read(states, worlds.q, worlds.failed)
-    return Worlds(states, read_only(q), worlds.time + 1, read_only(failed), read_only(accepted))
+    return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
 def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -296,9 +299,13 @@ def _read(
     dynamics: Dynamics, states: tuple[np.ndarray, ...], time: Any, q: np.ndarray, failed: Any, accepted: Any
 ) -> Worlds:
     """Judge the exits and let the automaton read the letters of the states."""
-    following = dynamics.problem.automaton.next_state(q, letters(dynamics, states))
-    q, failed, accepted = decided(dynamics.accepting, q, following, failed, accepted, _outside(dynamics, states))
-    return Worlds(states, read_only(q.astype(np.int32)), time, read_only(failed), read_only(accepted))
+    if dynamics.reader is not None:
+        q, failed, accepted = dynamics.reader.read(states, q, failed)
+    else:
+        following = dynamics.problem.automaton.next_state(q, letters(dynamics, states))
+        q, failed, accepted = decided(dynamics.accepting, q, following, failed, accepted, _outside(dynamics, states))
+        q = q.astype(np.int32)
+    return Worlds(states, read_only(q), time, read_only(failed), read_only(accepted))
 
 
 def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:

@@ -65,10 +65,11 @@ class Counts:
         result: Array | None = None
         for edges, x in zip(self.edges, states, strict=True):
             reached = np.empty(x.shape, dtype=bool)
+            one = reached.view(np.uint8)
             count = np.zeros(x.shape, dtype=np.uint8 if len(edges) < 256 else np.uint32)
-            for edge in edges:
+            for edge in edges.ravel().tolist() if edges.shape[1] == 1 else edges:
                 np.greater_equal(x, edge, out=reached)
-                count += reached.view(np.uint8)
+                np.add(count, one, out=count)
             if result is None:
                 result = count.astype(np.intp)
             else:
@@ -115,8 +116,7 @@ class Reader:
         ----------
         states : sequence of np.ndarray, shape (d, n, M)
         q, failed : np.ndarray, shape (M,)
-            Before. Worlds in an accepting state of a co-safe task that have not failed must have been accepted, as they
-            are once a letter has been read.
+            Before. Worlds in an accepting state of a co-safe task that have not failed have been accepted.
         """
         codes = [counts.codes(x) for counts, x in zip(self.counts, states, strict=True)]
         at, n_states = q.astype(np.intp), len(self.q) // 2
@@ -131,7 +131,10 @@ class Reader:
 def reader(
     blocks: Sequence[Any], labeling: Labeling, automaton: Automaton, accepting: Array, decided: Decided
 ) -> Reader | None:
-    """Return tables for the blocks of a `Dynamics`; None if outputs are not the states or the tables were too large.
+    """Return tables for the blocks of a `Dynamics`; None if they would not do.
+
+    They do not if outputs are not the states, if they would be too large, or if the task is accepted before any letter:
+    then worlds at the start are in an accepting state without being accepted.
 
     Parameters
     ----------
@@ -144,7 +147,7 @@ def reader(
     decided : callable
         `dynamics.decided`.
     """
-    if not all(block.identity_output for block in blocks):
+    if accepting[automaton.initial] or not all(block.identity_output for block in blocks):
         return None
     counts = tuple(Counts.of(block, labeling) for block in blocks)
     places = sorted((int(i), b, k) for b, block in enumerate(blocks) for k, i in enumerate(block.agents))

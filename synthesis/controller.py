@@ -32,6 +32,10 @@ from .relation_coupled import CoupledRelation, couple
 from .relation_exact import ExactRelation, apply
 
 
+MOST_AIMS = 1 << 22
+"""Largest law whose lattice points are looked up once for all."""
+
+
 @dataclass(frozen=True, eq=False)
 class Memory:
     """What coupled agents remember between steps, for the n agents of a group and M worlds.
@@ -107,22 +111,71 @@ class AgentController:
                 memory = follow(self.relation, self.grid, memory, points, uniform)
             return self._coupled(self.relation, memory, points, q, time)
         points = self.project(states)
-        return self._towards(self._choice(self._cell_of(points), q, time), points), None
+        return self._towards(self._places(self._cell_of(points), q, time), points, time), None
+
+    def _places(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int64]:
+        """Places (n, M) in the flat laws for cells (n, M) and automaton states (M,)."""
+        n, n_times, n_states, n_cells = self._laws.shape
+        rows = q.astype(np.intp)
+        rows += min(time, n_times - 1) * n_states
+        rows *= n_cells
+        places = cells + rows
+        if n > 1:
+            places += self._first_places
+        return places
+
+    @cached_property
+    def _first_places(self) -> NDArray[np.int64]:
+        """Where the law of each agent begins in the flat laws, (n, 1)."""
+        return np.arange(0, self._laws.size, self._laws[0].size)[:, None]
 
     def _choice(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int32]:
         """Choices (n, M) in cells (n, M) and automaton states (M,)."""
-        n, n_times, n_states, n_cells = self._laws.shape
-        first = (np.arange(n) * n_times + min(time, n_times - 1)) * n_states  # rows (Q, S) of each agent at this time
-        return self._laws.reshape(-1).take((first[:, None] + q) * n_cells + cells)
+        return self._laws.reshape(-1).take(self._places(cells, q, time))
 
-    def _towards(self, targets: NDArray[Any], points: FloatArray) -> FloatArray:
-        """Inputs that put the mean of the next state on lattice points (n, M) from points (d, n, M) of the grid."""
-        assert isinstance(self.relation, ExactRelation)
-        idle = targets < 0
-        inputs = self.relation.inputs(_means(self.lattice, np.where(idle, 0, targets)), points)
-        if idle.any():
-            inputs[:, idle] = self.relation.input_centre[:, None]
+    def _towards(self, places: NDArray[Any], points: FloatArray, time: int) -> FloatArray:
+        """Inputs that put the mean of the next state where the laws say, from points (d, n, M) of the grid.
+
+        They are those of ``ExactRelation.inputs``, in the same order of operations: ``B^+ (z - drift - A x) + u_mid``.
+        """
+        relation = self.relation
+        assert isinstance(relation, ExactRelation)
+        gaps = [own.take(places) for own in self._aims] if self._aims else self._aims_of(self._laws.take(places))
+        dynamics, inverse, centres = self._coefficients
+        for gap, row in zip(gaps, dynamics, strict=True):
+            gap -= _combined(row, points)
+        inputs = np.empty((len(inverse), *places.shape))
+        for own, row, centre in zip(inputs, inverse, centres, strict=True):
+            np.add(_combined(row, gaps), centre, out=own)
+        if self._idles[min(time, len(self._idles) - 1)]:
+            idle = np.isnan(gaps[0])
+            inputs[:, idle] = relation.input_centre[:, None]
         return inputs
+
+    @cached_property
+    def _coefficients(self) -> tuple[list[list[float]], list[list[float]], list[float]]:
+        """A, B^+ and the central input as plain numbers, which arrays are multiplied by sooner than by numpy's."""
+        assert isinstance(self.relation, ExactRelation)
+        relation = self.relation
+        return relation.A.tolist(), relation.right_inverse.tolist(), relation.input_centre.tolist()
+
+    @cached_property
+    def _aims(self) -> list[FloatArray]:
+        """``_aims_of`` all laws, flat; empty if there were too many."""
+        return [] if self._laws.size > MOST_AIMS else self._aims_of(self._laws.reshape(-1))
+
+    def _aims_of(self, choices: NDArray[np.int32]) -> list[FloatArray]:
+        """Per axis, the chosen lattice points less the drift (exact relation); not a number where there is none."""
+        assert isinstance(self.relation, ExactRelation)
+        aims = _means(self.lattice, np.maximum(choices, 0))
+        aims -= self.relation.drift.reshape(-1, *[1] * choices.ndim)
+        aims[0, choices < 0] = np.nan
+        return list(aims)
+
+    @cached_property
+    def _idles(self) -> NDArray[np.bool_]:
+        """Whether there are, at each time, cells without a choice."""
+        return np.asarray((self._laws < 0).any(axis=(0, 2, 3)))
 
     def _coupled(
         self, relation: CoupledRelation, memory: Memory, points: FloatArray, q: NDArray[Any], time: int
@@ -185,8 +238,18 @@ def _into(grid: Grid, points: FloatArray) -> FloatArray:
     """Points moved into the grid; NaN goes to the low edge."""
     inside = np.empty(points.shape)
     for own, moved, edges in zip(points, inside, grid.edges, strict=True):
-        np.fmin(np.fmax(own, edges[0]), edges[-1], out=moved)  # fmax passes over NaN
+        np.fmax(own, float(edges[0]), out=moved)  # fmax passes over NaN
+        np.fmin(moved, float(edges[-1]), out=moved)
     return inside
+
+
+def _combined(row: Sequence[float], vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """``row @ vectors``, a new array, in the order of ``relation_exact.apply``."""
+    total: FloatArray = row[0] * vectors[0]
+    for coefficient, component in zip(row[1:], vectors[1:], strict=True):
+        if coefficient != 0.0:
+            total += coefficient * component
+    return total
 
 
 def _means(lattice: tuple[FloatArray, ...], flat: NDArray[Any]) -> FloatArray:

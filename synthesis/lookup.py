@@ -47,7 +47,9 @@ class Buckets:
 
     def cell_of(self, points: FloatArray) -> NDArray[np.int64]:
         """Cell of each point of the axis (exact); points must lie between its ends."""
-        bucket = ((points - self.low) * self.scale).astype(np.intp)
+        distance = points - self.low
+        distance *= self.scale
+        bucket = distance.astype(np.intp)
         cells = self.below.take(bucket)
         cells += points >= self.edge.take(bucket)
         return cells

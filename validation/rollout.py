@@ -246,11 +246,12 @@ def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> 
         inputs, memory = policy.act(worlds, memory)
         yield Frame(worlds, memory, inadmissible)
         beyond = _beyond(dynamics, inputs)
-        inadmissible = inadmissible | (beyond & ~(worlds.failed | worlds.accepted))
+        if beyond is not None:
+            inadmissible = inadmissible | (beyond & ~(worlds.failed | worlds.accepted))
         normals = core.noise(dynamics, rng, size)
         if mismatch is not None:
             inputs, normals = disturbed(dynamics, mismatch, inputs, normals)
-        if mismatch is not None or beyond.any():
+        if mismatch is not None or beyond is not None:
             inputs = _saturated(dynamics, inputs)
         worlds = core.transition(dynamics, worlds, inputs, normals)
     yield Frame(worlds, None, inadmissible)
@@ -275,12 +276,20 @@ def paths(loop: Loop, episodes: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     return states[:, :count], np.asarray(core.satisfied(dynamics, last.worlds))[:count]
 
 
-def _beyond(dynamics: Dynamics, inputs: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
-    """Whether any agent asks for an input outside its box (not a number counts)."""
+def _beyond(dynamics: Dynamics, inputs: Sequence[NDArray[Any]]) -> NDArray[np.bool_] | None:
+    """Whether any agent asks for an input outside its box (not a number counts), per world; None if none does."""
+    pairs = list(zip(dynamics.blocks, inputs, strict=True))
+    if all(_admissible(u, *block.input_range) for block, u in pairs):
+        return None
     result = np.zeros(inputs[0].shape[-1], dtype=bool)
-    for block, u in zip(dynamics.blocks, inputs, strict=True):
+    for block, u in pairs:
         result |= ~((block.input_low <= u) & (u <= block.input_high)).all(axis=(0, 1))
-    return result
+    return result if result.any() else None
+
+
+def _admissible(u: NDArray[Any], low: float, high: float) -> bool:
+    """Whether all numbers lie in an interval; not a number lies in none."""
+    return bool(low <= u.min()) and bool(u.max() <= high)
 
 
 def _saturated(dynamics: Dynamics, inputs: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], ...]:
