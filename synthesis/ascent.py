@@ -15,7 +15,7 @@ occupancy included, so that ``dropped`` is an upper bound on the loss at the sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,12 +123,13 @@ def start_value(start: Occupancy, terms: Terms) -> float:
 
 
 def sweep(
-    joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool, loss: Loss | None = None
-) -> Sweep:
+    joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool, loss: Loss | None = None,
+    watch: Callable[[Stage], None] | None = None,
+) -> Sweep:  # fmt: skip
     """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
 
     Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
-    norms); the value is then reported as 0.
+    norms); the value is then reported as 0. ``watch`` is shown every (time, automaton state) once its laws are set.
     """
     nowhere = Terms(
         tuple(np.zeros((0, n)) for n in joint.n_cells),
@@ -151,11 +152,13 @@ def sweep(
                 parts.append((ones, rows))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
-            stage = _Stage(joint, options, occupancies[t], q, [law[t, q] for law in laws])
+            stage = Stage(joint, options, occupancies[t], q, [law[t, q] for law in laws])
             if improve and len(stage.rows):
                 stage.improve()
                 for law, better in zip(laws, stage.laws, strict=True):
                     law[t, q] = better
+            if watch is not None:
+                watch(stage)
             keep, charge = stage.prune(limits)
             dropped += charge
             parts.append(stage.part(keep))
@@ -167,7 +170,7 @@ def sweep(
     return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
 
-class _Stage:
+class Stage:
     """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' laws."""
 
     def __init__(
@@ -199,11 +202,11 @@ class _Stage:
         """
         n_agents = len(self.models)
         chosen = self._heaviest(n_agents)
-        met = _Others([self._inner(i)[chosen[:, i]][:, self.rows[:, i]] for i in range(n_agents)])
+        met = self._met(chosen)
         anywhere = _Others([own.mean(axis=1)[self.rows[:, i]] for i, own in enumerate(self.values)])
         answers: dict[tuple[int, bytes, bytes], Law] = {}
         for i, model in enumerate(self.models):
-            n_mass, n_values = len(self.mass[i]), len(self.values[i])
+            n_values = len(self.values[i])
             if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
                 key = (id(model), self.smoothed[i].tobytes(), self.laws[i].tobytes())
                 if key not in answers:
@@ -212,7 +215,7 @@ class _Stage:
                     )
                 self.laws[i] = answers[key]
             else:
-                weights = self.mass[i].T @ _collect(met.product(), chosen[:, i], n_mass, self.rows[:, i], n_values)
+                weights = self._weights(i, met, chosen)
                 unmet = ~np.any(weights > 0, axis=1)
                 if unmet.any():
                     weights[unmet] = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
@@ -220,6 +223,33 @@ class _Stage:
             self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
             met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
             anywhere.replace(self.values[i].mean(axis=1)[self.rows[:, i]])
+
+    def gain(self) -> float:
+        """Most that one agent alone could add to the value at the start by other choices here.
+
+        Mass that was left out of the occupancies is not counted.
+        """
+        if not self.is_met or len(self.rows) == 0:
+            return 0.0
+        chosen = self._heaviest(len(self.models))
+        most, met = 0.0, self._met(chosen)
+        for i, model in enumerate(self.models):
+            weights = self._weights(i, met, chosen)
+            better = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
+            added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
+            most = max(most, float(np.einsum("sn,ns->", weights, added)))
+            met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
+        return most
+
+    def _met(self, chosen: IndexArray) -> _Others:
+        """Inner products of mass and value per agent, (mass terms, terms)."""
+        return _Others([self._inner(i)[chosen[:, i]][:, self.rows[:, i]] for i in range(len(self.models))])
+
+    def _weights(self, i: int, met: _Others, chosen: IndexArray) -> FloatArray:
+        """(S, n) weight of agent i's value factors in its cells: the mass there, times what the other agents make."""
+        collected = _collect(met.product(), chosen[:, i], len(self.mass[i]), self.rows[:, i], len(self.values[i]))
+        weights: FloatArray = self.mass[i].T @ collected
+        return weights
 
     def _heaviest(self, n_agents: int) -> IndexArray:
         """Mass terms to weigh decisions with: all of them, unless the work arrays would not fit into memory."""
