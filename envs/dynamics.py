@@ -183,6 +183,21 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
     return replace(worlds, states=states, **marks)
 
 
+def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
+    """Return only the worlds of `which`, whole numbers in increasing order; all must be at one time."""
+    states = tuple(x.take(which, axis=-1) for x in worlds.states)
+    return Worlds(states, worlds.q[which], worlds.time, worlds.failed[which], worlds.accepted[which])
+
+
+def beside(batches: Sequence[Worlds]) -> Worlds:
+    """Return the worlds of several batches, all at one time, as one batch."""
+    if len(batches) == 1:
+        return batches[0]
+    states = tuple(np.concatenate(x, axis=-1) for x in zip(*(worlds.states for worlds in batches)))
+    q, failed, accepted = (np.concatenate([getattr(w, name) for w in batches]) for name in ("q", "failed", "accepted"))
+    return Worlds(states, q, batches[0].time, failed, accepted)
+
+
 def noise(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return standard normal numbers for one step, one array (d, n, M) per block."""
     return tuple(rng.standard_normal((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks)

@@ -189,7 +189,7 @@ def _descend(automaton: Automaton, entry: Array, own: Array, letter: Array) -> A
     variable = np.append(automaton.variable, [-1, -1])  # the two rows that are no node test nothing
     at = entry.copy()
     while True:
-        value = np.where(at >= 0, known[variable[at]], -1)
+        value = np.where(at >= 0, known[variable[np.maximum(at, -1)]], -1)
         on = np.flatnonzero(value >= 0)
         if len(on) == 0:
             return at

@@ -31,7 +31,6 @@ from .lookup import cell_finder
 from .relation_coupled import CoupledRelation, couple
 from .relation_exact import ExactRelation, apply
 
-
 MOST_AIMS = 1 << 22
 """Largest law whose lattice points are looked up once for all."""
 
@@ -389,6 +388,11 @@ class BatchController:
             blocks.append(tuple(_group(controller.agents, block.agents, members) for members in groups.values()))
             shapes.append((block.B.shape[1], len(block.agents)))
         return cls(tuple(blocks), tuple(shapes))
+
+    @property
+    def is_memoryless(self) -> bool:
+        """Whether inputs depend on state, automaton state and time alone, whatever worlds are beside."""
+        return not any(group.controller.is_coupled for groups in self.blocks for group in groups)
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> BatchMemory:
         """Memory at time 0; coupled agents take one auxiliary draw per step and world from ``rng``."""

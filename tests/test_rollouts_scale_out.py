@@ -24,7 +24,7 @@ from certigym.validation.audit import audit
 from certigym.validation.cluster import dask_cluster, executor_for, processes
 from certigym.validation.fields import find_weakest, validate_field
 from certigym.validation.report import gather_report
-from certigym.validation.rollout import Loop, stream
+from certigym.validation.rollout import TOGETHER, Loop, stream
 from certigym.validation.stress import stress
 from certigym.validation.sweeps import sweep_horizons, synthesize_best
 from certigym.validation.validate import ValidationInterrupted
@@ -137,7 +137,7 @@ def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: Certifica
         return most
 
     peak(CHUNK)
-    few, many = peak(2 * CHUNK), peak(60 * CHUNK)
+    few, many = peak(TOGETHER), peak(8 * TOGETHER)
     assert many < 1.2 * few + 50_000
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,15 +26,30 @@ from numpy.typing import NDArray
 from ..envs import dynamics as core
 from ..envs.dynamics import Dynamics, Worlds
 from ..envs.problem import Problem, checked_problem
-from ..spread import Executor, in_order, interrupts_at_checkpoints
+from ..spread import AHEAD, Executor, in_order, interrupts_at_checkpoints
 from .mismatch import Mismatch, degraded, disturbed
 
 CHUNK = 2000
 """Worlds per chunk: large enough for numpy, small enough for the cache."""
 
+TOGETHER = 32768
+"""Numbers that the states of chunks simulated side by side may have, if one chunk alone has fewer."""
+
+LEAVE = 0.25
+"""Share of settled worlds from which it pays to go on without them."""
+
+
+Outcome = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+"""Success of each world, and whether it was asked for an inadmissible input before it was decided."""
+
 
 class BatchPolicy(Protocol):
-    """Anything that chooses the inputs of all worlds at once; what it remembers is handed to it and handed back."""
+    """Anything that chooses the inputs of all worlds at once; what it remembers is handed to it and handed back.
+
+    A policy with a true attribute ``is_memoryless`` remembers nothing, and its inputs in one world are, to the last
+    bit, the same whatever worlds are beside: its worlds are simulated no further than they have to be, and inadmissible
+    inputs are not looked for where no acceptance can be reached any more.
+    """
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> Any:
         """Memory at time 0; ``rng`` serves auxiliary draws of the policy, of which there are none for most."""
@@ -186,7 +202,18 @@ def rollout(
 
 def stream(loop: Loop, episodes: int, executor: Executor | None = None) -> Generator[ChunkResult, None, None]:
     """Outcomes chunk by chunk in index order, ``episodes`` in all; nothing is kept."""
-    return in_order(chunk_result, loop, chunks_of(episodes, loop.chunk), executor)
+    beside = max(1, TOGETHER // (loop.chunk * loop.problem.n_states))
+    if executor is not None:  # workers must not wait for one another
+        beside = min(beside, max(1, episodes // (2 * AHEAD * loop.chunk)))
+    chunks = chunks_of(episodes, loop.chunk)
+    with closing(in_order(chunk_results, loop, _grouped(chunks, beside), executor)) as groups:
+        for group in groups:
+            yield from group
+
+
+def _grouped(chunks: Iterator[tuple[int, int]], beside: int) -> Iterator[tuple[tuple[int, int], ...]]:
+    while group := tuple(islice(chunks, beside)):
+        yield group
 
 
 def chunks_of(episodes: int, chunk: int) -> Iterator[tuple[int, int]]:
@@ -195,13 +222,15 @@ def chunks_of(episodes: int, chunk: int) -> Iterator[tuple[int, int]]:
     return ((number, min(chunk, episodes - first)) for number, first in enumerate(range(0, episodes, chunk)))
 
 
-def chunk_result(loop: Loop, job: tuple[int, int]) -> ChunkResult:
-    """Outcomes of one chunk (number, worlds that count)."""
-    number, count = job
+def chunk_results(loop: Loop, chunks: Sequence[tuple[int, int]]) -> list[ChunkResult]:
+    """Outcomes of some chunks (number, worlds that count), the same whichever are asked for together."""
     dynamics, policy = arranged(loop)
-    (last,) = deque(frames(loop, dynamics, policy, number), maxlen=1)
-    success = np.asarray(core.satisfied(dynamics, last.worlds))[:count]
-    return ChunkResult(success, int(last.inadmissible[:count].sum()))
+    if getattr(policy, "is_memoryless", False) and not _is_degraded(loop):
+        found = _leaving_settled(loop, dynamics, policy, [number for number, _ in chunks])
+    else:
+        found = [_to_the_end(loop, dynamics, policy, number) for number, _ in chunks]
+    pairs = zip(chunks, found, strict=True)
+    return [ChunkResult(success[:count], int(beyond[:count].sum())) for (_, count), (success, beyond) in pairs]
 
 
 @lru_cache(maxsize=4)
@@ -214,7 +243,7 @@ def arranged(loop: Loop) -> tuple[Dynamics, BatchPolicy]:
 def run_chunk(dynamics: Dynamics, policy: BatchPolicy, seed: int, number: int, size: int) -> NDArray[np.bool_]:
     """Success of the worlds of one chunk, always ``size`` of them, so that every episode keeps its noise."""
     loop = Loop(dynamics.problem, _Arranged(policy), seed, size)
-    return chunk_result(loop, (number, size)).success
+    return chunk_results(loop, [(number, size)])[0].success
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,32 +258,86 @@ class _Arranged:
 
 def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Iterator[Frame]:
     """The worlds of one chunk, time after time, until all of them are decided; always ``loop.chunk`` of them."""
-    rng, auxiliary = _generator(loop, number), _generator(loop, number, 1)
-    size, mismatch = loop.chunk, loop.mismatch
-    if loop.starts is None:
-        worlds = core.initial(dynamics, rng, size)
-    else:
-        rows = np.arange(number * size, (number + 1) * size) % len(loop.starts)
-        worlds = core.initial_at(dynamics, loop.starts[rows])
-    if mismatch is not None:
-        policy = degraded(policy, mismatch, _generator(loop, number, 2))
-    memory = policy.begin(worlds, auxiliary)
-    inadmissible = np.zeros(size, dtype=bool)
+    rng, worlds = _start(loop, dynamics, number)
+    if loop.mismatch is not None:
+        policy = degraded(policy, loop.mismatch, _generator(loop, number, 2))
+    memory = policy.begin(worlds, _generator(loop, number, 1))
+    inadmissible = np.zeros(loop.chunk, dtype=bool)
     for _ in range(dynamics.problem.horizon):
         if np.all(worlds.failed | worlds.accepted):
             break
         inputs, memory = policy.act(worlds, memory)
         yield Frame(worlds, memory, inadmissible)
-        beyond = _beyond(dynamics, inputs)
+        following, beyond = _step(loop, dynamics, worlds, inputs, core.noise(dynamics, rng, loop.chunk))
         if beyond is not None:
             inadmissible = inadmissible | (beyond & ~(worlds.failed | worlds.accepted))
-        normals = core.noise(dynamics, rng, size)
-        if mismatch is not None:
-            inputs, normals = disturbed(dynamics, mismatch, inputs, normals)
-        if mismatch is not None or beyond is not None:
-            inputs = _saturated(dynamics, inputs)
-        worlds = core.transition(dynamics, worlds, inputs, normals)
+        worlds = following
     yield Frame(worlds, None, inadmissible)
+
+
+def _to_the_end(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Outcome:
+    """Success, and inadmissible inputs, of the worlds of one chunk."""
+    (last,) = deque(frames(loop, dynamics, policy, number), maxlen=1)
+    return np.asarray(core.satisfied(dynamics, last.worlds)), last.inadmissible
+
+
+def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, numbers: Sequence[int]) -> list[Outcome]:
+    """Success, and inadmissible inputs, of the worlds of each of some chunks, under a policy without memory.
+
+    The worlds go as in ``frames``, to the last bit, but side by side, and only while the task is open in them: failure,
+    acceptance, and an automaton state from which no acceptance can be reached settle it. Noise is drawn for all.
+    """
+    size, (rngs, starts) = loop.chunk, zip(*(_start(loop, dynamics, number) for number in numbers), strict=True)
+    worlds = core.beside(starts)
+    success, inadmissible = np.zeros((2, len(numbers) * size), dtype=bool)
+    memory = policy.begin(worlds, _generator(loop, numbers[0], 1))
+    settling = np.asarray(dynamics.accepting | dynamics.problem.automaton.dead)
+    which = np.arange(len(success))
+    for _ in range(dynamics.problem.horizon):
+        settled = worlds.failed | settling.take(worlds.q)
+        if np.count_nonzero(settled) >= LEAVE * len(which):
+            success[which[worlds.accepted]] = True
+            going = np.flatnonzero(~settled)
+            which, worlds, settled = which[going], core.selected(worlds, going), settled[going]
+            if len(which) == 0:
+                break
+        inputs, memory = policy.act(worlds, memory)
+        drawn = [core.noise(dynamics, rng, size) for rng in rngs]
+        normals = [np.concatenate(own, axis=-1) for own in zip(*drawn, strict=True)] if len(rngs) > 1 else drawn[0]
+        if len(which) < len(success):
+            normals = [z.take(which, axis=-1) for z in normals]
+        following, beyond = _step(loop, dynamics, worlds, inputs, normals)
+        if beyond is not None:
+            inadmissible[which] |= beyond & ~settled
+        worlds = following
+    success[which] = core.satisfied(dynamics, worlds)
+    return list(zip(success.reshape(-1, size), inadmissible.reshape(-1, size), strict=True))
+
+
+def _start(loop: Loop, dynamics: Dynamics, number: int) -> tuple[np.random.Generator, Worlds]:
+    """The generator of a chunk's starts and noise, and its worlds at time 0."""
+    rng = _generator(loop, number)
+    if loop.starts is None:
+        return rng, core.initial(dynamics, rng, loop.chunk)
+    rows = np.arange(number * loop.chunk, (number + 1) * loop.chunk) % len(loop.starts)
+    return rng, core.initial_at(dynamics, loop.starts[rows])
+
+
+def _step(
+    loop: Loop, dynamics: Dynamics, worlds: Worlds, inputs: Sequence[NDArray[Any]], normals: Sequence[NDArray[Any]]
+) -> tuple[Worlds, NDArray[np.bool_] | None]:
+    """The worlds one step later, and whether any agent asked for an inadmissible input (None: nowhere)."""
+    beyond = _beyond(dynamics, inputs)
+    if loop.mismatch is not None:
+        inputs, normals = disturbed(dynamics, loop.mismatch, inputs, normals)
+    if loop.mismatch is not None or beyond is not None:
+        inputs = _saturated(dynamics, inputs)
+    return core.transition(dynamics, worlds, inputs, normals), beyond
+
+
+def _is_degraded(loop: Loop) -> bool:
+    """Whether agents see their states late or not at all, which a policy then has to remember."""
+    return loop.mismatch is not None and (loop.mismatch.delay > 0 or loop.mismatch.dropout > 0.0)
 
 
 def _generator(loop: Loop, *key: int) -> np.random.Generator:

@@ -1,0 +1,153 @@
+"""What tables decide about worlds is what the definitions decide, and worlds left behind change no outcome."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.envs import reading
+from certigym.envs.dynamics import Dynamics, Worlds
+from certigym.envs.suite import problem_ids
+from certigym.validation.mismatch import Mismatch
+from certigym.validation.rollout import Loop, arranged, frames, stream
+from problems import two_agents
+from sample_problems import mixed_problem, planar
+
+SMALL = ["reach-avoid-v0", "package-delivery-v0", "door-formation-v0", "reach-avoid-planar-v0", "patrol-recharge-v0"]
+
+
+def planar_pair() -> cg.Problem:
+    """Two planar agents with boxes of their own, met in turns: edges are shared by no two agents."""
+    return cg.Problem(
+        name="pair", horizon=5, agents=[planar(), planar(name="other", state_low=[-7.0, -9.5])],
+        propositions={
+            "here": cg.Proposition("planar", [-5.0, -5.0], [5.0, 10.0]),
+            "there": cg.Proposition("planar", [4.0, 1.25], [9.0, 8.0]),
+            "away": cg.Proposition("other", [-12.0, -1.5], [-1.0, 2.5]),
+            "near": cg.Proposition("other", [-3.0, -3.0], [3.0, 3.0]),
+        },
+        specification=cg.Specification("G (here -> X (near | away)) & F there", "finite-trace"),
+    )  # fmt: skip
+
+
+def critical(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
+    """States inside and outside, on every edge and beside it, infinite and not a number."""
+    states = []
+    for block in dynamics.blocks:
+        low, high = block.state_low, block.state_high
+        x = low + (high - low) * rng.uniform(-0.05, 1.05, size=(*low.shape[:2], n_worlds))
+        edges = [low, high]
+        for k, owner in enumerate(block.owners):
+            for corner in (block.region_low, block.region_high):
+                edge = np.where(np.isfinite(corner[:, k]), corner[:, k], high[:, owner])
+                edges.append(np.broadcast_to(edge[:, None], low.shape))
+        kind = rng.integers(0, 4 * len(edges), size=x.shape)
+        for k, edge in enumerate(edges):
+            for step, beside in enumerate((edge, np.nextafter(edge, -np.inf), np.nextafter(edge, np.inf))):
+                x = np.where(kind == 3 * k + step, beside, x)
+        x[rng.random(x.shape) < 0.01] = np.nan
+        x[rng.random(x.shape) < 0.01] = np.inf
+        x[rng.random(x.shape) < 0.01] = -np.inf
+        states.append(x)
+    return tuple(states)
+
+
+def problems() -> list[cg.Problem]:
+    suite = [cg.make_problem(name) for name in problem_ids()]
+    return [*suite, planar_pair(), two_agents("G (b -> X d)", "finite-trace")]
+
+
+@pytest.mark.parametrize("problem", problems(), ids=lambda problem: problem.name)
+def test_tables_and_definitions_judge_all_worlds_alike(problem: cg.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    dynamics, plain = Dynamics.of(problem), Dynamics.of(problem)
+    assert dynamics.reader is not None
+    monkeypatch.setitem(plain.__dict__, "reader", None)
+    rng, n_worlds = np.random.default_rng(20), 3000
+    q = rng.integers(0, problem.automaton.n_states, size=n_worlds).astype(np.int32)
+    failed = (rng.random(n_worlds) < 0.2) & ~dynamics.accepting[q]
+    before = Worlds(critical(dynamics, rng, n_worlds), q, 0, failed, dynamics.accepting[q] & ~failed)
+    for states in (before.states, *(critical(dynamics, rng, n_worlds) for _ in range(3))):
+        ours, theirs = (core._read(d, states, 1, before.q, before.failed, before.accepted) for d in (dynamics, plain))
+        for name in ("q", "failed", "accepted"):
+            mine, definition = getattr(ours, name), getattr(theirs, name)
+            assert mine.dtype == definition.dtype
+            np.testing.assert_array_equal(mine, definition, err_msg=name)
+        before = theirs
+
+
+def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Dynamics.of(mixed_problem()).reader is None  # outputs are not the states
+    assert Dynamics.of(two_agents("true", "co-safe")).reader is None  # accepted before the first letter
+    monkeypatch.setattr(reading, "LARGEST", 50)
+    assert Dynamics.of(two_agents()).reader is None
+
+
+@pytest.mark.parametrize("mismatch", [None, Mismatch(noise_scale=3.0, actuator_bias=0.3), Mismatch(delay=1)])
+@pytest.mark.parametrize("name", SMALL)
+def test_leaving_settled_worlds_changes_no_outcome(name: str, mismatch: Mismatch | None) -> None:
+    """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
+    problem = cg.make_problem(name)
+    controller = cg.synthesize(problem, 12 if "planar" in name or "door" in name else 60, max_sweeps=0).controller
+    loop = Loop(problem, controller, seed=4, chunk=150, mismatch=mismatch)
+    dynamics, policy = arranged(loop)
+    parts = list(stream(loop, 1000))
+    assert [len(part.success) for part in parts] == [150] * 6 + [100]
+    for number, part in enumerate(parts):
+        *_, last = frames(loop, dynamics, policy, number)
+        count = len(part.success)
+        np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds)[:count])
+        assert part.inadmissible == int(last.inadmissible[:count].sum())
+
+
+class Restless:
+    """Inputs beyond the box, from the state alone."""
+
+    is_memoryless = True
+
+    def batch(self, dynamics: Dynamics) -> Restless:
+        return self
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
+        return None
+
+    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[np.ndarray, ...], Any]:
+        return tuple(np.where(np.sin(40 * x) > 0.9, 9.0, -x) for x in worlds.states), None
+
+
+def test_inadmissible_inputs_are_counted_while_the_task_is_open() -> None:
+    problem = two_agents(horizon=6)
+    runs = cg.rollout(problem, Restless(), 1200, seed=1, chunk=400)
+    loop = Loop(problem, Restless(), seed=1, chunk=400)
+    dynamics, policy = arranged(loop)
+    asked, success = np.zeros((2, 3, 400), dtype=bool)
+    for number in range(3):
+        for frame in frames(loop, dynamics, policy, number):
+            worlds = frame.worlds
+            settled = worlds.failed | worlds.accepted | problem.automaton.dead[worlds.q]
+            (u,), _ = policy.act(worlds, None)
+            beyond = (np.abs(u) > 2.0).any(axis=(0, 1))
+            asked[number] |= beyond & ~settled & (worlds.time < problem.horizon)
+        success[number] = worlds.accepted
+    assert 0 < runs.inadmissible == int(asked.sum()) < 1200
+    np.testing.assert_array_equal(runs.success, success.ravel())
+
+
+def test_worlds_beside_each_other_and_selected_are_the_same_worlds() -> None:
+    problem = mixed_problem()
+    dynamics = Dynamics.of(problem)
+    rng = np.random.default_rng(3)
+    parts = [core.initial(dynamics, rng, n) for n in (3, 1, 5)]
+    together = core.beside(parts)
+    assert together.n_worlds == 9
+    for part, first in zip(parts, (0, 3, 4)):
+        back = core.selected(together, np.arange(first, first + part.n_worlds))
+        for name in ("q", "failed", "accepted"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(part, name))
+        for x, y in zip(back.states, part.states):
+            np.testing.assert_array_equal(x, y)
+    assert replace(together).time == 0
