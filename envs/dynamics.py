@@ -147,6 +147,11 @@ class Worlds:
 
 def initial(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> Worlds:
     """Return worlds at time 0, their starts drawn uniformly from the start boxes; a fixed start draws nothing."""
+    return begin(dynamics, starts(dynamics, rng, n_worlds))
+
+
+def starts(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
+    """Return initial states as `initial` draws them, one array (d, n, M) per block."""
     states = []
     for block in dynamics.blocks:
         width = block.initial_high - block.initial_low
@@ -158,7 +163,7 @@ def initial(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> Worl
             last = np.where(width > 0.0, np.nextafter(block.initial_high, -np.inf), block.initial_high)
             start = np.minimum(start, last)
         states.append(start)
-    return _begin(dynamics, tuple(states))
+    return tuple(states)
 
 
 def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
@@ -167,7 +172,15 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
     n_states = dynamics.problem.n_states
     if states.ndim != 2 or states.shape[1] != n_states:
         raise ValueError(f"`states`: expected shape (number of worlds, {n_states}), got {states.shape}")
-    return _begin(dynamics, split_joint(dynamics, states))
+    return begin(dynamics, split_joint(dynamics, states))
+
+
+def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
+    """Return worlds at time 0 with given states, one array (d, n, M) per block."""
+    n_worlds = states[0].shape[-1]
+    q = np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32)
+    undecided = np.zeros(n_worlds, dtype=bool)
+    return _read(dynamics, states, 0, q, undecided, undecided)
 
 
 def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.random.Generator) -> Worlds:
@@ -187,15 +200,6 @@ def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
     """Return only the worlds of `which`, whole numbers in increasing order; all must be at one time."""
     states = tuple(x.take(which, axis=-1) for x in worlds.states)
     return Worlds(states, worlds.q[which], worlds.time, worlds.failed[which], worlds.accepted[which])
-
-
-def beside(batches: Sequence[Worlds]) -> Worlds:
-    """Return the worlds of several batches, all at one time, as one batch."""
-    if len(batches) == 1:
-        return batches[0]
-    states = tuple(np.concatenate(x, axis=-1) for x in zip(*(worlds.states for worlds in batches)))
-    q, failed, accepted = (np.concatenate([getattr(w, name) for w in batches]) for name in ("q", "failed", "accepted"))
-    return Worlds(states, q, batches[0].time, failed, accepted)
 
 
 def noise(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
@@ -301,13 +305,6 @@ def joint(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
 def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return joint states (M, D) as one array (d, n, M) per block."""
     return tuple(np.ascontiguousarray(np.moveaxis(states[:, block.columns], 0, -1)) for block in dynamics.blocks)
-
-
-def _begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
-    n_worlds = states[0].shape[-1]
-    q = np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32)
-    undecided = np.zeros(n_worlds, dtype=bool)
-    return _read(dynamics, states, 0, q, undecided, undecided)
 
 
 def _read(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -137,17 +136,13 @@ def test_inadmissible_inputs_are_counted_while_the_task_is_open() -> None:
     np.testing.assert_array_equal(runs.success, success.ravel())
 
 
-def test_worlds_beside_each_other_and_selected_are_the_same_worlds() -> None:
-    problem = mixed_problem()
-    dynamics = Dynamics.of(problem)
-    rng = np.random.default_rng(3)
-    parts = [core.initial(dynamics, rng, n) for n in (3, 1, 5)]
-    together = core.beside(parts)
-    assert together.n_worlds == 9
-    for part, first in zip(parts, (0, 3, 4)):
-        back = core.selected(together, np.arange(first, first + part.n_worlds))
-        for name in ("q", "failed", "accepted"):
-            np.testing.assert_array_equal(getattr(back, name), getattr(part, name))
-        for x, y in zip(back.states, part.states):
-            np.testing.assert_array_equal(x, y)
-    assert replace(together).time == 0
+def test_selected_worlds_are_the_same_worlds() -> None:
+    dynamics = Dynamics.of(mixed_problem())
+    worlds = core.initial(dynamics, np.random.default_rng(3), 9)
+    which = np.array([1, 2, 7])
+    some = core.selected(worlds, which)
+    assert some.n_worlds == 3 and some.time == 0
+    for name in ("q", "failed", "accepted"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(worlds, name)[which])
+    for x, y in zip(some.states, worlds.states):
+        np.testing.assert_array_equal(x, y[..., which])

@@ -258,7 +258,8 @@ class _Arranged:
 
 def frames(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int) -> Iterator[Frame]:
     """The worlds of one chunk, time after time, until all of them are decided; always ``loop.chunk`` of them."""
-    rng, worlds = _start(loop, dynamics, number)
+    rng = _generator(loop, number)
+    worlds = core.begin(dynamics, _starts(loop, dynamics, number, rng))
     if loop.mismatch is not None:
         policy = degraded(policy, loop.mismatch, _generator(loop, number, 2))
     memory = policy.begin(worlds, _generator(loop, number, 1))
@@ -287,8 +288,8 @@ def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number
     The worlds go as in ``frames``, to the last bit, but side by side, and only while the task is open in them: failure,
     acceptance, and an automaton state from which no acceptance can be reached settle it. Noise is drawn for all.
     """
-    size, (rngs, starts) = loop.chunk, zip(*(_start(loop, dynamics, number) for number in numbers), strict=True)
-    worlds = core.beside(starts)
+    size, rngs = loop.chunk, [_generator(loop, number) for number in numbers]
+    worlds = core.begin(dynamics, _beside([_starts(loop, dynamics, *one) for one in zip(numbers, rngs, strict=True)]))
     success, inadmissible = np.zeros((2, len(numbers) * size), dtype=bool)
     memory = policy.begin(worlds, _generator(loop, numbers[0], 1))
     settling = np.asarray(dynamics.accepting | dynamics.problem.automaton.dead)
@@ -302,10 +303,9 @@ def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number
             if len(which) == 0:
                 break
         inputs, memory = policy.act(worlds, memory)
-        drawn = [core.noise(dynamics, rng, size) for rng in rngs]
-        normals = [np.concatenate(own, axis=-1) for own in zip(*drawn, strict=True)] if len(rngs) > 1 else drawn[0]
+        normals = _beside([core.noise(dynamics, rng, size) for rng in rngs])
         if len(which) < len(success):
-            normals = [z.take(which, axis=-1) for z in normals]
+            normals = tuple(z.take(which, axis=-1) for z in normals)
         following, beyond = _step(loop, dynamics, worlds, inputs, normals)
         if beyond is not None:
             inadmissible[which] |= beyond & ~settled
@@ -314,13 +314,17 @@ def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number
     return list(zip(success.reshape(-1, size), inadmissible.reshape(-1, size), strict=True))
 
 
-def _start(loop: Loop, dynamics: Dynamics, number: int) -> tuple[np.random.Generator, Worlds]:
-    """The generator of a chunk's starts and noise, and its worlds at time 0."""
-    rng = _generator(loop, number)
+def _starts(loop: Loop, dynamics: Dynamics, number: int, rng: np.random.Generator) -> tuple[NDArray[Any], ...]:
+    """Initial states of the worlds of a chunk, (d, n, M) per block."""
     if loop.starts is None:
-        return rng, core.initial(dynamics, rng, loop.chunk)
+        return core.starts(dynamics, rng, loop.chunk)
     rows = np.arange(number * loop.chunk, (number + 1) * loop.chunk) % len(loop.starts)
-    return rng, core.initial_at(dynamics, loop.starts[rows])
+    return core.split_joint(dynamics, loop.starts[rows])
+
+
+def _beside(parts: Sequence[tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
+    """Arrays (.., M) per block of several chunks as such arrays of all their worlds."""
+    return parts[0] if len(parts) == 1 else tuple(np.concatenate(own, axis=-1) for own in zip(*parts, strict=True))
 
 
 def _step(
