@@ -68,10 +68,13 @@ class Block:
     columns: np.ndarray
 
     @cached_property
-    def motion(self) -> tuple[np.ndarray, ...]:
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, offset and noise factor, with a single agent where all are equal: faster to multiply by."""
-        arrays = (self.A, self.B, self.offset, self.noise_factor)
-        return tuple(a[..., :1, :] if np.all(a == a[..., :1, :]) else a for a in arrays)
+        a, b, c, factor = (
+            own[..., :1, :] if np.all(own == own[..., :1, :]) else own
+            for own in (self.A, self.B, self.offset, self.noise_factor)
+        )
+        return a, b, c, factor
 
     @cached_property
     def input_range(self) -> tuple[float, float]:
