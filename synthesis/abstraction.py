@@ -235,7 +235,7 @@ def _grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, Float
         low, high = middle - reach, middle + reach
     edges = []
     for k in range(agent.n_states):
-        boundaries = _boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
+        boundaries = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
         edges.append(aligned_edges(float(low[k]), float(high[k]), cells[k], boundaries))
     return Grid(tuple(edges)), coordinates
 
@@ -255,7 +255,7 @@ def _noise_coordinates(agent: LinearAgent) -> FloatArray:
     return np.asarray(np.tril(factor / np.diag(factor)))
 
 
-def _boundaries(problem: Problem, i: int, axis: int) -> list[float]:
+def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
     """Region boundaries of agent i that are hyperplanes of one state coordinate."""
     agent = problem.agents[i]
     found = []

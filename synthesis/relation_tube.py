@@ -110,20 +110,24 @@ def tube_generators(closed: FloatArray, disturbance: FloatArray) -> FloatArray |
     The number of terms is the one with the smallest tube.
     """
     powers, best, size = [np.diag(disturbance)], None, np.inf
+    mass = float(len(disturbance))  # of the terms so far, in units of the disturbance
     for _ in range(LONGEST):
         following = closed @ powers[-1]
-        alpha = float(np.max(np.abs(following).sum(axis=1) / disturbance)) * INFLATE
+        scaled = np.abs(following) / disturbance[:, None]
+        alpha = float(np.max(scaled.sum(axis=1))) * INFLATE
         if alpha < 1.0:
-            generators = np.concatenate([power.T for power in powers]) / (1.0 - alpha)
-            total = float(np.sum(np.abs(generators) / disturbance))
-            if total < size * (1 - 1e-6):
-                best, size = generators, total
-            elif alpha < 1e-6:
+            if mass / (1.0 - alpha) < size * (1 - 1e-6):
+                best, size = (len(powers), alpha), mass / (1.0 - alpha)
+            elif alpha < 1e-6 or mass >= size:
                 break
-        if not np.all(np.isfinite(following)):
+        mass += float(scaled.sum())
+        if not np.isfinite(mass):
             return None
         powers.append(following)
-    return best
+    if best is None:
+        return None
+    count, alpha = best
+    return np.concatenate([power.T for power in powers[:count]]) / (1.0 - alpha)
 
 
 def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> list[FloatArray]:
@@ -141,9 +145,11 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
     cells = disturbance_of(grid, None)
     room = 0.5 * (agent.input_box.high - agent.input_box.low)
     found = []
-    alike = np.zeros((1, len(A)))
-    one_axis = [share * axis for axis in np.eye(len(A)) for share in (-3.0, -1.5, 1.5, 3.0)] if len(A) > 1 else []
-    for share, price in product(np.concatenate([alike, *(row[None] for row in one_axis)]), np.logspace(-2.0, 4.0, 13)):
+    designs = list(product([np.zeros(len(A))], np.logspace(-2.0, 4.0, 13)))
+    if len(A) > 1:
+        one_axis = [share * axis for axis in np.eye(len(A)) for share in (-2.0, 2.0)]
+        designs += product(one_axis, np.logspace(-2.0, 4.0, 7))
+    for share, price in designs:
         weight, cost = np.diag(10.0**share / cells**2), np.diag(price / np.maximum(room, 1e-9) ** 2)
         try:
             value = solve_discrete_are(A, B, weight, cost)

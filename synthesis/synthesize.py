@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from .choices import InputMenu
 from .controller import Controller
 from .described_relation import describe_relation
 from .joint import JointModel, join, start_of
+from .refine import refine
 from .relaxation import upper_bound
 from .search import FINAL, improve
 from .train_ascent import TrainSweep
@@ -63,6 +64,8 @@ def synthesize(
     limits: Limits | None = None,
     value: str = "auto",
     progress: Callable[[str, float], None] | None = None,
+    memory: float | None = None,
+    accuracy: float | None = None,
     **settings: Any,
 ) -> Synthesis:
     """Per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
@@ -86,6 +89,9 @@ def synthesize(
         rounded with a certified error: for tasks whose trees grow too many terms), or ``"auto"``.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
+    memory, accuracy : float, optional
+        Instead of ``cells``: bytes that may be taken, and the change of the bound that is not worth finer cells. Cells
+        are made finer until one of them is used up; how they were chosen is in ``stats["cells"]`` (see ``refine``).
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -106,6 +112,9 @@ def synthesize(
     if value not in VALUES:
         raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
     check_settings(settings)
+    if memory is not None or accuracy is not None:
+        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "relation": relation}
+        return _within(problem, cells, memory, accuracy, {**how, **settings})
     if relation == "best":
         how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress}
         return _best_relation(problem, cells, how, settings)
@@ -121,6 +130,19 @@ def synthesize(
     stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped,
              "abstract_upper_bound": most}  # fmt: skip
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def _within(
+    problem: Problem, cells: Cells, memory: float | None, accuracy: float | None, how: dict[str, Any]
+) -> Synthesis:
+    """The best synthesis within a budget; the record of its cells is kept with the settings of the certificate."""
+    if cells is not None:
+        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
+    best, record = refine(problem, lambda own: synthesize(problem, own, **how), how["relation"], memory, accuracy)
+    certificate = best.certificate
+    if isinstance(certificate, Certificate):
+        certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
+    return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
 
 
 def _best_relation(problem: Problem, cells: Cells, search: dict[str, Any], settings: dict[str, Any]) -> Synthesis:

@@ -95,6 +95,10 @@ def _synthesis(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--delta", type=float, metavar="P",
                         help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
+    parser.add_argument("--memory", metavar="BYTES",
+                        help="instead of --cells: as fine as fits (bytes, or with K, M, G)")  # fmt: skip
+    parser.add_argument("--accuracy", type=float, metavar="P",
+                        help="instead of --cells: finer until the bound changes by less")  # fmt: skip
 
 
 def _validation(parser: argparse.ArgumentParser) -> None:

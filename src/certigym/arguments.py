@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -12,6 +13,9 @@ from .envs.problem import Problem
 from .envs.problem_file import load_problem
 from .envs.split import split_axes
 from .envs.suite import make_problem, problem_ids
+
+SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
+"""Numbers of bytes."""
 
 
 def named_problem(name: str, horizon: int | None = None) -> Problem:
@@ -48,6 +52,17 @@ def cells_of(options: Namespace) -> int | list[int] | None:
     if options.cells is None:
         return None
     return options.cells[0] if len(options.cells) == 1 else list(options.cells)
+
+
+def budget_of(options: Namespace) -> dict[str, Any]:
+    """Budget given by ``--memory`` and ``--accuracy``, if any; keyword arguments of ``synthesize``."""
+    budget: dict[str, Any] = {} if options.accuracy is None else {"accuracy": options.accuracy}
+    if options.memory is not None:
+        found = SIZE.fullmatch(options.memory.strip())
+        if found is None:
+            raise ValueError(f"`--memory`: expected a number of bytes such as 500M or 2G, got {options.memory!r}")
+        budget["memory"] = float(found[1]) * 1024 ** " KMG".index((found[2] or " ").upper())
+    return budget
 
 
 def check_places(*paths: str | None) -> None:

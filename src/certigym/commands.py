@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from .arguments import cells_of, named_problem, problem_of, relation_of, state_of, write_json
+from .arguments import budget_of, cells_of, named_problem, problem_of, relation_of, state_of, write_json
 from .envs.agent import LinearAgent
 from .envs.problem import Problem
 from .envs.suite import make_problem, problem_ids
@@ -177,7 +177,7 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.set_postfix_str(f"value {value:.6f}")
             bar.update()
 
-        return synthesize_problem(problem, cells, **relation_of(options), progress=report)
+        return synthesize_problem(problem, cells, **relation_of(options), **budget_of(options), progress=report)
 
 
 def _agent_lines(agent: LinearAgent) -> list[str]:
