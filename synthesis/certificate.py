@@ -8,6 +8,7 @@ asked for: at every state the value there is a lower bound too (THEORY section 5
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -87,6 +88,8 @@ def checked_certificate(value: Any) -> Certificate:
     if isinstance(value, Certificate):
         return value
     inside = isinstance(getattr(value, "certificate", None), Certificate)
+    if hasattr(value, "parts"):
+        raise ValueError(f"`certificate`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
     remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
     raise ValueError(f"`certificate`: expected a Certificate, got {type(value).__name__}; {remedy}")
 
@@ -192,7 +195,7 @@ class Certificate:
         ValueError
             If the shape does not fit.
         """
-        joint = self._joint_states(states)
+        joint = joint_states(self.problem, states)
         automaton = self.problem.automaton
         cells = np.empty((len(joint), len(self.agents)), dtype=np.int64)
         inside = np.ones(len(joint), dtype=bool)
@@ -321,23 +324,9 @@ class Certificate:
         """Certified values: rounding and, under the a-posteriori bound, lost relations taken off."""
         return np.clip(values * (1.0 - self.relative_rounding) - self._correction, 0.0, 1.0)
 
-    def _joint_states(self, states: Any) -> FloatArray:
-        """States as an (M, D) array."""
-        if isinstance(states, dict):
-            missing = sorted(set(self.problem.agent_names) ^ set(states))
-            if missing:
-                raise ValueError(f"`states`: expected one vector per agent, got a mismatch at {', '.join(missing[:5])}")
-            states = np.concatenate(
-                [np.atleast_1d(np.asarray(states[n], dtype=float)) for n in self.problem.agent_names]
-            )
-        joint = np.atleast_2d(np.asarray(states, dtype=float))
-        if joint.ndim != 2 or joint.shape[1] != self.problem.n_states:
-            raise ValueError(f"`states`: expected shape (M, {self.problem.n_states}), got {joint.shape}")
-        return joint
-
     def _box(self, low: Any, high: Any) -> list[FloatArray]:
         """Share of the box in each agent's cells; it sums to 1 where the box lies inside the workspace."""
-        corners = self._joint_states(low)[0], self._joint_states(high)[0]
+        corners = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
         splits = np.cumsum([a.n_states for a in self.problem.agents])[:-1]
         weights = []
         for i, (a, b) in enumerate(zip(*(np.split(corner, splits) for corner in corners), strict=True)):
@@ -347,3 +336,16 @@ class Certificate:
                 )
             weights.append(start_share(self.agents[i].grid, self.agents[i].coordinates, a, b))
         return weights
+
+
+def joint_states(problem: Problem, states: Any) -> FloatArray:
+    """States as an (M, D) array: joint states (M, D) or (D,), or a mapping from agent name to (d_i,) vector."""
+    if isinstance(states, Mapping):
+        missing = sorted(set(problem.agent_names) ^ set(states))
+        if missing:
+            raise ValueError(f"`states`: expected one vector per agent, got a mismatch at {', '.join(missing[:5])}")
+        states = np.concatenate([np.atleast_1d(np.asarray(states[n], dtype=float)) for n in problem.agent_names])
+    joint = np.atleast_2d(np.asarray(states, dtype=float))
+    if joint.ndim != 2 or joint.shape[1] != problem.n_states:
+        raise ValueError(f"`states`: expected shape (M, {problem.n_states}), got {joint.shape}")
+    return joint

@@ -27,6 +27,7 @@ from .ascent import Skeleton
 from .certificate import AgentPart, Certificate, checked_certificate
 from .described_relation import check_description
 from .grid import Grid
+from .product import ProductCertificate, product_certificate
 from .terms import Merges, Terms
 from .train_value import Rounding
 
@@ -36,8 +37,31 @@ MAX_BYTES = 2 * 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
 
 
-def save_certificate(certificate: Certificate, path: str | Path) -> None:
+def save_certificate(certificate: Certificate | ProductCertificate, path: str | Path) -> None:
     """Write a certificate to ``path`` (``.npz``); ValueError if it is none."""
+    data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
+    Path(path).write_bytes(data)
+
+
+def _packed_product(product: ProductCertificate) -> bytes:
+    """Bytes of a file that holds the files of all parts, those that differ in names alone once."""
+    pool = _Pool()
+    files = {}
+    for same in product.alike:
+        file = pool.put(np.frombuffer(_packed(product.parts[same[0]]), np.uint8))
+        files.update(dict.fromkeys(same, file))
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "problem": product.problem.to_dict(),
+        "fingerprint": product.fingerprint,
+        "parts": [files[k] for k in range(len(product.parts))],
+    }
+    return _archived(header, pool)
+
+
+def _packed(certificate: Certificate) -> bytes:
+    """Bytes of the file of a single certificate."""
     checked_certificate(certificate)
     pool = _Pool()
     header = {
@@ -67,10 +91,16 @@ def save_certificate(certificate: Certificate, path: str | Path) -> None:
             ],
         },
     }
+    return _archived(header, pool)
+
+
+def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
+    """Bytes of an archive of a header, its digest added, and arrays."""
     header["digest"] = _digest(header, pool.arrays)
     text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8)
-    with open(path, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
+    return file.getvalue()
 
 
 _NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
@@ -78,6 +108,8 @@ _NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact",
 
 def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
     """Read a certificate; it is well-formed then, but not yet checked (see ``check``).
+
+    A file of independent tasks gives a ``ProductCertificate``.
 
     Parameters
     ----------
@@ -97,14 +129,9 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     try:
         if (size := Path(path).stat().st_size) > max_bytes:
             raise ValueError(f"it has {size} bytes, more than {max_bytes}")
-        raw = Path(path).read_bytes()
-        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            _check_sizes(archive, max_bytes)
-        with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
-            header = json.loads(bytes(archive["header"]).decode())
-            _check_version(header)
-            arrays = {name: archive[name] for name in archive.files if name != "header"}
-        _check_digest(header, arrays)
+        header, arrays = _unarchived(Path(path).read_bytes(), max_bytes)
+        if "parts" in header:
+            return _product(header, arrays, max_bytes)  # type: ignore[return-value]
         return _Reader(header, arrays).certificate()
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError, EOFError,
             NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
@@ -112,6 +139,36 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         raise ValueError(
             f"`{path}`: expected a certigym certificate of version {VERSION}, got a file that is none: {message}"
         ) from error
+
+
+def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Header and arrays of an archive, their digest checked."""
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        _check_sizes(archive, max_bytes)
+    with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
+        header = json.loads(bytes(archive["header"]).decode())
+        _check_version(header)
+        arrays = {name: archive[name] for name in archive.files if name != "header"}
+    _check_digest(header, arrays)
+    return header, arrays
+
+
+def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) -> ProductCertificate:
+    """Certificates of independent tasks; which these are is found out again from the problem."""
+    problem = Problem.from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    if not problem.groups:
+        raise ValueError("its problem does not fall apart into independent tasks")
+    found: dict[str, Certificate] = {}
+    left = max_bytes
+    for name, array in arrays.items():
+        own, inner = _unarchived(array.astype(np.uint8).tobytes(), left)
+        left -= sum(a.nbytes for a in inner.values())
+        if "parts" in own:
+            raise ValueError("a part falls apart again")
+        found[name] = _Reader(own, inner).certificate()
+    return product_certificate(problem, tuple(found[str(int(number))] for number in header["parts"]))
 
 
 def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:

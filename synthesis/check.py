@@ -29,6 +29,7 @@ from ..envs.problem import Problem
 from .certificate import AgentPart, Certificate, checked_certificate
 from .checked_kernel import axis_tables, grid_noise
 from .grid import start_share
+from .product import ProductCertificate
 from .regrow import BrokenTreeError, regrow
 from .regrow_trains import BrokenTrainError, regrow_trains
 from .relation_coupled import CoupledRelation
@@ -68,12 +69,12 @@ class CheckReport:
         return "NOT valid: " + "; ".join(self.failures)
 
 
-def check(certificate: Certificate, problem: Problem | None = None) -> CheckReport:
+def check(certificate: Certificate | ProductCertificate, problem: Problem | None = None) -> CheckReport:
     """Verify a certificate against a problem (by default the one inside it).
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Certificate or ProductCertificate
     problem : Problem, optional
         The certificate must have been made for exactly this problem (fingerprint).
 
@@ -83,6 +84,8 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere. The
         upper end of an exact claim (``gap``) is not verified here; rollouts test it (``certigym.validate``).
     """
+    if isinstance(certificate, ProductCertificate):
+        return _check_product(certificate, certificate.problem if problem is None else problem)
     problem = checked_certificate(certificate).problem if problem is None else problem
     failures: list[str] = []
     recomputed = float("nan")
@@ -102,6 +105,21 @@ def check(certificate: Certificate, problem: Problem | None = None) -> CheckRepo
                 recomputed = _start_value(certificate, value)
                 failures += _check_values(certificate, value, recomputed)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+
+
+def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport:
+    """Every part is of the task it stands for, and holds; what their product claims follows."""
+    if product.fingerprint != problem.fingerprint:
+        failures = ["it was made for another problem (the fingerprints differ)"]
+        return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
+    failures, recomputed = [], 1.0
+    if [part.fingerprint for part in product.parts] != [task.fingerprint for task in problem.tasks]:
+        failures.append("its parts are not the independent tasks of its problem")
+    for same in product.alike:
+        report = check(part := product.parts[same[0]])
+        recomputed *= report.recomputed ** len(same)
+        failures += [f"{part.problem.name}: {failure}" for failure in report.failures]
+    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures))
 
 
 def _check_grids(certificate: Certificate) -> list[str]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..envs.problem import Problem
+from ..envs.problem import Problem, checked_problem
 from .abstraction import RELATIONS, Abstraction, Cells, abstract, check_settings
 from .ascent import Limits, Sweep, forward, sweep
 from .bounds import (
@@ -28,6 +29,7 @@ from .choices import InputMenu
 from .controller import Controller
 from .described_relation import describe_relation
 from .joint import JointModel, join, start_of
+from .product import synthesize_parts
 from .refine import refine
 from .relaxation import upper_bound
 from .search import FINAL, improve
@@ -73,7 +75,8 @@ def synthesize(
     Parameters
     ----------
     problem : Problem
-        Agents with positive definite noise, to whom the relation applies.
+        Agents with positive definite noise, to whom the relation applies. A task that falls apart into independent ones
+        (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
     relation : str
@@ -112,6 +115,10 @@ def synthesize(
     if value not in VALUES:
         raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
     check_settings(settings)
+    if checked_problem(problem).groups:
+        one = partial(synthesize, relation=relation, max_sweeps=max_sweeps, limits=limits, value=value,
+                      progress=progress, memory=memory, accuracy=accuracy, **settings)  # fmt: skip
+        return synthesize_parts(problem, cells, one)
     if memory is not None or accuracy is not None:
         how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "relation": relation}
         return _within(problem, cells, memory, accuracy, {**how, **settings})

@@ -16,9 +16,10 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from itertools import islice
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +125,30 @@ class Loop:
         for name, least in (("seed", 0), ("chunk", 1)):
             _check_whole(name, getattr(self, name), least)
 
+    @cached_property
+    def parts(self) -> tuple[Loop, ...]:
+        """Loops of the independent tasks, each with noise of its own; the loop itself where there is one task.
+
+        An episode succeeds if it does so in every part. Parts of co-safe tasks ask for more than the whole does (see
+        ``envs.independent``): there it counts fewer successes than there are.
+        """
+        groups = self.problem.groups
+        if not groups:
+            return (self,)
+        if not hasattr(self.controller, "parts"):
+            raise ValueError(
+                f"`controller`: expected a `ProductController` for {len(groups)} independent tasks, got "
+                f"{type(self.controller).__name__}; simulate the problems of `problem.tasks` one by one"
+            )
+        seeds = np.random.SeedSequence(self.seed).generate_state(len(groups), np.uint64).tolist()
+        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
+        loops = []
+        for group, task, own, seed in zip(groups, self.problem.tasks, self.controller.parts, seeds, strict=True):
+            columns = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in group.agents])
+            starts = None if self.starts is None else self.starts[:, columns]
+            loops.append(Loop(task, own, seed, self.chunk, starts, self.mismatch))
+        return tuple(loops)
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -224,20 +249,32 @@ def chunks_of(episodes: int, chunk: int) -> Iterator[tuple[int, int]]:
 
 def chunk_results(loop: Loop, chunks: Sequence[tuple[int, int]]) -> list[ChunkResult]:
     """Outcomes of some chunks (number, worlds that count), the same whichever are asked for together."""
+    parts = [_outcomes(part, [number for number, _ in chunks]) for part in loop.parts]
+    results = []
+    for (_, count), *of_parts in zip(chunks, *parts, strict=True):
+        success = np.logical_and.reduce([own[:count] for own, _ in of_parts])
+        beyond = np.logical_or.reduce([own[:count] for _, own in of_parts])
+        results.append(ChunkResult(success, int(beyond.sum())))
+    return results
+
+
+def _outcomes(loop: Loop, numbers: Sequence[int]) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """Success and inadmissible inputs of the worlds of some chunks."""
     dynamics, policy = arranged(loop)
     if getattr(policy, "is_memoryless", False) and not _is_degraded(loop):
-        found = _leaving_settled(loop, dynamics, policy, [number for number, _ in chunks])
-    else:
-        found = [_to_the_end(loop, dynamics, policy, number) for number, _ in chunks]
-    pairs = zip(chunks, found, strict=True)
-    return [ChunkResult(success[:count], int(beyond[:count].sum())) for (_, count), (success, beyond) in pairs]
+        return _leaving_settled(loop, dynamics, policy, numbers)
+    return [_to_the_end(loop, dynamics, policy, number) for number in numbers]
 
 
-@lru_cache(maxsize=4)
+_ARRANGED: WeakKeyDictionary[Loop, tuple[Dynamics, BatchPolicy]] = WeakKeyDictionary()
+
+
 def arranged(loop: Loop) -> tuple[Dynamics, BatchPolicy]:
     """Dynamics and policy of a loop, arranged once and not once per chunk."""
-    dynamics = Dynamics.of(loop.problem)
-    return dynamics, loop.controller.batch(dynamics)
+    if loop not in _ARRANGED:
+        dynamics = Dynamics.of(loop.problem)
+        _ARRANGED[loop] = dynamics, loop.controller.batch(dynamics)
+    return _ARRANGED[loop]
 
 
 def run_chunk(dynamics: Dynamics, policy: BatchPolicy, seed: int, number: int, size: int) -> NDArray[np.bool_]:

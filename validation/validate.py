@@ -15,6 +15,7 @@ import numpy as np
 from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate, checked_certificate
+from ..synthesis.product import ProductCertificate
 from ..synthesis.synthesize import Synthesis
 from .mismatch import Mismatch
 from .rollout import CHUNK, Loop, stream
@@ -135,7 +136,7 @@ class ValidationInterrupted(KeyboardInterrupt):
 
 
 def validate(
-    result: Synthesis | Certificate,
+    result: Synthesis | Certificate | ProductCertificate,
     episodes: int = 100_000,
     seed: int = 0,
     *,
@@ -151,7 +152,7 @@ def validate(
 
     Parameters
     ----------
-    result : Synthesis or Certificate
+    result : Synthesis, Certificate or ProductCertificate
     episodes : int
         The most, if ``sequential``.
     seed : int
@@ -180,7 +181,9 @@ def validate(
     """
     began = time.perf_counter()
     check_confidence(confidence)
-    certificate = result.certificate if isinstance(result, Synthesis) else checked_certificate(result)
+    certificate = result.certificate if isinstance(result, Synthesis) else result
+    if not isinstance(certificate, ProductCertificate):
+        checked_certificate(certificate)
     problem, lower, gap, start = claim_at(certificate, initial_state)
     gap = gap if mismatch is None else None  # of another system nobody claims an upper bound
     loop = Loop(problem, certificate.controller, seed, chunk, mismatch=mismatch)
@@ -239,7 +242,9 @@ def validate(
     return report
 
 
-def claim_at(certificate: Certificate, initial_state: Any = None) -> tuple[Problem, float, float | None, str]:
+def claim_at(
+    certificate: Certificate | ProductCertificate, initial_state: Any = None
+) -> tuple[Problem, float, float | None, str]:
     """Problem with the start, lower bound there, gap if the claim is exact, and ``point`` or ``mean``."""
     problem = certificate.problem
     if initial_state is None:
@@ -253,7 +258,7 @@ def _finite(value: float) -> float:
     return float(min(max(value, -1e6), 1e6))
 
 
-def _details(certificate: Certificate, start: str, seed: int, chunk: int) -> dict[str, Any]:
+def _details(certificate: Certificate | ProductCertificate, start: str, seed: int, chunk: int) -> dict[str, Any]:
     from .. import __version__
 
     return {

@@ -52,9 +52,9 @@ def problems(options: Namespace) -> int:
 def describe(options: Namespace) -> int:
     """Show a problem."""
     problem = problem_of(options)
-    automaton = problem.automaton
+    semantics = problem.specification.semantics
     lines = [
-        f"{problem.name}: {problem.n_agents} agents, horizon {problem.horizon}, {automaton.semantics}",
+        f"{problem.name}: {problem.n_agents} agents, horizon {problem.horizon}, {semantics}",
         f"task: {_task(problem)}",
     ]
     for agent in problem.agents[:12]:
@@ -65,11 +65,7 @@ def describe(options: Namespace) -> int:
     lines += [f"proposition {n}: agent {p.agent} in [{_vector(p.low)}, {_vector(p.high)})" for n, p in names[:24]]
     if len(names) > 24:
         lines.append(f"... and {len(names) - 24} more propositions")
-    accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
-    lines.append(
-        f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
-        f"accepting {accepting}"
-    )
+    lines.append(_automaton_line(problem))
     lines.append(f"fingerprint: {problem.fingerprint}")
     if options.json != "-":
         print("\n".join(lines))
@@ -191,6 +187,19 @@ def _agent_lines(agent: LinearAgent) -> list[str]:
         f"c = {_vector(agent.offset)}, covariance of w {agent.noise_covariance.tolist()}",
         f"    workspace {workspace}, inputs {inputs}, start {start}",
     ]
+
+
+def _automaton_line(problem: Problem) -> str:
+    """The automaton of the task, or the tasks that it falls apart into."""
+    if problem.groups:
+        sizes = sorted({group.automaton.n_states for group in problem.groups})
+        return f"{len(problem.groups)} independent tasks, automata of {', '.join(map(str, sizes))} states"
+    automaton = problem.automaton
+    accepting = ", ".join(automaton.state_names[q] for q in np.flatnonzero(automaton.accepting)) or "none"
+    return (
+        f"automaton: {automaton.n_states} states, initial {automaton.state_names[automaton.initial]}, "
+        f"accepting {accepting}"
+    )
 
 
 def _task(problem: Problem) -> str:

@@ -1,0 +1,281 @@
+"""Tasks that fall apart are certified part by part; the product holds for the whole, whose size does not matter."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.envs import dynamics as core
+from certigym.envs import independent
+from certigym.envs.dynamics import Dynamics
+from certigym.synthesis import product
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.oracle import dense_optimum
+from certigym.synthesis.product import ProductCertificate
+from certigym.validation.cluster import executor_for
+from certigym.validation.rollout import Loop, arranged, frames, rollout
+from certigym.validation.verdict import REFUTED
+
+FALSE_ALARM = 1e-6
+
+
+def pairs(n: int, horizon: int = 5, semantics: str = "finite-trace", starts: Sequence[float] = (-2.0,)) -> cg.Problem:
+    """Pair k is to meet in [-1, 0) or in [0, 1); all are to stay in [-3, 3)."""
+    agents = []
+    for k in range(n):
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            agent = cg.LinearAgent(
+                name=f"{side}_{k}", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]], state_low=[-4.0],
+                state_high=[4.0], input_low=[-2.0], input_high=[2.0],
+                initial_state=[sign * starts[k % len(starts)]],
+            )  # fmt: skip
+            agents.append(agent)
+    regions = {"a": (-1.0, 0.0), "b": (0.0, 1.0), "safe": (-3.0, 3.0)}
+    propositions = {
+        f"{name}_{side}": cg.Proposition(f"{side}_*", [low], [high])
+        for side in ("left", "right")
+        for name, (low, high) in regions.items()
+    }
+    meet = " & ".join(f"F (a_left_{k} & a_right_{k} | b_left_{k} & b_right_{k})" for k in range(n))
+    stay = "G" if semantics == "finite-trace" else f"G[0,{horizon}]"
+    formula = f"{stay} (all(safe_left) & all(safe_right)) & {meet}"
+    return cg.Problem(
+        name="pairs", horizon=horizon, agents=agents, propositions=propositions,
+        specification=cg.Specification(formula, semantics),
+    )  # fmt: skip
+
+
+def apart(monkeypatch: pytest.MonkeyPatch, *arguments: object, **named: object) -> cg.Problem:
+    """The pairs, taken apart whatever their number."""
+    with monkeypatch.context() as patched:
+        patched.setattr(independent, "MOST_STATES", 0)
+        return pairs(*arguments, **named)  # type: ignore[arg-type]
+
+
+def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dense programming over four agents at once, against two agents and two."""
+    whole, problem = pairs(2, 3, starts=(-2.0, -1.2)), apart(monkeypatch, 2, 3, starts=(-2.0, -1.2))
+    assert whole.groups == () and [group.agents for group in problem.groups] == [(0, 1), (2, 3)]
+    together = dense_optimum(whole, list(abstract(whole, 8).models))
+    parts = [dense_optimum(task, list(abstract(task, 8).models)) for task in problem.tasks]
+    for q in range(whole.automaton.n_states):  # states by the states of the parts, found by their values
+        choices = [
+            np.einsum("ab,cd->abcd", first, second) for first in parts[0] for second in parts[1]
+        ]  # fmt: skip
+        assert min(np.abs(together[q] - choice).max() for choice in choices) < 1e-12
+    certificate = cg.synthesize(problem, 8).certificate
+    assert isinstance(certificate, ProductCertificate)
+    cells = [abstract(whole, 8).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
+    optimum = together[(whole.initial_q, *cells)]
+    assert 0.5 * optimum < certificate.lower_bound <= optimum
+    assert certificate.gap is not None and certificate.exact
+
+
+def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The automaton of the whole reads the joint letters of what the parts simulate."""
+    whole, problem = pairs(2, 4, starts=(-2.0, -1.2)), apart(monkeypatch, 2, 4, starts=(-2.0, -1.2))
+    controller = cg.synthesize(problem, 20).controller
+    loop = Loop(problem, controller, seed=3, chunk=400)
+    dynamics, q, failed = Dynamics.of(whole), None, np.zeros(400, dtype=bool)
+    tracks = []
+    for part in loop.parts:
+        states = [core.joint(arranged(part)[0], frame.worlds) for frame in frames(part, *arranged(part), 0)]
+        tracks.append([*states, *states[-1:] * (whole.horizon + 1 - len(states))])
+    for joint in (np.concatenate(states, axis=1) for states in zip(*tracks, strict=True)):
+        letters = core.letters(dynamics, core.split_joint(dynamics, joint))
+        failed |= np.any((joint < -4.0) | (joint > 4.0), axis=1)
+        q = whole.automaton.next_state(np.full(400, whole.automaton.initial) if q is None else q, letters)
+    expected = whole.automaton.accepting[q] & ~failed
+    found = rollout(problem, controller, 400, seed=3, chunk=400).success
+    assert 40 < expected.sum() < 360
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("semantics", ["finite-trace", "co-safe"])
+def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tmp_path: Path) -> None:
+    problem = pairs(50, 6, semantics)
+    result = cg.synthesize(problem, 60)
+    certificate = result.certificate
+    assert isinstance(certificate, ProductCertificate)
+    assert result.stats["tasks"] == 50 and result.stats["distinct_tasks"] == 1
+    assert certificate.gap is None or semantics != "co-safe"
+    report = cg.validate(result, 20_000, seed=1, confidence=1 - FALSE_ALARM)
+    assert report.verdict != REFUTED and report.details["inadmissible"] == 0
+    assert abs(report.estimate - certificate.lower_bound) < 0.02
+    cg.save_certificate(certificate, tmp_path / "pairs.npz")
+    loaded = cg.load_certificate(tmp_path / "pairs.npz")
+    assert isinstance(loaded, ProductCertificate) and loaded.lower_bound == certificate.lower_bound
+    checked = cg.check(loaded, problem)
+    assert checked and checked.recomputed == pytest.approx(certificate.lower_bound, abs=1e-6)
+    again = cg.validate(loaded, 20_000, seed=1, confidence=1 - FALSE_ALARM)
+    assert again.successes == report.successes
+
+
+def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, problem = pairs(2, 4, "co-safe"), apart(monkeypatch, 2, 4, "co-safe")
+    optimum = dense_optimum(whole, list(abstract(whole, 10).models))
+    certificate = cg.synthesize(problem, 10).certificate
+    cells = [abstract(whole, 10).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
+    assert 0.0 < certificate.lower_bound <= optimum[(whole.initial_q, *cells)]
+
+
+def test_a_bound_that_is_too_high_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With twice the noise, the certificates of the parts are wrong, and rollouts of the whole show it."""
+    problem = pairs(12, 4, starts=(-2.5,))
+    certificate = cg.synthesize(problem, 60).certificate
+    assert isinstance(certificate, ProductCertificate)
+    noisy = problem.replace(disturbance_scale=1.5)
+    sabotaged = product.product_certificate(
+        problem, tuple(replace(part, lower_bound=min(1.0, part.lower_bound * 1.02)) for part in certificate.parts)
+    )
+    assert sabotaged.lower_bound > 1.2 * certificate.lower_bound
+    assert cg.validate(sabotaged, 20_000, confidence=1 - FALSE_ALARM).refuted
+    assert not cg.validate(certificate, 20_000, confidence=1 - FALSE_ALARM).refuted
+    assert not cg.check(sabotaged) and cg.check(certificate)
+    assert not cg.check(certificate, noisy)
+    with pytest.raises(ValueError, match="expected a certificate of"):
+        product.product_certificate(noisy, certificate.parts)
+
+
+def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = apart(monkeypatch, 2, 4, starts=(-2.0, -1.2))
+    certificate = cg.synthesize(problem, 40).certificate
+    assert isinstance(certificate, ProductCertificate)
+    states = np.random.default_rng(0).uniform(-3, 3, size=(50, 4))
+    expected = certificate.parts[0].at(states[:, :2]) * certificate.parts[1].at(states[:, 2:])
+    np.testing.assert_allclose(certificate.at(states), expected, rtol=1e-12)
+    named = dict(zip(problem.agent_names, states[0][:, None], strict=True))
+    assert certificate.at(named)[0] == certificate.at(states)[0]
+    low, high = [-2.0, 1.0, -1.5, 1.0], [-1.5, 2.0, -1.0, 1.5]
+    smallest, mean = certificate.min(low, high), certificate.mean(low, high)
+    inside = np.random.default_rng(1).uniform(low, high, size=(500, 4))
+    assert smallest <= certificate.at(inside).min() and smallest < mean < certificate.at(inside).max()
+    moved = problem.replace(initial_state=states[0])
+    assert cg.synthesize(moved, 40).certificate.lower_bound > 0.0
+    with pytest.raises(ValueError, match="expected shape"):
+        certificate.at([[0.0, 0.0]])
+
+
+def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = pairs(12, 3, starts=(-2.0, -1.2, -1.5))
+    assert cg.synthesize(problem, 20).stats["distinct_tasks"] == 3
+    one_finer = cg.synthesize(problem, {name: 40 if name == "left_0" else 20 for name in problem.agent_names})
+    assert one_finer.stats["distinct_tasks"] == 4
+    assert isinstance(one_finer.certificate, ProductCertificate)
+    assert one_finer.certificate.parts[0].agents[0].grid.n_cells > one_finer.certificate.parts[3].agents[0].grid.n_cells
+    with pytest.raises(ValueError, match="expected names of agents"):
+        cg.synthesize(problem, {"nobody": 20})
+
+
+def test_agents_without_a_task_have_to_stay_in_the_workspace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An idle agent at the edge of its workspace counts."""
+    monkeypatch.setattr(independent, "MOST_STATES", 0)
+    base = pairs(2, 3)
+    idle = base.agents[0].replace(name="idle", A=[[1.0]], B=[[0.01]], initial_state=[3.9])
+    problem = cg.Problem(
+        name="idle", horizon=3, agents=[*base.agents, idle], propositions=base.declared,
+        specification=base.specification,
+    )  # fmt: skip
+    assert [group.agents for group in problem.groups] == [(0, 1), (2, 3), (4,)]
+    with_idle, without = (cg.synthesize(p, 40).certificate for p in (problem, apart(monkeypatch, 2, 3)))
+    assert with_idle.lower_bound < 0.7 * without.lower_bound
+    assert not cg.validate(with_idle, 20_000, confidence=1 - FALSE_ALARM).refuted
+
+
+def test_workers_see_the_same_episodes() -> None:
+    problem = pairs(12, 4)
+    result = cg.synthesize(problem, 20)
+    here = cg.validate(result, 6_000, seed=5, chunk=500)
+    with executor_for(None, 2) as executor:
+        there = cg.validate(result, 6_000, seed=5, chunk=500, executor=executor)
+    assert here.successes == there.successes
+    assert cg.validate(result, 6_000, seed=5, sequential=True).verdict != REFUTED
+
+
+def test_damaged_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pairs.npz"
+    cg.save_certificate(cg.synthesize(pairs(12, 3, starts=(-2.0, -1.2)), 20).certificate, path)
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(bytes(arrays["header"]).decode())
+    assert sorted(set(header["parts"])) == [0, 1]
+    from certigym.synthesis.certificate_file import _digest
+
+    def written(**changes: object) -> Path:
+        new = {**header, **changes}
+        new["digest"] = _digest(new, [arrays[str(k)] for k in range(len(arrays) - 1)])
+        data = {**arrays, "header": np.frombuffer(json.dumps(new).encode(), dtype=np.uint8)}
+        file = tmp_path / "changed.npz"
+        np.savez_compressed(file, allow_pickle=False, **data)
+        return file
+
+    assert cg.load_certificate(written())
+    swapped = [1 - k for k in header["parts"]]
+    for changes in (
+        {"parts": swapped},
+        {"parts": header["parts"][:-1]},
+        {"parts": [7] * 12},
+        {"fingerprint": "0" * 64},
+    ):
+        with pytest.raises(ValueError, match="expected a certigym certificate"):
+            cg.load_certificate(written(**changes))
+    raw = bytearray(path.read_bytes())
+    with zipfile.ZipFile(io.BytesIO(bytes(raw))) as archive:
+        assert len(archive.namelist()) == 3
+    with pytest.raises(ValueError, match="more than 1000"):
+        cg.load_certificate(path, max_bytes=1000)
+
+
+def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
+    problem = pairs(12, 3)
+    assert "12 independent tasks" in repr(problem)
+    with pytest.raises(ValueError, match=r"problem.tasks"):
+        problem.automaton  # noqa: B018
+    certificate = cg.synthesize(problem, 20).certificate
+    assert isinstance(certificate, ProductCertificate)
+    with pytest.raises(ValueError, match=r"give one of its `.parts`"):
+        cg.audit(certificate)
+    with pytest.raises(ValueError, match="ProductController"):
+        rollout(problem, cg.synthesize(problem.tasks[0], 20).controller, 10)
+    assert [len(task.agents) for task in problem.tasks] == [2] * 12
+    assert problem.replace(horizon=4).tasks[3].horizon == 4
+    assert problem.replace(horizon=4).fingerprint != problem.fingerprint == pairs(12, 3).fingerprint
+    assert pairs(12, 3, "co-safe").fingerprint != problem.fingerprint
+    assert cg.Problem.from_dict(problem.to_dict()).fingerprint == problem.fingerprint
+    assert cg.synthesize(problem.tasks[0], 20).certificate.lower_bound ** 12 == pytest.approx(
+        certificate.lower_bound, rel=1e-9
+    )
+    assert math.isclose(certificate.lower_bound, math.prod([certificate.parts[0].lower_bound] * 12), rel_tol=1e-9)
+
+
+def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    meet = " & ".join(f"F (near_left_{k} & near_right_{k})" for k in range(20))
+    agent = "A = [[0.9]]\nB = [[0.5]]\nnoise_covariance = [[0.1]]\nstate_low = [-4.0]\nstate_high = [4.0]\n"
+    agent += "input_low = [-2.0]\ninput_high = [2.0]\ncopies = 20\n"
+    (tmp_path / "pairs.toml").write_text(
+        f'name = "pairs"\nhorizon = 5\n[[agents]]\nname = "left"\ninitial_state = [-2.0]\n{agent}'
+        f'[[agents]]\nname = "right"\ninitial_state = [2.0]\n{agent}'
+        '[propositions]\nnear_left = { agent = "left_*", low = [-1.0], high = [1.0] }\n'
+        'near_right = { agent = "right_*", low = [-1.0], high = [1.0] }\n'
+        f'[specification]\nformula = "{meet}"\nsemantics = "finite-trace"\n',
+        encoding="utf-8",
+    )
+    file, saved = str(tmp_path / "pairs.toml"), str(tmp_path / "pairs.npz")
+    assert main(["run", file, "--cells", "40", "--episodes", "5000", "--out", saved]) == 0
+    assert "20 independent tasks" in capsys.readouterr().out
+    assert main(["check", saved, "--problem", file]) == 0
+    assert main(["validate", saved, "--episodes", "5000"]) == 0
+    assert main(["describe", file]) == 0
+    assert "20 independent tasks" in capsys.readouterr().out
+    assert main(["audit", saved]) == 2
+    assert ".parts" in capsys.readouterr().err
