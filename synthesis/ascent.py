@@ -19,9 +19,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
+from .arrays import add_rows, beside, namespace, take, to_host
 from .best_response import best_choices
 from .choices import Law
 from .grid import FloatArray
@@ -103,8 +103,19 @@ def resting_laws(joint: JointModel) -> Laws:
 
 
 def forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
-    """Alive mass at times 0 .. T - 1."""
-    occupancies = [start]
+    """Alive mass at times 0 .. T - 1, held by numpy."""
+    there = _forward(joint, laws, start, limits)
+    return [Occupancy(_everywhere(one.terms, to_host), one.leftover) for one in there]
+
+
+def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
+    """The same terms with all factors put elsewhere."""
+    return Terms(tuple(put(own) for own in terms.factors), terms.index)
+
+
+def _forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Alive mass at times 0 .. T - 1, on the device."""
+    occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
     for t in range(joint.horizon - 1):
         step = [law[t] for law in laws]
         last = occupancies[-1]
@@ -138,11 +149,11 @@ def sweep(
     if start is None:
         occupancies = [Occupancy(nowhere, 0.0)] * joint.horizon
     else:
-        occupancies = forward(joint, laws, start, limits)
+        occupancies = _forward(joint, laws, start, limits)
     laws = tuple(law.copy() for law in laws)
-    terms = terminal_terms(joint.accepting, joint.n_cells)
+    terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
-    ones = [np.ones((1, n)) for n in joint.n_cells]
+    ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
         options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
         parts, kept = [], []
@@ -166,6 +177,7 @@ def sweep(
         terms = assemble(parts, joint.n_cells)
         rank = max(rank, terms.rank)
         skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+    terms = _everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
     return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
@@ -192,7 +204,8 @@ class Stage:
                 own, self.mass_rows[:, i] = compress(factors, self.mass_rows[:, i])
                 self.mass.append(own)
         else:
-            self.mass = [np.full((1, model.n_cells), 1.0 / model.n_cells) for model in self.models]
+            pairs = zip(self.models, self.values, strict=True)
+            self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), own) for m, own in pairs]
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
 
     def improve(self) -> None:
@@ -203,26 +216,26 @@ class Stage:
         n_agents = len(self.models)
         chosen = self._heaviest(n_agents)
         met = self._met(chosen)
-        anywhere = _Others([own.mean(axis=1)[self.rows[:, i]] for i, own in enumerate(self.values)])
+        anywhere = _Others([_means(own)[self.rows[:, i]] for i, own in enumerate(self.values)])
         answers: dict[tuple[int, bytes, bytes], Law] = {}
         for i, model in enumerate(self.models):
             n_values = len(self.values[i])
             if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
-                key = (id(model), self.smoothed[i].tobytes(), self.laws[i].tobytes())
+                table = to_host(self.smoothed[i])
+                key = (id(model), table.tobytes(), self.laws[i].tobytes())
                 if key not in answers:
-                    answers[key] = best_choices(
-                        model.choices, np.ones((model.n_cells, 1)), self.smoothed[i], self.laws[i]
-                    )
+                    answers[key] = best_choices(model.choices, np.ones((model.n_cells, 1)), table, self.laws[i])
                 self.laws[i] = answers[key]
             else:
                 weights = self._weights(i, met, chosen)
-                unmet = ~np.any(weights > 0, axis=1)
-                if unmet.any():
-                    weights[unmet] = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
+                unmet = ~namespace(weights).any(weights > 0, axis=1)
+                if bool(unmet.any()):
+                    usual = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
+                    weights[unmet] = beside(usual, weights)
                 self.laws[i] = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
             self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
-            met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
-            anywhere.replace(self.values[i].mean(axis=1)[self.rows[:, i]])
+            met.replace(self._inner_by_terms(i, chosen))
+            anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
     def gain(self) -> float:
         """Most that one agent alone could add to the value at the start by other choices here.
@@ -237,13 +250,13 @@ class Stage:
             weights = self._weights(i, met, chosen)
             better = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
             added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
-            most = max(most, float(np.einsum("sn,ns->", weights, added)))
-            met.replace(self._inner(i)[chosen[:, i]][:, self.rows[:, i]])
+            most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
+            met.replace(self._inner_by_terms(i, chosen))
         return most
 
     def _met(self, chosen: IndexArray) -> _Others:
         """Inner products of mass and value per agent, (mass terms, terms)."""
-        return _Others([self._inner(i)[chosen[:, i]][:, self.rows[:, i]] for i in range(len(self.models))])
+        return _Others([self._inner_by_terms(i, chosen) for i in range(len(self.models))])
 
     def _weights(self, i: int, met: _Others, chosen: IndexArray) -> FloatArray:
         """(S, n) weight of agent i's value factors in its cells: the mass there, times what the other agents make."""
@@ -258,7 +271,7 @@ class Stage:
             return self.mass_rows
         mass = np.ones(len(self.mass_rows))
         for i, own in enumerate(self.mass):
-            mass *= own.sum(axis=1)[self.mass_rows[:, i]]
+            mass *= to_host(namespace(own).sum(own, axis=1))[self.mass_rows[:, i]]
         return self.mass_rows[np.sort(np.argsort(-mass, kind="stable")[:room])]
 
     def _inner(self, i: int) -> FloatArray:
@@ -266,16 +279,20 @@ class Stage:
         inner: FloatArray = self.mass[i] @ self.values[i].T
         return inner
 
+    def _inner_by_terms(self, i: int, chosen: IndexArray) -> FloatArray:
+        """The same by mass terms ``chosen`` and value terms."""
+        return take(take(self._inner(i), chosen[:, i]), self.rows[:, i], axis=1)
+
     def prune(self, limits: Limits) -> tuple[IndexArray, float]:
         """Terms to keep and an upper bound on the loss at the start."""
         if len(self.rows) == 0:
             return np.zeros(0, dtype=np.int64), 0.0
         met = np.zeros(len(self.rows))
         if self.is_met:
-            met = _product([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows)
+            met = to_host(_product([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows))
         anywhere = np.ones(len(self.rows))
         for i, own in enumerate(self.values):
-            anywhere *= own.mean(axis=1)[self.rows[:, i]]
+            anywhere *= _means(own)[self.rows[:, i]]
         drop = _small(met, limits.contribution) & (anywhere <= limits.elsewhere * anywhere.sum())
         if (~drop).sum() > limits.rank:
             importance = _share(met) + limits.elsewhere * _share(anywhere)
@@ -284,7 +301,7 @@ class Stage:
         keep = np.flatnonzero(~drop)
         sup = np.ones(len(self.rows))
         for i, own in enumerate(self.values):
-            sup *= own.max(axis=1)[self.rows[:, i]]
+            sup *= to_host(namespace(own).max(own, axis=1))[self.rows[:, i]]
         return keep, float(met[drop].sum() + self.leftover * min(1.0, sup[drop].sum()))
 
     def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
@@ -300,7 +317,7 @@ class _Others:
     """Products of per-agent arrays over all agents but one, the agents being replaced one after the other."""
 
     def __init__(self, factors: Sequence[FloatArray]) -> None:
-        self.before = np.ones_like(factors[0])
+        self.before = namespace(factors[0]).ones_like(factors[0])
         self.after = [self.before]
         for factor in reversed(factors[1:]):
             self.after.append(self.after[-1] * factor)
@@ -317,27 +334,28 @@ class _Others:
 
 def _product(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
     """``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
-    total = np.zeros(len(rows))
+    total = beside(np.zeros(len(rows)), inner[0])
     chunk = max(1, 4_000_000 // max(1, len(rows)))
     for first in range(0, len(mass_rows), chunk):
         part = mass_rows[first : first + chunk]
-        product = inner[0][part[:, 0]][:, rows[:, 0]]
+        product = take(take(inner[0], part[:, 0]), rows[:, 0], axis=1)
         for i in range(1, len(inner)):
-            product *= inner[i][part[:, i]][:, rows[:, i]]
+            product *= take(take(inner[i], part[:, i]), rows[:, i], axis=1)
         total += product.sum(axis=0)
     return total
+
+
+def _means(factors: FloatArray) -> FloatArray:
+    """Mean of every factor over the cells, by numpy."""
+    return to_host(namespace(factors).mean(factors, axis=1))
 
 
 def _collect(values: FloatArray, rows: IndexArray, n_rows: int, columns: IndexArray, n_columns: int) -> FloatArray:
     """Sum entries of ``values`` that share a row number and a column number: (K, L) -> (n_rows, n_columns)."""
     if n_columns < len(columns) or not np.array_equal(columns, np.arange(n_columns)):
-        pick = scipy.sparse.csr_array(
-            (np.ones(len(columns)), (columns, np.arange(len(columns)))), (n_columns, len(columns))
-        )
-        values = (pick @ values.T).T
+        values = add_rows(values.T, columns, n_columns).T
     if n_rows < len(rows) or not np.array_equal(rows, np.arange(n_rows)):
-        pick = scipy.sparse.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (n_rows, len(rows)))
-        values = pick @ values
+        values = add_rows(values, rows, n_rows)
     return values
 
 

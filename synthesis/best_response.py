@@ -17,11 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import beside, namespace, resident, take, to_host
 from .choices import Choices, InputMenu, Law, TargetWindows
 from .grid import FloatArray
 
 BLOCK = 64
 """Cells per block."""
+
+ROOM = 1 << 25
+"""Numbers that the blocks of a device may have: few and large ones suit it."""
 
 TIE = 1e-12
 """Relative improvement below which the incumbent stays."""
@@ -43,41 +47,52 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     n_cells = len(incumbent)
     if len(weights) == 1:
         weights, table = np.ones((n_cells, 1)), weights @ table
-    best, score = np.full(n_cells, -1, dtype=np.int64), np.full(n_cells, -np.inf)
+    if len(table) == 1:  # too little for a device
+        weights, table = to_host(weights), to_host(table)
     if isinstance(choices, TargetWindows) and len(table) == 1 and choices.axis_windows is not None:
         best = _sliding_argmax(table[0].reshape(choices.shape), choices.axis_windows)
         score = np.where(best >= 0, weights[:, 0] * table[0, best], -np.inf)
     else:
-        for start in range(0, n_cells, BLOCK):
-            block = np.arange(start, min(start + BLOCK, n_cells))
-            in_block = _best_on_menu if isinstance(choices, InputMenu) else _best_in_window
-            best[block], score[block] = in_block(choices, block, weights[block], table)  # type: ignore[arg-type]
+        size = BLOCK if isinstance(table, np.ndarray) else max(BLOCK, ROOM // table.shape[1])
+        in_block = _best_on_menu if isinstance(choices, InputMenu) else _best_in_window
+        found = [
+            in_block(choices, slice(first, min(first + size, n_cells)), weights[first : first + size], table)  # type: ignore[arg-type]
+            for first in range(0, n_cells, size)
+        ]
+        best, score = (np.concatenate(part) for part in zip(*found, strict=True))
     points = choices.points(incumbent)
-    current = np.einsum("sn,ns->s", weights, table[:, np.maximum(points, 0)])
+    aims = take(table, np.maximum(points, 0), axis=1)
+    current = to_host(namespace(table).einsum("sn,ns->s", weights, aims))
     better = (best >= 0) & ((points < 0) | (score > current * (1 + TIE)))
     return np.where(better, best, incumbent).astype(np.int32)
 
 
 def _best_on_menu(
-    choices: InputMenu, block: NDArray[Any], weights: FloatArray, table: FloatArray
+    choices: InputMenu, block: slice, weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:
     """Argmax and maximum of the objective over the inputs of a block of cells."""
-    scores = np.einsum("sn,nsa->sa", weights, table[:, choices.leads_to[block]])
-    first = np.argmax(scores, axis=1)
-    return first, scores[np.arange(len(block)), first]
+    points = choices.leads_to[block]
+    reached = take(table, points.ravel(), axis=1).reshape(len(table), *points.shape)
+    return _largest(namespace(table).einsum("sn,nsa->sa", weights, reached))
 
 
 def _best_in_window(
-    choices: TargetWindows, block: NDArray[Any], weights: FloatArray, table: FloatArray
+    choices: TargetWindows, block: slice, weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:
     """Argmax and maximum of the objective over the windows of a block of cells."""
-    flat, allowed = choices.band(int(block[0]), len(block))
+    flat, allowed = choices.band(block.start, block.stop - block.start)
     if len(flat) == 0:
-        return np.full(len(block), -1), np.full(len(block), -np.inf)
-    scores = np.where(allowed, weights @ table[:, flat], -np.inf)
-    first = np.argmax(scores, axis=1)
-    value = scores[np.arange(len(block)), first]
+        return np.full(len(allowed), -1), np.full(len(allowed), -np.inf)
+    first, value = _largest(
+        namespace(table).where(resident(allowed, table), weights @ take(table, flat, axis=1), -np.inf)
+    )
     return np.where(np.isfinite(value), flat[first], -1), value
+
+
+def _largest(scores: FloatArray) -> tuple[NDArray[Any], FloatArray]:
+    """The first of the largest numbers of every row, and its column."""
+    first = namespace(scores).argmax(scores, axis=1)
+    return to_host(first), to_host(scores[beside(np.arange(len(scores)), scores), first])
 
 
 def _sliding_argmax(values: FloatArray, windows: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.int64]:

@@ -6,14 +6,16 @@ of time 0 has been read (``qbar_0 = next_state(q_0, l_0)``, THEORY section 0).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .abstraction import Abstraction, AgentModel
+from .arrays import HOST, Array, device_put
 from .grid import FloatArray, start_share
 from .guards import Guards, compile_guards
 from .occupancy import Occupancy
@@ -39,6 +41,8 @@ class JointModel:
         States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
     horizon : int
         Control steps T.
+    device : str
+        Where sweeps over the value tree compute (see ``arrays``); everything held here is held by numpy.
     """
 
     models: tuple[AgentModel, ...]
@@ -49,6 +53,12 @@ class JointModel:
     accepting: NDArray[np.bool_]
     absorbing: NDArray[np.bool_]
     horizon: int
+    device: str = HOST
+
+    @cached_property
+    def put(self) -> Callable[[NDArray], Array]:
+        """The function that takes arrays to the device."""
+        return device_put(self.device)
 
     @property
     def n_cells(self) -> tuple[int, ...]:
@@ -61,8 +71,9 @@ class JointModel:
         return len(self.accepting)
 
 
-def join(problem: Problem, abstraction: Abstraction) -> JointModel:
-    """Compile the guards of ``problem`` over the cells of ``abstraction``."""
+def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> JointModel:
+    """Compile the guards of ``problem`` over the cells of ``abstraction``, for sweeps on ``device``."""
+    device_put(device)  # refuses what is not there before any work is done
     automaton = problem.automaton
     models = abstraction.models
     guards = compile_guards(problem, [model.labels.sets for model in models])
@@ -77,6 +88,7 @@ def join(problem: Problem, abstraction: Abstraction) -> JointModel:
         accepting=np.asarray(automaton.accepting, dtype=bool),
         absorbing=np.asarray(goal | automaton.dead, dtype=bool),
         horizon=problem.horizon,
+        device=device,
     )
 
 

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 from scipy.special import ndtr
+
+from .arrays import add_rows, empty, multiply_into, namespace, resident
 
 FloatArray = NDArray[Any]
 
@@ -99,10 +100,10 @@ class AxisTable:
         """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
-            return values[..., s0:s1] @ entries.T
+            return values[..., s0:s1] @ resident(entries, values).T
         if values.ndim > 2:
             return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
-        groups = _by_support(values)
+        groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
         if len(groups) == 1:
             return self._smooth_range(values, *groups[0][1:])
         smoothed = np.empty((len(values), self.shape[0]))
@@ -112,22 +113,24 @@ class AxisTable:
 
     def _smooth_range(self, values: NDArray, first: int, last: int) -> NDArray:
         """Smooth rows (n, S) that are 0 outside the cells ``first .. last - 1``."""
-        smoothed = np.empty((len(values), self.shape[0]))
+        smoothed = empty((len(values), self.shape[0]), values)
         for z0, z1, s0, s1, entries in self.blocks:
             a, b = max(s0, first), min(s1, last)
             if a < b:
-                np.matmul(values[:, a:b], entries[:, a - s0 : b - s0].T, out=smoothed[:, z0:z1])
+                own = resident(entries, values)[:, a - s0 : b - s0]
+                multiply_into(values[:, a:b], own.T, smoothed[:, z0:z1])
             else:
                 smoothed[:, z0:z1] = 0.0
         return smoothed
 
     def push(self, masses: NDArray) -> NDArray:
         """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
-        pushed = np.zeros((*masses.shape[:-1], self.shape[1]))
-        products = masses.size // self.shape[0] * sum(entries.size for *_, entries in self.blocks)
-        if products < LARGE:
+        pushed = empty((*masses.shape[:-1], self.shape[1]), masses)
+        pushed[...] = 0.0
+        products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
+        if products < LARGE or not isinstance(masses, np.ndarray):
             for z0, z1, s0, s1, entries in self.blocks:
-                pushed[..., s0:s1] += masses[..., z0:z1] @ entries
+                pushed[..., s0:s1] += masses[..., z0:z1] @ resident(entries, masses)
             return pushed
         used = np.flatnonzero(
             (masses != 0).any(axis=tuple(range(masses.ndim - 1)))
@@ -212,12 +215,10 @@ class Kernel:
         """
         n_lattice = math.prod(self.lattice_shape)
         slot = np.where(law < 0, n_lattice, law)  # one more point, thrown away
-        if len(masses) <= 4:
+        if len(masses) <= 4 and isinstance(masses, np.ndarray):
             on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in masses])
         else:
-            cells = np.arange(len(slot))
-            scatter = scipy.sparse.csr_array((np.ones(len(slot)), (slot, cells)), shape=(n_lattice + 1, len(slot)))
-            on_lattice = (scatter @ masses.T).T
+            on_lattice = add_rows(masses.T, slot, n_lattice + 1).T
         return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, [table.push for table in self.tables])
 
 
@@ -226,6 +227,7 @@ def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[ND
     if len(maps) == 1:
         return maps[0](values)
     tensor = values.reshape(len(values), *shape)
+    xp = namespace(values)
     for axis, transform in enumerate(maps, start=1):
-        tensor = np.moveaxis(transform(np.moveaxis(tensor, axis, -1)), -1, axis)
+        tensor = xp.moveaxis(transform(xp.moveaxis(tensor, axis, -1)), -1, axis)
     return tensor.reshape(len(values), math.prod(tensor.shape[1:]))

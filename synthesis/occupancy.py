@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .abstraction import AgentModel
+from .arrays import beside, empty, namespace, resident, take, to_host
 from .choices import Law
 from .guards import Guards
 from .terms import Terms, compress, distinct, merge_rows
@@ -88,21 +89,21 @@ def _step(
     key = guards.source[rows[:, 0]].astype(np.int64) * n_factors + rows[:, column]
     pushes, pushed_row = distinct(key)
     state, factor = np.divmod(pushes, n_factors)
-    pushed = np.empty((len(pushes), model.n_cells))
+    pushed = empty((len(pushes), model.n_cells), factors)
     for q in set(state.tolist()):
         here = state == q
-        pushed[here] = model.kernel.push(factors[factor[here]], model.choices.points(laws[q]))
+        pushed[beside(here, pushed)] = model.kernel.push(take(factors, factor[here]), model.choices.points(laws[q]))
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)
-    return pushed[source] * masks[mask]
+    return take(pushed, source) * take(resident(masks, pushed), mask)
 
 
 def _masses(factors: Sequence[NDArray], index: NDArray[np.int64]) -> NDArray[np.float64]:
     """Mass of each term: product over agents of the factor sums."""
     product = np.ones(len(index))
     for i, own in enumerate(factors):
-        product *= own.sum(axis=1)[index[:, i]]
+        product *= to_host(namespace(own).sum(own, axis=1))[index[:, i]]
     return product
 
 

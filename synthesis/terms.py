@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import add_runs, concatenate, take
+
 IndexArray = NDArray[Any]
 """Whole numbers that point at rows."""
 
@@ -136,7 +138,7 @@ def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexAr
     order = np.argsort(into, kind="stable")
     into, absorbed = into[order], absorbed[order]
     heads, starts = np.unique(into, return_index=True)
-    sums = np.add.reduceat(factors[i][rows[absorbed, i]], starts, axis=0) + factors[i][rows[heads, i]]
+    sums = add_runs(take(factors[i], rows[absorbed, i]), starts) + take(factors[i], rows[heads, i])
     # the same set of summands gives the same factor, whichever state it belongs to
     ends = np.append(starts[1:], len(into))
     number: dict[tuple[int, ...], int] = {}
@@ -147,7 +149,7 @@ def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexAr
             number[key] = len(factors[i]) + len(fresh)
             fresh.append(k)
         rows[head, i] = number[key]
-    factors[i] = np.concatenate([factors[i], sums[fresh]])
+    factors[i] = concatenate([factors[i], take(sums, np.array(fresh, dtype=np.int64))])
 
 
 def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]:
@@ -155,7 +157,7 @@ def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]
     if len(factors) == 1 and len(column):
         return factors, column
     used, renumbered = distinct(column)
-    return factors if len(used) == len(factors) else factors[used], renumbered
+    return factors if len(used) == len(factors) else take(factors, used), renumbered
 
 
 def distinct(numbers: IndexArray) -> tuple[IndexArray, IndexArray]:

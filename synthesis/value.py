@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .abstraction import AgentModel
+from .arrays import beside, concatenate, namespace, resident, take, to_host
 from .guards import Guards
 from .labels import CellLabels
 from .terms import IndexArray, Merges, Terms, compress, distinct, merge_rows
@@ -100,9 +101,9 @@ def candidates(
         key = guards.mask[guard, i].astype(np.int64) * len(value.factors[i]) + child_rows[:, i]
         pairs, rows[:, i] = distinct(key)
         mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
-        masked = masks[i][mask] * value.factors[i][factor]
+        masked = take(resident(masks[i], value.factors[i]), mask) * take(value.factors[i], factor)
         factors.append(masked)
-        alive &= np.any(masked != 0, axis=1)[rows[:, i]]
+        alive &= to_host(namespace(masked).any(masked != 0, axis=1))[rows[:, i]]
 
     guard, child, rows = guard[alive], child[alive], rows[alive]
     kept, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
@@ -110,7 +111,10 @@ def candidates(
         factors[i], rows[kept, i] = compress(factors[i], rows[kept, i])
     smoothed = _smooth(models, factors)
     if loss is not None:
-        smoothed = tuple(loss(m, before, after) for m, before, after in zip(models, factors, smoothed, strict=True))
+        smoothed = tuple(
+            beside(loss(m, to_host(before), to_host(after)), after)
+            for m, before, after in zip(models, factors, smoothed, strict=True)
+        )
     return _per_state(smoothed, n_states, guards, guard, child, rows, kept, merges)
 
 
@@ -140,12 +144,11 @@ def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[N
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for group in _batches(users, factors):
-            stacked = kernel.smooth(
-                np.concatenate([factors[i] for i in group]) if len(group) > 1 else factors[group[0]]
-            )
-            ends = np.cumsum([len(factors[i]) for i in group])
-            for i, part in zip(group, np.split(stacked, ends[:-1]), strict=True):
-                smoothed[i] = part
+            stacked = kernel.smooth(concatenate([factors[i] for i in group]) if len(group) > 1 else factors[group[0]])
+            first = 0
+            for i in group:
+                smoothed[i] = stacked[first : first + len(factors[i])]
+                first += len(factors[i])
     return tuple(part for part in smoothed if part is not None)
 
 
@@ -164,9 +167,9 @@ def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
 
 def gather(smoothed: NDArray, law: NDArray[np.integer]) -> NDArray:
     """Read smoothed factors (n, Z) at the chosen lattice points (S,); cells without a target have value 0."""
-    values = smoothed[:, np.maximum(law, 0)]
+    values = take(smoothed, np.maximum(law, 0), axis=1)
     if np.any(law < 0):
-        values[:, law < 0] = 0
+        values[:, beside(law < 0, values)] = 0
     return values
 
 
@@ -174,7 +177,7 @@ def assemble(
     parts: Sequence[tuple[Sequence[NDArray], IndexArray]], n_cells: Sequence[int], dtype: type = float
 ) -> Terms:
     """Terms from per-state (factors of each agent, rows), renumbered into one list of factors per agent."""
-    n_agents = len(n_cells)
+    n_agents, like = len(n_cells), parts[0][0]
     offsets = np.zeros(n_agents, dtype=np.int64)
     stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
     index = []
@@ -184,5 +187,8 @@ def assemble(
             for i in range(n_agents):
                 stacks[i].append(factors[i])
                 offsets[i] += len(factors[i])
-    merged = (np.concatenate(s) if s else np.zeros((0, n), dtype=dtype) for s, n in zip(stacks, n_cells, strict=True))
+    merged = (
+        concatenate(s) if s else beside(np.zeros((0, n), dtype=dtype), own)
+        for s, n, own in zip(stacks, n_cells, like, strict=True)
+    )
     return Terms(tuple(merged), tuple(index))
