@@ -148,3 +148,42 @@ def test_tubes_travel(tmp_path: object) -> None:
     assert cg.check(loaded, cart_reach(cart()))
     first, again = (cg.rollout(c.problem, c.controller, 2000, seed=5).successes for c in (certificate, loaded))
     assert first == again
+
+
+def test_means_that_differ_by_rounding_share_a_lattice_point() -> None:
+    """Cells of a third have no exact edges; the tube allows for the difference, and the certificate checks."""
+    problem = cart_reach(cart(), horizon=4)
+    model = abstract(problem, [36, 18], relation="tube").models[0]
+    assert isinstance(model.relation, CoupledRelation) and 0 < np.max(model.relation.snap) < 1e-6
+    means = model.relation.means(model.grid.centres)
+    assert len(np.unique(means[..., 0])) > 2 * len(model.lattice[0])
+    for lattice, n in zip(model.lattice, model.grid.shape, strict=True):
+        assert len(lattice) <= 3 * n
+    points = np.stack(np.unravel_index(model.choices.leads_to, [len(a) for a in model.lattice]), axis=-1)  # type: ignore[union-attr]
+    reached = np.stack([axis[points[..., k]] for k, axis in enumerate(model.lattice)], axis=-1)
+    assert np.all(np.abs(reached - means) <= model.relation.snap * (1 + 1e-9) + 1e-12)
+    result = cg.synthesize(problem, [36, 18], relation="tube", max_sweeps=1)
+    assert cg.check(result.certificate, problem)
+
+
+def test_equal_agents_have_feedbacks_for_their_own_regions() -> None:
+    """A narrow region asks for a narrow tube; agents with like regions go on sharing their model."""
+    carts = cart().copies(3)
+    sides = {"a": ("cart_0", 0.4), "b": ("cart_1", 0.4), "c": ("cart_2", 5.0)}
+    regions = {name: cg.Proposition(agent, [-half, -3.0], [half, 3.0]) for name, (agent, half) in sides.items()}
+    task = cg.Specification("F (a & b & c)", "co-safe")
+    problem = cg.Problem(name="carts", horizon=3, agents=carts, propositions=regions, specification=task)
+    models = abstract(problem, [60, 60], relation="tube").models
+    reaches = [model.relation.state_reach[0] for model in models]  # type: ignore[union-attr]
+    assert reaches[0] < 0.9 * reaches[2]
+    assert models[0].kernel is models[1].kernel and models[0].relation is models[1].relation
+
+
+def test_inputs_move_means_by_half_cells() -> None:
+    """By hand: B = .5, cells of .1, so steps of .2 and extremes on multiples of .1."""
+    model = abstract(cart_reach(cart()), [120, 60], relation="tube").models[0]
+    assert isinstance(model.relation, CoupledRelation)
+    inputs = model.relation.inputs[:, 0]
+    np.testing.assert_allclose(inputs / 0.1, np.round(inputs / 0.1), atol=1e-9)
+    np.testing.assert_array_equal(inputs, -inputs[::-1])
+    assert 1.0 < np.max(inputs) < 2.0

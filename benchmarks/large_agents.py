@@ -1,0 +1,116 @@
+"""Measure agents of several axes and many cells: ``python benchmarks/large_agents.py [--json PATH] [ROW ...]``.
+
+Robots in the plane at 400 x 400 cells, in space at 60 x 60 x 60, agents of position and velocity, and the same robots
+split into their axes. Every row runs in a process of its own: CPU seconds of the synthesis on one thread, peak memory
+of the process, imports included, and the certified bound against rollouts.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import certigym as cg
+from measuring import once, save, show
+
+EPISODES = 20_000
+
+
+def drones(n_agents: int, horizon: int = 12) -> cg.Problem:
+    """Drones in space meet in a corner, around a tower."""
+    agents = cg.LinearAgent(
+        name="drone",
+        A=0.9 * np.eye(3),
+        B=0.7 * np.eye(3),
+        noise_covariance=0.2 * np.eye(3),
+        state_low=[-6.0] * 3,
+        state_high=[6.0] * 3,
+        input_low=[-1.5] * 3,
+        input_high=[1.5] * 3,
+        initial_state=[-4.0] * 3,
+    ).copies(n_agents)
+    return cg.Problem(
+        name="drones",
+        horizon=horizon,
+        agents=agents,
+        propositions={
+            "goal": cg.Proposition("drone_*", [2.0] * 3, [6.0] * 3),
+            "tower": cg.Proposition("drone_*", [-1.0, -1.0, -6.0], [1.0, 1.0, 2.0]),
+        },
+        specification=cg.Specification("!any(tower) U all(goal)", "co-safe"),
+    )
+
+
+Row = tuple[Callable[[], cg.Problem], Any]
+ROWS: dict[str, Row] = {
+    "car park, whole, 400 x 400": (lambda: cg.make_problem("car-park-planar-v0"), 400),
+    "car park, split, 400": (lambda: cg.split_axes(cg.make_problem("car-park-planar-v0")), 400),
+    "car park, split, 2000": (lambda: cg.split_axes(cg.make_problem("car-park-planar-v0")), 2000),
+    "delivery, whole, 240 x 240": (lambda: cg.make_problem("package-delivery-single-v0"), 240),
+    "delivery, whole, 400 x 400": (lambda: cg.make_problem("package-delivery-single-v0"), 400),
+    "delivery, split, 240": (lambda: cg.split_axes(cg.make_problem("package-delivery-single-v0")), 240),
+    "delivery, split, 1000": (lambda: cg.split_axes(cg.make_problem("package-delivery-single-v0")), 1000),
+    "one drone, 60 x 60 x 60": (lambda: drones(1), 60),
+    "one drone, split, 60": (lambda: cg.split_axes(drones(1)), 60),
+    "two drones, 60 x 60 x 60": (lambda: drones(2), 60),
+    "two drones, split, 60": (lambda: cg.split_axes(drones(2)), 60),
+    "two drones, split, 300": (lambda: cg.split_axes(drones(2)), 300),
+    "integrator chain, 400 x 400": (lambda: cg.make_problem("integrator-chain-v0"), 400),
+    "RA4, 60 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), 60),
+    "RA4, 150 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), [150, 60]),
+    "RA4, 250 x 100": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), [250, 100]),
+}
+
+
+def measured(name: str) -> dict[str, Any]:
+    """One row."""
+    make, cells = ROWS[name]
+    problem = make()
+    seconds, found = once(lambda: cg.synthesize(problem, cells))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    report = cg.validate(found, episodes=EPISODES, seed=0)
+    return {
+        "job": name,
+        "cpu seconds": round(seconds, 2),
+        "MiB": memory,
+        "rank": found.certificate.rank,
+        "certified": f"{np.floor(found.certificate.lower_bound * 1e6) / 1e6:.6f}",
+        "optimum at most": f"{found.stats['abstract_upper_bound']:.6f}",
+        "rollouts": report.estimate,
+        "verdict": str(report.verdict),
+    }
+
+
+def main() -> None:
+    """Measure some rows, or all."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help="default: all")
+    parser.add_argument("--json", metavar="PATH")
+    parser.add_argument("--row", metavar="ROW", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.row:
+        print(json.dumps(measured(options.row)))
+        return
+    rows = []
+    for name in options.rows or ROWS:
+        run = subprocess.run([sys.executable, __file__, "--row", name], capture_output=True, text=True, check=True)
+        rows.append(json.loads(run.stdout))
+        show("Large agents", rows[-1:])
+    show("Large agents", rows)
+    save({"large_agents": rows}, options.json)
+
+
+if __name__ == "__main__":
+    main()
