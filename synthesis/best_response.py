@@ -1,7 +1,7 @@
 """Best choice of every cell for a cell-dependent objective.
 
 Agent i's objective at cell s is ``sum_n weights[s, n] * table[n, z]`` over the lattice points z it can choose. With
-target windows that is a matrix product followed by a windowed argmax: cells are taken in blocks whose windows overlap,
+target windows that is a matrix product followed by a windowed argmax: cells are taken in bricks whose windows overlap,
 so that only a band of the matrix is formed; with a single objective and one axis the maximum slides instead. With a
 menu of inputs the few points of each cell are read off the table.
 
@@ -55,11 +55,11 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     else:
         size = BLOCK if isinstance(table, np.ndarray) else max(BLOCK, ROOM // table.shape[1])
         in_block = _best_on_menu if isinstance(choices, InputMenu) else _best_in_window
-        found = [
-            in_block(choices, slice(first, min(first + size, n_cells)), weights[first : first + size], table)  # type: ignore[arg-type]
-            for first in range(0, n_cells, size)
-        ]
-        best, score = (np.concatenate(part) for part in zip(*found, strict=True))
+        blocks = choices.blocks(size)
+        found = [in_block(choices, block, take(weights, block, axis=0), table) for block in blocks]  # type: ignore[arg-type]
+        best, score = np.empty(n_cells, dtype=np.int64), np.empty(n_cells)
+        for block, (chosen, value) in zip(blocks, found, strict=True):
+            best[block], score[block] = chosen, value
     points = choices.points(incumbent)
     aims = take(table, np.maximum(points, 0), axis=1)
     current = to_host(namespace(table).einsum("sn,ns->s", weights, aims))
@@ -68,7 +68,7 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
 
 
 def _best_on_menu(
-    choices: InputMenu, block: slice, weights: FloatArray, table: FloatArray
+    choices: InputMenu, block: NDArray[Any], weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:
     """Argmax and maximum of the objective over the inputs of a block of cells."""
     points = choices.leads_to[block]
@@ -77,10 +77,10 @@ def _best_on_menu(
 
 
 def _best_in_window(
-    choices: TargetWindows, block: slice, weights: FloatArray, table: FloatArray
+    choices: TargetWindows, block: NDArray[Any], weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:
     """Argmax and maximum of the objective over the windows of a block of cells."""
-    flat, allowed = choices.band(block.start, block.stop - block.start)
+    flat, allowed = choices.band(block)
     if len(flat) == 0:
         return np.full(len(allowed), -1), np.full(len(allowed), -np.inf)
     first, value = _largest(

@@ -10,8 +10,10 @@ that the kernel table is read at: the law of the next state depends on the point
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -73,17 +75,31 @@ class TargetWindows:
         return np.all(wanted <= self.reserve[cells], axis=-1)
 
     @cached_property
-    def _bands(self) -> dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+    def _bands(self) -> dict[bytes, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         return {}
 
-    def band(self, first: int, count: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Lattice points (N,) that some of ``count`` cells from ``first`` on can choose, and which each can (count, N).
+    @cached_property
+    def _band_bytes(self) -> list[int]:
+        return [0]
+
+    @cached_property
+    def _blocks(self) -> dict[int, list[NDArray[np.int64]]]:
+        return {}
+
+    def blocks(self, size: int) -> list[NDArray[np.int64]]:
+        """All cells, in bricks of about ``size`` of them: their windows have more in common than those of a line."""
+        if size not in self._blocks:
+            self._blocks[size] = _bricks(self.grid.shape, size)
+        return self._blocks[size]
+
+    def band(self, block: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Lattice points (N,) that some of a block of cells can choose, increasing, and which each can (cells, N).
 
         Kept for the next call as long as all bands together stay below ``BAND_BYTES``.
         """
-        if (first, count) in self._bands:
-            return self._bands[first, count]
-        block = np.arange(first, first + count)
+        key, count = block.tobytes(), len(block)
+        if key in self._bands:
+            return self._bands[key]
         low, high = self.low[block], self.high[block]
         nonempty = np.all(low < high, axis=1)
         if not nonempty.any():
@@ -101,8 +117,9 @@ class TargetWindows:
                 allowed &= self.admissible(block[:, None], flat[None, :])
             used = allowed.any(axis=0)
             found = flat[used], allowed[:, used]
-        if sum(own.nbytes for _, own in self._bands.values()) + found[1].nbytes <= BAND_BYTES:
-            self._bands[first, count] = found
+        if self._band_bytes[0] + found[1].nbytes <= BAND_BYTES:
+            self._bands[key] = found
+            self._band_bytes[0] += found[1].nbytes
         return found
 
     @cached_property
@@ -152,6 +169,10 @@ class InputMenu:
     leads_to: NDArray[np.int32]
     resting_law: Law
 
+    def blocks(self, size: int) -> list[NDArray[np.int64]]:
+        """All cells, in runs of ``size`` of them."""
+        return _bricks((len(self.leads_to),), size)
+
     def points(self, law: Law) -> NDArray[Any]:
         """Lattice points of a law."""
         chosen = np.take_along_axis(self.leads_to, np.maximum(law, 0)[:, None], axis=1)[:, 0]
@@ -159,6 +180,20 @@ class InputMenu:
 
 
 Choices = TargetWindows | InputMenu
+
+
+def _bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:
+    """Cells of a grid, increasing, in cubes of at most ``size`` of them.
+
+    Examples
+    --------
+    >>> [brick.tolist() for brick in _bricks((2, 3), 4)]
+    [[0, 1, 3, 4], [2, 5]]
+    """
+    edge = max(1, int(size ** (1.0 / len(shape)) + 1e-9))
+    cells = np.arange(math.prod(shape)).reshape(shape)
+    corners = product(*(range(0, n, edge) for n in shape))
+    return [cells[tuple(slice(a, a + edge) for a in corner)].ravel() for corner in corners]
 
 
 def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
