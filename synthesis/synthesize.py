@@ -12,6 +12,7 @@ import numpy as np
 
 from ..envs.problem import Problem, checked_problem
 from .abstraction import RELATIONS, Abstraction, Cells, abstract, check_settings
+from .arrays import HOST, device_put
 from .ascent import Limits, Sweep, forward, sweep
 from .bounds import (
     Bound,
@@ -68,6 +69,7 @@ def synthesize(
     progress: Callable[[str, float], None] | None = None,
     memory: float | None = None,
     accuracy: float | None = None,
+    device: str = HOST,
     **settings: Any,
 ) -> Synthesis:
     """Per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
@@ -95,6 +97,9 @@ def synthesize(
     memory, accuracy : float, optional
         Instead of ``cells``: bytes that may be taken, and the change of the bound that is not worth finer cells. Cells
         are made finer until one of them is used up; how they were chosen is in ``stats["cells"]`` (see ``refine``).
+    device : str
+        Where sweeps over the value tree compute: ``"numpy"``, or a library and its device, such as ``"torch:cuda"``
+        (extra ``device``; see ``arrays``). Results agree to rounding, for which every bound has a reserve.
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -107,7 +112,7 @@ def synthesize(
     Raises
     ------
     ValueError
-        If the problem has no start, or the relation does not apply to an agent.
+        If the problem has no start, the relation does not apply to an agent, or the device is not there.
     """
     began = time.perf_counter()
     if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
@@ -115,19 +120,21 @@ def synthesize(
     if value not in VALUES:
         raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
     check_settings(settings)
+    device_put(device)  # refuses what is not there before any work is done
     if checked_problem(problem).groups:
         one = partial(synthesize, relation=relation, max_sweeps=max_sweeps, limits=limits, value=value,
-                      progress=progress, memory=memory, accuracy=accuracy, **settings)  # fmt: skip
+                      progress=progress, memory=memory, accuracy=accuracy, device=device, **settings)  # fmt: skip
         return synthesize_parts(problem, cells, one)
     if memory is not None or accuracy is not None:
-        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "relation": relation}
+        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "relation": relation,
+               "device": device}  # fmt: skip
         return _within(problem, cells, memory, accuracy, {**how, **settings})
     if relation == "best":
-        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress}
+        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "device": device}
         return _best_relation(problem, cells, how, settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
-    joint = join(problem, abstraction)
+    joint = join(problem, abstraction, device)
     search = Limits() if limits is None else limits
     best, values, relaxations = improve(problem, joint, search, max_sweeps, progress, value)
     used = {**abstraction.settings, "max_sweeps": max_sweeps, "limits": vars(search), "final_limits": vars(FINAL)}

@@ -99,6 +99,8 @@ def _synthesis(parser: argparse.ArgumentParser) -> None:
                         help="instead of --cells: as fine as fits (bytes, or with K, M, G)")  # fmt: skip
     parser.add_argument("--accuracy", type=float, metavar="P",
                         help="instead of --cells: finer until the bound changes by less")  # fmt: skip
+    parser.add_argument("--device", default="numpy", metavar="NAME",
+                        help="where sweeps compute: numpy (default), torch:cuda, torch:cpu, cupy:0")  # fmt: skip
 
 
 def _validation(parser: argparse.ArgumentParser) -> None:

@@ -173,7 +173,8 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.set_postfix_str(f"value {value:.6f}")
             bar.update()
 
-        return synthesize_problem(problem, cells, **relation_of(options), **budget_of(options), progress=report)
+        chosen = {**relation_of(options), **budget_of(options), "device": options.device}
+        return synthesize_problem(problem, cells, **chosen, progress=report)
 
 
 def _agent_lines(agent: LinearAgent) -> list[str]:
