@@ -155,6 +155,7 @@ def sweep(
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
+        occupancy = occupancies.pop()  # and forget it: early times have many terms, late ones much mass
         options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
         parts, kept = [], []
         for q in range(joint.n_states):
@@ -163,7 +164,7 @@ def sweep(
                 parts.append((ones, rows))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
-            stage = Stage(joint, options, occupancies[t], q, [law[t, q] for law in laws])
+            stage = Stage(joint, options, occupancy, q, [law[t, q] for law in laws])
             if improve and len(stage.rows):
                 stage.improve()
                 for law, better in zip(laws, stage.laws, strict=True):
@@ -174,9 +175,11 @@ def sweep(
             dropped += charge
             parts.append(stage.part(keep))
             kept.append(options.row[q][keep])
+            del stage  # tables of the next time are made while these would still be held
         terms = assemble(parts, joint.n_cells)
         rank = max(rank, terms.rank)
         skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+        del options
     terms = _everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
     return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
