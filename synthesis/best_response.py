@@ -24,7 +24,7 @@ from .grid import FloatArray
 BLOCK = 64
 """Cells per block."""
 
-ROOM = 1 << 25
+ROOM = 1 << 20
 """Numbers that the blocks of a device may have: few and large ones suit it."""
 
 TIE = 1e-12
