@@ -117,5 +117,6 @@ def test_budgets_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     out = tmp_path / "c.npz"
     assert main(["synthesize", "reach-avoid-v0", "--horizon", "2", "--memory", "2M", "--out", str(out)]) == 0
     assert cg.load_certificate(out).settings["cells_chosen"]["memory"] == 2 * 2**20
+    assert "finer cells need more memory" in capsys.readouterr().out
     assert main(["synthesize", "reach-avoid-v0", "--memory", "much", "--out", str(out)]) == 2
     assert "`--memory`: expected a number of bytes such as 500M or 2G, got 'much'" in capsys.readouterr().err

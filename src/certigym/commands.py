@@ -174,7 +174,12 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.update()
 
         chosen = {**relation_of(options), **budget_of(options), "device": options.device}
-        return synthesize_problem(problem, cells, **chosen, progress=report)
+        found = synthesize_problem(problem, cells, **chosen, progress=report)
+    record = found.stats.get("cells")
+    if isinstance(record, dict) and options.json != "-":
+        shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
+        print(f"{shapes} cells, the best of {len(record['tried'])} runs: {record['stopped']}")
+    return found
 
 
 def _agent_lines(agent: LinearAgent) -> list[str]:
