@@ -14,6 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import resource
 import subprocess
 import sys
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +23,10 @@ import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.controller import Controller
+from certigym.synthesis.guards import compile_guards
 from certigym.synthesis.joint import join, start_of
-from certigym.validation.rollout import CHUNK
+from certigym.validation.rollout import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
 DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875]
@@ -48,6 +52,17 @@ def delivery_sweep() -> float:
     return cpu(lambda: sweep(joint, laws, start, Limits(), improve=True))[0]
 
 
+def guards_row(n_agents: int) -> Row:
+    """Guards of an invariance task of so many agents, beside a quarter of them: four times the work if it is linear."""
+    seconds = []
+    for n in (n_agents // 4, n_agents):
+        problem = cg.make_problem("invariance-v0", n_agents=n)
+        sets = [np.eye(len(classes), dtype=bool) for classes in problem.labeling.classes]
+        seconds.append(cpu(lambda problem=problem, sets=sets: compile_guards(problem, sets))[0])
+    return {"task": f"invariance, {n_agents} agents", "seconds": seconds[1], "as a multiple of a quarter of them":
+            seconds[1] / seconds[0]}  # fmt: skip
+
+
 def noise_alone(problem: cg.Problem, episodes: int) -> None:
     """Draw what rollouts of so many episodes draw if none is decided early, and do nothing with it."""
     dynamics = core.Dynamics.of(problem)
@@ -57,14 +72,36 @@ def noise_alone(problem: cg.Problem, episodes: int) -> None:
             core.noise(dynamics, rng, CHUNK)
 
 
+@dataclass(frozen=True)
+class ToTheEnd:
+    """A controller that does not say it has no memory: all worlds of a chunk are simulated until all are decided."""
+
+    controller: Controller
+
+    def batch(self, dynamics: core.Dynamics) -> ToTheEnd.Policy:
+        return self.Policy(self.controller.batch(dynamics))
+
+    @dataclass(frozen=True)
+    class Policy:
+        policy: BatchPolicy
+
+        def begin(self, worlds: core.Worlds, rng: np.random.Generator) -> Any:
+            return self.policy.begin(worlds, rng)
+
+        def act(self, worlds: core.Worlds, memory: Any) -> tuple[tuple[np.ndarray, ...], Any]:
+            return self.policy.act(worlds, memory)
+
+
 def rollout_row(name: str, cells: int, episodes: int = 100_000) -> Row:
     """Rollouts against their noise."""
     problem = cg.make_problem(name)
     controller = cg.synthesize(problem, cells, max_sweeps=1).controller
     alone, _ = cpu(lambda: noise_alone(problem, episodes))
     seconds, runs = cpu(lambda: cg.rollout(problem, controller, episodes))
+    to_the_end, _ = cpu(lambda: cg.rollout(problem, ToTheEnd(controller), episodes))
     return {"task": name, "T": problem.horizon, "episodes": episodes, "seconds": seconds, "noise alone": alone,
-            "ratio": seconds / alone, "target": 3.0, "successes": runs.successes}  # fmt: skip
+            "ratio": seconds / alone, "target": 3.0, "all to the end": to_the_end / alone,
+            "successes": runs.successes}  # fmt: skip
 
 
 def main() -> None:
@@ -83,7 +120,11 @@ def main() -> None:
     for row in measured:
         row["units"] = row["seconds"] / unit
     names = [("reach-avoid-v0", 1000), ("package-delivery-v0", 250)]
-    results = {"one core": measured, "rollouts against their noise": [rollout_row(*name) for name in names]}
+    results = {
+        "one core": measured,
+        "rollouts against their noise": [rollout_row(*name) for name in names],
+        "guards": [guards_row(n) for n in (1000, 2000)],
+    }
     for title, rows in results.items():
         show(title, rows)
     save(results, chosen.json)
