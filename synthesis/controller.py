@@ -133,30 +133,13 @@ class AgentController:
         return self._laws.reshape(-1).take(self._places(cells, q, time))
 
     def _towards(self, places: NDArray[Any], points: FloatArray, time: int) -> FloatArray:
-        """Inputs that put the mean of the next state where the laws say, from points (d, n, M) of the grid.
-
-        They are those of ``ExactRelation.inputs``, in the same order of operations: ``B^+ (z - drift - A x) + u_mid``.
-        """
-        relation = self.relation
-        assert isinstance(relation, ExactRelation)
-        gaps = [own.take(places) for own in self._aims] if self._aims else self._aims_of(self._laws.take(places))
-        dynamics, inverse, centres = self._coefficients
-        for gap, row in zip(gaps, dynamics, strict=True):
-            gap -= _combined(row, points)
-        inputs = np.empty((len(inverse), *places.shape))
-        for own, row, centre in zip(inputs, inverse, centres, strict=True):
-            np.add(_combined(row, gaps), centre, out=own)
-        if self._idles[min(time, len(self._idles) - 1)]:
-            idle = np.isnan(gaps[0])
-            inputs[:, idle] = relation.input_centre[:, None]
-        return inputs
-
-    @cached_property
-    def _coefficients(self) -> tuple[list[list[float]], list[list[float]], list[float]]:
-        """A, B^+ and the central input as plain numbers, which arrays are multiplied by sooner than by numpy's."""
+        """Inputs that put the mean of the next state where the laws say, from points (d, n, M) of the grid."""
         assert isinstance(self.relation, ExactRelation)
-        relation = self.relation
-        return relation.A.tolist(), relation.right_inverse.tolist(), relation.input_centre.tolist()
+        aims = [own.take(places) for own in self._aims] if self._aims else self._aims_of(self._laws.take(places))
+        inputs = self.relation.inputs(aims, points)
+        if self._idles[min(time, len(self._idles) - 1)]:
+            inputs[:, np.isnan(aims[0])] = self.relation.input_centre[:, None]
+        return inputs
 
     @cached_property
     def _aims(self) -> list[FloatArray]:
@@ -164,10 +147,9 @@ class AgentController:
         return [] if self._laws.size > MOST_AIMS else self._aims_of(self._laws.reshape(-1))
 
     def _aims_of(self, choices: NDArray[np.int32]) -> list[FloatArray]:
-        """Per axis, the chosen lattice points less the drift (exact relation); not a number where there is none."""
+        """Per axis, what ``ExactRelation.inputs`` takes for choices; not a number where there is none."""
         assert isinstance(self.relation, ExactRelation)
-        aims = _means(self.lattice, np.maximum(choices, 0))
-        aims -= self.relation.drift.reshape(-1, *[1] * choices.ndim)
+        aims = self.relation.aims(_means(self.lattice, np.maximum(choices, 0)))
         aims[0, choices < 0] = np.nan
         return list(aims)
 
@@ -240,15 +222,6 @@ def _into(grid: Grid, points: FloatArray) -> FloatArray:
         np.fmax(own, float(edges[0]), out=moved)  # fmax passes over NaN
         np.fmin(moved, float(edges[-1]), out=moved)
     return inside
-
-
-def _combined(row: Sequence[float], vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
-    """``row @ vectors``, a new array, in the order of ``relation_exact.apply``."""
-    total: FloatArray = row[0] * vectors[0]
-    for coefficient, component in zip(row[1:], vectors[1:], strict=True):
-        if coefficient != 0.0:
-            total += coefficient * component
-    return total
 
 
 def _means(lattice: tuple[FloatArray, ...], flat: NDArray[Any]) -> FloatArray:

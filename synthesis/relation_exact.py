@@ -13,6 +13,7 @@ for every x of the cell, which shrinks the admissible targets of a cell with cen
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -99,10 +100,26 @@ class ExactRelation:
             self.coordinates,
         )
 
-    def inputs(self, targets: FloatArray, states: FloatArray) -> FloatArray:
-        """Inputs (m, ...) that put the mean of the next grid state on ``targets`` (d, ...) from ``states`` (d, ...)."""
-        gap = targets - self.drift.reshape(-1, *[1] * (states.ndim - 1)) - apply(self.A, states)
-        return apply(self.right_inverse, gap) + self.input_centre.reshape(-1, *[1] * (states.ndim - 1))
+    def aims(self, targets: FloatArray) -> FloatArray:
+        """Target means (d, ...) less the drift, as ``inputs`` takes them."""
+        return np.asarray(targets - self.drift.reshape(-1, *[1] * (targets.ndim - 1)))
+
+    def inputs(self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray) -> FloatArray:
+        """Inputs (m, ...) that put the mean of the next grid state on target means, from ``states`` (d, ...).
+
+        They are ``B^+ (aims - A x) + u_mid``.
+        """
+        dynamics, inverse, centres = self._numbers
+        gaps = [aim - combined(row, states) for aim, row in zip(aims, dynamics, strict=True)]
+        inputs = np.empty((len(inverse), *gaps[0].shape))
+        for own, row, centre in zip(inputs, inverse, centres, strict=True):
+            np.add(combined(row, gaps), centre, out=own)
+        return inputs
+
+    @cached_property
+    def _numbers(self) -> tuple[list[list[float]], list[list[float]], list[float]]:
+        """A, B^+ and u_mid as plain numbers, which arrays are multiplied by sooner than by numpy's."""
+        return self.A.tolist(), self.right_inverse.tolist(), self.input_centre.tolist()
 
 
 def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
@@ -143,11 +160,13 @@ def _clean(matrix: FloatArray) -> FloatArray:
 
 def apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """``matrix @ vectors`` over the first axis, term by term, so that the result does not depend on the batch."""
-    rows = []
-    for row in matrix:
-        total = row[0] * vectors[0]
-        for coefficient, component in zip(row[1:], vectors[1:], strict=True):
-            if coefficient != 0.0:
-                total = total + coefficient * component
-        rows.append(total)
-    return np.stack(rows)
+    return np.stack([combined(row, vectors) for row in matrix])
+
+
+def combined(row: Sequence[float] | FloatArray, vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """``row @ vectors``, a new array, term by term."""
+    total: FloatArray = row[0] * vectors[0]
+    for coefficient, component in zip(row[1:], vectors[1:], strict=True):
+        if coefficient != 0.0:
+            total = total + coefficient * component
+    return total
