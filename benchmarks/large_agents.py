@@ -53,6 +53,24 @@ def drones(n_agents: int, horizon: int = 12) -> cg.Problem:
     )
 
 
+def motor() -> cg.Problem:
+    """A cart whose motor lags behind: position, velocity and force, one input."""
+    cart = cg.LinearAgent(
+        name="cart",
+        A=[[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 0.5]],
+        B=[[0.0], [0.0], [0.5]],
+        noise_covariance=0.04 * np.eye(3),
+        state_low=[-6.0, -3.0, -3.0],
+        state_high=[6.0, 3.0, 3.0],
+        input_low=[-6.0],
+        input_high=[6.0],
+        initial_state=[-3.0, 0.0, 0.0],
+    )
+    goal = cg.Proposition("cart", [1.0, -3.0, -3.0], [5.0, 3.0, 3.0])
+    task = cg.Specification("F goal", "co-safe")
+    return cg.Problem(name="motor", horizon=10, agents=[cart], propositions={"goal": goal}, specification=task)
+
+
 Row = tuple[Callable[[], cg.Problem], Any]
 ROWS: dict[str, Row] = {
     "car park, whole, 400 x 400": (lambda: cg.make_problem("car-park-planar-v0"), 400),
@@ -67,6 +85,7 @@ ROWS: dict[str, Row] = {
     "two drones, 60 x 60 x 60": (lambda: drones(2), 60),
     "two drones, split, 60": (lambda: cg.split_axes(drones(2)), 60),
     "two drones, split, 300": (lambda: cg.split_axes(drones(2)), 300),
+    "cart with a motor, 60 x 60 x 60": (motor, 60),
     "integrator chain, 400 x 400": (lambda: cg.make_problem("integrator-chain-v0"), 400),
     "RA4, 60 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), 60),
     "RA4, 150 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), [150, 60]),
