@@ -191,7 +191,7 @@ class Stage:
     def __init__(
         self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, laws: Sequence[Law]
     ) -> None:
-        self.models, self.laws, self.leftover = joint.models, list(laws), occupancy.leftover
+        self.models, self.laws, self.leftover, self.q = joint.models, list(laws), occupancy.leftover, q
         self.rows = options.index[q].copy()
         self.smoothed, self.values = [], []
         for i, law in enumerate(self.laws):
@@ -247,15 +247,21 @@ class Stage:
         """
         if not self.is_met or len(self.rows) == 0:
             return 0.0
-        chosen = self._heaviest(len(self.models))
-        most, met = 0.0, self._met(chosen)
-        for i, model in enumerate(self.models):
-            weights = self._weights(i, met, chosen)
+        most = 0.0
+        for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
             better = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
             added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
-            met.replace(self._inner_by_terms(i, chosen))
         return most
+
+    def weights(self) -> list[FloatArray]:
+        """Per agent (S, n), the weight of its value factors in its cells, the laws of the others as they are."""
+        chosen = self._heaviest(len(self.models))
+        met, result = self._met(chosen), []
+        for i in range(len(self.models)):
+            result.append(self._weights(i, met, chosen))
+            met.replace(self._inner_by_terms(i, chosen))
+        return result
 
     def _met(self, chosen: IndexArray) -> _Others:
         """Inner products of mass and value per agent, (mass terms, terms)."""

@@ -50,7 +50,7 @@ class AgentPart:
         Means per axis.
     masks, start_masks : (K, S), (K0, S) bool arrays
         Factors of the guards on the cells, for arriving and for starting in them.
-    law : (T, Q, S) int32 array
+    law : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
         Choice of each cell, -1 for none: a lattice point (``exact``) or an input (all others).
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to.
@@ -71,7 +71,7 @@ class AgentPart:
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
-        law = self.law[t, q]
+        law = self.law[min(t, len(self.law) - 1), q]
         if self.menu is None:
             return law
         chosen = np.take_along_axis(self.menu, np.maximum(law, 0)[:, None].astype(np.int64), axis=1)[:, 0]
@@ -172,6 +172,20 @@ class Certificate:
         parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
         controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law, p.menu) for a, p, r in parts)
         return Controller(self.problem, tuple(controllers))
+
+    @property
+    def stationary(self) -> bool:
+        """Whether no agent looks at the time."""
+        return all(len(part.law) == 1 for part in self.agents)
+
+    @property
+    def unbounded(self) -> float | None:
+        """Lower bound on satisfying a co-safe task at any time, without a deadline; None for other tasks.
+
+        What is satisfied by the horizon stays satisfied. Afterwards controllers go on with their last choices, those of
+        stationary policies as before.
+        """
+        return self.lower_bound if self.problem.automaton.semantics == "co-safe" else None
 
     @property
     def delta(self) -> float:

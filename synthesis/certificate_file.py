@@ -323,7 +323,8 @@ class _Reader:
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
         points = math.prod(len(axis) for axis in lattice)
-        shape = (self.problem.horizon, self.n_states, grid.n_cells)
+        times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
+        shape = (times, self.n_states, grid.n_cells)
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
         if (entry["relation"]["kind"] != "exact") != (menu is not None):

@@ -68,7 +68,7 @@ class AgentController:
         Means per axis, in grid coordinates.
     relation : Relation
     law : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
-        Choice in each cell by time and automaton state; -1 where there is none.
+        Choice in each cell by time and automaton state; -1 where there is none. The last time's goes on for ever.
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to (coupled agents).
     """

@@ -1,13 +1,16 @@
 """The search for good policies: several starts, coordinate ascent from each, the best kept.
 
 Starts: *naive* (every cell and every team-mate counts alike), *relaxed* (each agent as if the team would follow, see
-``relaxation``), *staged* (jumps over region edges at the same time, see ``seeds``). Where the value tree grows more
-than ``MANY_TERMS`` terms, the value function is held as tensor trains instead, and the ascent goes on with them.
+``relaxation``), *staged* (jumps over region edges at the same time, see ``seeds``), and on request *perturbed* ones
+(the best plans advanced or delayed, agent by agent) or policies from elsewhere, such as those of another horizon. Where
+the value tree grows more than ``MANY_TERMS`` terms, the value function is held as tensor trains instead, and the ascent
+goes on with them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,104 +41,240 @@ two agents, whose rank is that of a matrix."""
 VISITED = 1e-2
 """Share of the mass of each step that may lie on cells which trains leave out, as a share of the tolerance."""
 
+RESTART_SEED = 1
+"""Seed of the perturbed starts."""
+
+LONGEST_SHIFT = 2
+"""Most steps by which a perturbed start advances or delays the plan of an agent."""
+
+VALUES = ("auto", "tree", "train")
+
 Progress = Callable[[str, float], None]
 
 
-def improve(
-    problem: Problem,
-    joint: JointModel,
-    limits: Limits,
-    max_sweeps: int,
-    progress: Progress | None = None,
-    value: str = "auto",
-) -> tuple[Sweep | TrainSweep, list[float], tuple[Relaxation, ...]]:
-    """Best policies found, evaluated with frozen laws; the value after each sweep; and the relaxations.
+@dataclass(frozen=True)
+class Search:
+    """How good policies are searched for.
 
     Parameters
     ----------
-    problem : Problem
-    joint : JointModel
-    limits : Limits
-        Pruning of trees during the search.
     max_sweeps : int
         Most sweeps from one start.
-    progress : callable, optional
-        Called with the name of a start and the best value so far.
+    limits : Limits
+        Pruning of trees during the search.
     value : str
         ``"tree"``, ``"train"``, or ``"auto"`` (see the module's text).
+    restarts : int
+        Further starts from the best policies, perturbed: from a random step on the plan of every agent is advanced or
+        delayed by up to ``LONGEST_SHIFT`` steps, of each agent by its own number.
+    progress : callable, optional
+        Called with the name of a start and the best value so far.
+
+    Raises
+    ------
+    ValueError
+        If a value is none of these.
     """
+
+    max_sweeps: int = 8
+    limits: Limits = field(default_factory=Limits)
+    value: str = "auto"
+    restarts: int = 0
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("max_sweeps", "restarts"):
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int) or number < 0:
+                raise ValueError(f"`{name}`: expected a whole number of at least 0, got {number!r}")
+        if self.value not in VALUES:
+            raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {self.value!r}")
+
+    def tell(self, start: str, value: float) -> None:
+        """Report progress."""
+        if self.progress is not None:
+            self.progress(start, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search has found.
+
+    Parameters
+    ----------
+    best : Sweep or TrainSweep
+        The best policies, evaluated with frozen laws.
+    values : list of float
+        Value after each sweep; sweeps prune and round more than the last evaluation.
+    starts : dict
+        Best value that each start led to, by its name.
+    relaxations : tuple of Relaxation
+    unilateral_gain : float or None
+        What one agent alone could gain by other choices at one time and automaton state, the largest of all (0: the
+        policies are person-by-person optimal in this sense). None for tensor trains.
+    """
+
+    best: Sweep | TrainSweep
+    values: list[float]
+    starts: dict[str, float]
+    relaxations: tuple[Relaxation, ...]
+    unilateral_gain: float | None
+
+
+def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str, Laws] | None = None) -> Found:
+    """Best policies found from several starts, those ``given`` by name first."""
     start = start_of(problem, joint)
     relaxations = relax(problem, joint)
     most = upper_bound(joint, start, relaxations)
-    first = limits if value == "tree" else Limits(**{**vars(limits), "rank": min(limits.rank, MANY_TERMS)})
-    naive = sweep(joint, resting_laws(joint), None, first, improve=True)
-    values: list[float] = []
-    if value == "train" or (value == "auto" and naive.rank >= MANY_TERMS):
-        starts = {"relaxed start": relaxed_laws(relaxations), "naive start": naive.laws}
-        return _with_trains(joint, start, starts, most, max_sweeps, values, progress), values, relaxations
-    best = _with_trees(joint, start, naive.laws, relaxations, most, limits, max_sweeps, values, progress)
-    laws = naive.laws if best is None else best.laws
-    return sweep(joint, laws, start, FINAL, improve=False), values, relaxations
+    trees, given = _Trees(joint, start, search, most), dict(given or {})
+    first = search.limits
+    if search.value != "tree":
+        first = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, MANY_TERMS)})
+    naive, many = None, search.value == "train"
+    if not given:
+        naive = sweep(joint, resting_laws(joint), None, first, improve=True)
+        many = many or (naive.rank >= MANY_TERMS and search.value == "auto")
+    elif not many:
+        many = max(own.rank for own in trees.each(given)) >= MANY_TERMS and search.value == "auto"
+    if many:
+        starts = given | {"relaxed start": relaxed_laws(relaxations)}
+        if naive is not None:
+            starts["naive start"] = naive.laws
+        trains = _Trains(joint, start, search, most)
+        best = trains.search(starts)
+        return Found(best, trains.values, trains.starts, relaxations, None)
+    laws = trees.search(naive, relaxations)
+    gains = [0.0]
+    frozen = sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
+    return Found(frozen, trees.values, trees.starts, relaxations, max(gains))
 
 
-def _with_trees(
-    joint: JointModel, start: Occupancy, naive: Laws, relaxations: tuple[Relaxation, ...], most: float, limits: Limits,
-    max_sweeps: int, values: list[float], progress: Progress | None,
-) -> Sweep | None:  # fmt: skip
-    """The best sweep from several starts; the best policies are kept, whatever pruning did to a later sweep."""
+class _Trees:
+    """Ascent on value trees; the best policies are kept, whatever pruning did to a later sweep."""
 
-    def run(laws: Laws, sweeps: int, best: Sweep | None, name: str) -> Sweep | None:
-        """Sweep from ``laws`` until nothing improves; the better of what comes out and ``best``."""
-        last = -1.0
+    def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
+        self.joint, self.start, self.how, self.most = joint, start, search, most
+        self.values: list[float] = []
+        self.starts: dict[str, float] = {}
+        self.best: Sweep | None = None
+
+    def search(self, naive: Sweep | None, relaxations: tuple[Relaxation, ...]) -> Laws:
+        """The best policies from all starts: the naive one, or those that have been begun with."""
+        resting = resting_laws(self.joint) if naive is None else naive.laws
+        sweeps = self.how.max_sweeps
+        if naive is not None:
+            self.run("naive start", naive.laws, sweeps)
+        elif self.best is not None:
+            self.run("given start", self.best.laws, sweeps - 1, self.best.value)
+        if not self.is_solved and sweeps >= 2:
+            self.more_starts(resting, relaxations)
+        rng = np.random.default_rng(RESTART_SEED)
+        for k in range(self.how.restarts):
+            if self.best is not None and self.best.value < self.most * (1 - 1e-9):
+                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng), sweeps)
+        return resting if self.best is None else self.best.laws
+
+    def each(self, starts: dict[str, Laws]) -> list[Sweep]:
+        """One sweep from every start."""
+        return [self.run(name, laws, min(1, self.how.max_sweeps)) for name, laws in starts.items()]
+
+    def more_starts(self, naive: Laws, relaxations: tuple[Relaxation, ...]) -> None:
+        """The relaxed start and, unless it comes to the same, the staged ones; the best two are gone on with."""
+        before = self.best
+        (relaxed,) = self.each({"relaxed start": relaxed_laws(relaxations)})
+        if before is not None and abs(relaxed.value - before.value) <= SAME * before.value:
+            return  # two starts that differ have come to the same
+        staged: dict[str, Laws] = {}
+        for path in best_paths(self.joint, self.start, width=32, count=1):
+            for k, own in enumerate(staged_paths(self.joint, path)):
+                staged[f"staged start {k + 1}"] = path_laws(self.joint, own, naive)
+        tried = dict(zip(("relaxed start", *staged), (relaxed, *self.each(staged)), strict=True))
+        for name, found in sorted(tried.items(), key=lambda item: -item[1].value)[:2]:
+            if not self.is_solved:
+                self.run(name, found.laws, self.how.max_sweeps - 1)
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the best is so near the upper bound that no further start is tried."""
+        return self.best is not None and self.best.value >= SOLVED * self.most
+
+    def run(self, name: str, laws: Laws, sweeps: int, last: float = -1.0) -> Sweep:
+        """Sweep from ``laws``, whose value is ``last`` if known, until nothing improves; the last sweep."""
+        found = None
         for _ in range(sweeps):
-            found = sweep(joint, laws, start, limits, improve=True)
-            values.append(found.value)
-            best = found if best is None or found.value > best.value else best
-            if progress is not None:
-                progress(name, best.value)
-            if found.value <= last * (1 + 1e-7) or found.value >= most * (1 - 1e-9):
+            found = sweep(self.joint, laws, self.start, self.how.limits, improve=True)
+            self.values.append(found.value)
+            self.starts[name] = max(found.value, self.starts.get(name, 0.0))
+            self.best = found if self.best is None or found.value > self.best.value else self.best
+            self.how.tell(name, self.best.value)
+            if found.value <= last * (1 + 1e-7) or found.value >= self.most * (1 - 1e-9):
                 break
             last, laws = found.value, found.laws
-        return best
-
-    best = run(naive, max_sweeps, None, "naive start")
-    if best is None or best.value >= SOLVED * most or max_sweeps < 2:
-        return best
-    relaxed = run(relaxed_laws(relaxations), 1, None, "relaxed start")
-    if relaxed is not None and abs(relaxed.value - best.value) <= SAME * best.value:
-        return max(best, relaxed, key=lambda one: one.value)  # two starts that differ have come to the same
-    tried = [relaxed]
-    for path in best_paths(joint, start, width=32, count=1):
-        tried += [run(path_laws(joint, p, naive), 1, None, "staged start") for p in staged_paths(joint, path)]
-    for found in sorted((f for f in tried if f is not None), key=lambda f: -f.value)[:2]:
-        best = run(found.laws, max_sweeps - 1, max(best, found, key=lambda f: f.value), "best start again")
-    return best
+        if found is None:
+            found = sweep(self.joint, laws, self.start, self.how.limits, improve=False)
+            self.best = found if self.best is None or found.value > self.best.value else self.best
+        return found
 
 
-def _with_trains(
-    joint: JointModel, start: Occupancy, starts: dict[str, Laws], most: float, max_sweeps: int, values: list[float],
-    progress: Progress | None,
-) -> TrainSweep:  # fmt: skip
-    """The best policies from several starts, evaluated with a fine rounding."""
-    best: TrainSweep | None = None
-    tolerance = _tolerance(COARSE * most)
-    for name, laws in starts.items():
+class _Trains:
+    """Ascent on tensor trains, evaluated with a fine rounding in the end."""
+
+    def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
+        self.joint, self.start, self.how, self.most = joint, start, search, most
+        self.values: list[float] = []
+        self.starts: dict[str, float] = {}
+        self.best: TrainSweep | None = None
+
+    def search(self, starts: dict[str, Laws]) -> TrainSweep:
+        """The best policies from several starts, those of the first one if there are no sweeps to be made."""
+        for name, laws in starts.items():
+            self.run(name, laws)
+            if self.best is not None and self.best.value >= SOLVED * self.most:
+                break
+        rng = np.random.default_rng(RESTART_SEED)
+        for k in range(self.how.restarts):
+            if self.best is not None and not self.is_solved:
+                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng))
+        laws = next(iter(starts.values())) if self.best is None else self.best.laws
+        scale = self.most if self.best is None else max(self.best.value, 1e-6)
+        fine = FINE if len(self.joint.models) > 2 else PAIR
+        return sweep_trains(self.joint, laws, self.start, _tolerance(fine * scale), improve=False, share=fine * VISITED)
+
+    def run(self, name: str, laws: Laws) -> None:
+        """Sweep from ``laws`` until nothing improves."""
         last = 0.0
-        for _ in range(max_sweeps):
-            found = sweep_trains(joint, laws, start, tolerance, improve=True, margin=1)
-            values.append(found.value)
-            best = found if best is None or found.value > best.value else best
-            if progress is not None:
-                progress(name, best.value)
-            if found.value <= last + tolerance or found.value >= (1 - COARSE) * most:
+        for _ in range(self.how.max_sweeps):
+            tolerance = self.tolerance
+            found = sweep_trains(self.joint, laws, self.start, tolerance, improve=True, margin=1)
+            self.values.append(found.value)
+            self.starts[name] = max(found.value, self.starts.get(name, 0.0))
+            self.best = found if self.best is None or found.value > self.best.value else self.best
+            self.how.tell(name, self.best.value)
+            if found.value <= last + tolerance or self.is_solved:
                 break
             last, laws = found.value, found.laws
-        if best is not None and best.value >= SOLVED * most:
-            break
-    laws = next(iter(starts.values())) if best is None else best.laws
-    scale = most if best is None else max(best.value, 1e-6)
-    fine = FINE if len(joint.models) > 2 else PAIR
-    return sweep_trains(joint, laws, start, _tolerance(fine * scale), improve=False, share=fine * VISITED)
+
+    @property
+    def tolerance(self) -> float:
+        """What a sweep may round: a share of the value, for two agents of what there may be left to gain."""
+        left = self.most if self.best is None or len(self.joint.models) > 2 else self.most - self.best.value
+        return _tolerance(max(COARSE * left, PAIR * self.most))
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether more sweeps are not worth their time."""
+        enough = COARSE if len(self.joint.models) > 2 else 10 * PAIR
+        return self.best is not None and self.best.value >= (1 - enough) * self.most
+
+
+def perturbed(laws: Laws, rng: np.random.Generator) -> Laws:
+    """Policies whose plans are advanced or delayed from a random step on, those of each agent by their own steps."""
+    shifted = []
+    for law in laws:
+        times = np.arange(len(law))
+        shift = np.where(times >= rng.integers(len(law)), rng.integers(-LONGEST_SHIFT, LONGEST_SHIFT + 1), 0)
+        shifted.append(law[np.clip(times + shift, 0, len(law) - 1)])
+    return tuple(shifted)
 
 
 def _tolerance(wanted: float) -> float:

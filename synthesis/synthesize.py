@@ -13,7 +13,7 @@ import numpy as np
 from ..envs.problem import Problem, checked_problem
 from .abstraction import RELATIONS, Abstraction, Cells, abstract, check_settings
 from .arrays import HOST, device_put
-from .ascent import Limits, Sweep, forward, sweep
+from .ascent import Laws, Limits, Sweep, forward, sweep
 from .bounds import (
     Bound,
     a_posteriori_bound,
@@ -29,14 +29,14 @@ from .certificate import EXACT_GAP, AgentPart, Certificate
 from .choices import InputMenu
 from .controller import Controller
 from .described_relation import describe_relation
+from .horizons import laws_from
 from .joint import JointModel, join, start_of
 from .product import synthesize_parts
 from .refine import refine
 from .relaxation import upper_bound
-from .search import FINAL, improve
+from .search import FINAL, Search, improve
+from .stationary import stationary_best, time_invariant
 from .train_ascent import TrainSweep
-
-VALUES = ("auto", "tree", "train")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,10 @@ class Synthesis:
     certificate : Certificate
     controller : Controller
     stats : dict
-        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``rank``, ``dropped``,
-        ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see ``relaxation``), and with
+        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),
+        ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
+        ``relaxation``), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
+        state; None for tensor trains and stationary policies), and with
         ``relation="best"`` what was ``tried``: the lower bound of each relation, or why it does not apply.
     """
 
@@ -70,6 +72,9 @@ def synthesize(
     memory: float | None = None,
     accuracy: float | None = None,
     device: str = HOST,
+    restarts: int = 0,
+    start: Certificate | None = None,
+    stationary: bool = False,
     **settings: Any,
 ) -> Synthesis:
     """Per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
@@ -100,6 +105,12 @@ def synthesize(
     device : str
         Where sweeps over the value tree compute: ``"numpy"``, or a library and its device, such as ``"torch:cuda"``
         (extra ``device``; see ``arrays``). Results agree to rounding, for which every bound has a reserve.
+    restarts : int
+        Further starts of the search, from the best policies with their plans advanced or delayed.
+    start : Certificate, optional
+        Policies to begin with, of the same agents, cells and relation, for any horizon (see ``horizons``).
+    stationary : bool
+        Policies that do not look at the time, for tasks without a deadline (see ``without_deadline``).
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -114,36 +125,58 @@ def synthesize(
     ValueError
         If the problem has no start, the relation does not apply to an agent, or the device is not there.
     """
-    began = time.perf_counter()
-    if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
-        raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
-    if value not in VALUES:
-        raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {value!r}")
+    search = Search(max_sweeps, Limits() if limits is None else limits, value, restarts, progress)
     check_settings(settings)
     device_put(device)  # refuses what is not there before any work is done
+    how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "restarts": restarts, "progress": progress,
+           "stationary": stationary, "device": device, **settings}  # fmt: skip
     if checked_problem(problem).groups:
-        one = partial(synthesize, relation=relation, max_sweeps=max_sweeps, limits=limits, value=value,
-                      progress=progress, memory=memory, accuracy=accuracy, device=device, **settings)  # fmt: skip
-        return synthesize_parts(problem, cells, one)
+        _refuse_start(start, "independent tasks")
+        return synthesize_parts(
+            problem, cells, partial(synthesize, relation=relation, memory=memory, accuracy=accuracy, **how)
+        )
     if memory is not None or accuracy is not None:
-        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "relation": relation,
-               "device": device}  # fmt: skip
-        return _within(problem, cells, memory, accuracy, {**how, **settings})
+        _refuse_start(start, "a budget")
+        return _within(problem, cells, memory, accuracy, {"relation": relation, **how})
     if relation == "best":
-        how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "progress": progress, "device": device}
-        return _best_relation(problem, cells, how, settings)
+        _refuse_start(start, "several relations")
+        return _best_relation(problem, cells, how)
+    began = time.perf_counter()
     abstraction = abstract(problem, cells, relation=relation, **settings)
     abstracted = time.perf_counter()
-    joint = join(problem, abstraction, device)
-    search = Limits() if limits is None else limits
-    best, values, relaxations = improve(problem, joint, search, max_sweeps, progress, value)
-    used = {**abstraction.settings, "max_sweeps": max_sweeps, "limits": vars(search), "final_limits": vars(FINAL)}
-    certificate = certify(problem, abstraction, joint, best, used, "occupancy-weighted coordinate ascent")
-    seconds = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
-    most = upper_bound(joint, start_of(problem, joint), relaxations)
-    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped,
-             "abstract_upper_bound": most}  # fmt: skip
+    given = {} if start is None else laws_from(start, problem, abstraction)
+    result = _on(problem, abstraction, join(problem, abstraction, device), search, given, stationary)
+    result.stats["seconds"] = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
+    return result
+
+
+def _on(
+    problem: Problem, abstraction: Abstraction, joint: JointModel, search: Search, given: dict[str, Laws],
+    stationary: bool,
+) -> Synthesis:  # fmt: skip
+    """Search, from the ``given`` policies if there are any, and certify."""
+    found = improve(problem, joint, search, given)
+    best = found.best
+    if stationary:
+        best = stationary_best(problem, joint, found, search.limits)
+    used = {**abstraction.settings, "max_sweeps": search.max_sweeps, "restarts": search.restarts,
+            "stationary": stationary, "limits": vars(search.limits), "final_limits": vars(FINAL)}  # fmt: skip
+    how = "stationary policies from " if stationary else ""
+    certificate = certify(problem, abstraction, joint, best, used, f"{how}occupancy-weighted coordinate ascent")
+    stats: dict[str, object] = {
+        "sweeps": found.values,
+        "starts": found.starts,
+        "rank": certificate.rank,
+        "dropped": best.dropped,
+        "abstract_upper_bound": upper_bound(joint, start_of(problem, joint), found.relaxations),
+        "unilateral_gain": None if stationary else found.unilateral_gain,
+    }
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def _refuse_start(start: Certificate | None, what: str) -> None:
+    if start is not None:
+        raise ValueError(f"`start`: expected none for {what}, got a certificate; leave it out")
 
 
 def _within(
@@ -159,7 +192,7 @@ def _within(
     return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
 
 
-def _best_relation(problem: Problem, cells: Cells, search: dict[str, Any], settings: dict[str, Any]) -> Synthesis:
+def _best_relation(problem: Problem, cells: Cells, how: dict[str, Any]) -> Synthesis:
     """The synthesis with the largest bound among all relations that apply; ``stats["tried"]`` lists them all.
 
     A relation that does not apply raises ``ValueError``, whose text is what is listed; other errors are not expected.
@@ -168,7 +201,7 @@ def _best_relation(problem: Problem, cells: Cells, search: dict[str, Any], setti
     best: Synthesis | None = None
     for relation in RELATIONS:
         try:
-            found = synthesize(problem, cells, relation=relation, **search, **settings)
+            found = synthesize(problem, cells, relation=relation, **how)
         except ValueError as error:
             tried[relation] = " ".join(str(error).split())
             continue
@@ -204,7 +237,7 @@ def certify(
             lattice=model.lattice,
             masks=joint.masks[i],
             start_masks=joint.start_masks[i],
-            law=best.laws[i],
+            law=time_invariant(best.laws[i]),
             menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
         )
         parts.append(part)

@@ -1,4 +1,4 @@
-"""Many syntheses at once, on any executor: one per horizon, or several attempts at one problem."""
+"""Many syntheses of one problem: one per horizon, or several attempts at once on any executor."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from ..envs.problem import Problem
 from ..spread import Executor, in_order
 from ..synthesis.certificate import Certificate
+from ..synthesis.horizons import synthesize_horizons
 from ..synthesis.synthesize import synthesize
 from .validate import ValidationReport, validate
 
@@ -23,6 +24,8 @@ def sweep_horizons(
 ) -> list[ValidationReport]:
     """Synthesize and validate the problem at every horizon; reports in the order of ``horizons``.
 
+    Each search begins with the policies of the horizon before (see ``synthesis.horizons``), one after the other.
+
     Parameters
     ----------
     problem : Problem
@@ -31,16 +34,12 @@ def sweep_horizons(
     episodes, seed
         Of each validation.
     executor : Executor, optional
-        Where the horizons are worked on; default: here.
+        Where rollouts are computed; default: here.
     **settings
         Arguments of ``synthesize``, such as ``cells``.
     """
-    return list(in_order(_at_horizon, (problem, episodes, seed, settings), horizons, executor))
-
-
-def _at_horizon(shared: tuple[Problem, int, int, dict[str, Any]], horizon: int) -> ValidationReport:
-    problem, episodes, seed, settings = shared
-    return validate(synthesize(problem.replace(horizon=horizon), **settings), episodes, seed)
+    found = synthesize_horizons(problem, horizons, **settings)
+    return [validate(one, episodes, seed, executor=executor) for one in found]
 
 
 def synthesize_best(

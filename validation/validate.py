@@ -51,8 +51,8 @@ class ValidationReport:
         ``abstract``, ``synthesize`` (None if the certificate was loaded) and ``validate``.
     details : dict
         Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
-        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply; ``abstract_upper_bound`` and ``tried``
-        of a synthesis (see ``synthesize``).
+        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply; ``abstract_upper_bound``,
+        ``unilateral_gain`` and ``tried`` of a synthesis (see ``synthesize``).
     """
 
     problem: str
@@ -98,6 +98,11 @@ class ValidationReport:
             above.append(
                 f"tried        {relation}: {shown_bound(outcome, None) if isinstance(outcome, float) else outcome}"
             )
+        if self.details.get("unilateral_gain") is not None:
+            gain = self.details["unilateral_gain"]
+            above.append(
+                f"alone        no agent gains more than {gain:.1e} by other choices at one step and task state"
+            )
         if "mismatch" in self.details:
             notes.append(f"mismatch     {self.details['mismatch']}")
         if self.details.get("inadmissible"):
@@ -125,6 +130,10 @@ def shown_bound(lower: float, gap: float | None) -> str:
     shown = math.floor(lower * 10**digits) / 10**digits
     claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {lower:.3g}"
     return claim if gap is None else f"{claim} (exact to {gap:.1e})"
+
+
+_ABOUT_SEARCH = ("abstract_upper_bound", "unilateral_gain", "tried")
+"""What reports take from the statistics of a synthesis."""
 
 
 class ValidationInterrupted(KeyboardInterrupt):
@@ -218,7 +227,7 @@ def validate(
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
         if initial_state is None:
-            details |= {name: result.stats[name] for name in ("abstract_upper_bound", "tried") if name in result.stats}
+            details |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     report = ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,

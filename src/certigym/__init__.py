@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from .synthesis.decentralised import InputTable as InputTable
     from .synthesis.decentralised import vectorized as vectorized
     from .synthesis.grid import Grid as Grid
+    from .synthesis.horizons import synthesize_horizons as synthesize_horizons
+    from .synthesis.product import ProductCertificate as ProductCertificate
+    from .synthesis.stationary import without_deadline as without_deadline
     from .synthesis.synthesize import Synthesis as Synthesis
     from .synthesis.synthesize import synthesize as synthesize
     from .validation.actors import load_actor as load_actor
@@ -94,6 +97,7 @@ _EXPORTS = {
     "LinearAgent": "envs.agent",
     "Mismatch": "validation.mismatch",
     "Problem": "envs.problem",
+    "ProductCertificate": "synthesis.product",
     "Proposition": "envs.labeling",
     "RandomController": "validation.policies",
     "Rollouts": "validation.rollout",
@@ -127,12 +131,14 @@ _EXPORTS = {
     "sweep_horizons": "validation.sweeps",
     "synthesize": "synthesis.synthesize",
     "synthesize_best": "validation.sweeps",
+    "synthesize_horizons": "synthesis.horizons",
     "train": "validation.train",
     "translate": "envs.translate",
     "validate": "validation.validate",
     "validate_field": "validation.fields",
     "vector_env": "envs.vector_env",
     "vectorized": "synthesis.decentralised",
+    "without_deadline": "synthesis.stationary",
     "write_report": "validation.report",
 }
 

@@ -99,6 +99,9 @@ def _synthesis(parser: argparse.ArgumentParser) -> None:
                         help="instead of --cells: as fine as fits (bytes, or with K, M, G)")  # fmt: skip
     parser.add_argument("--accuracy", type=float, metavar="P",
                         help="instead of --cells: finer until the bound changes by less")  # fmt: skip
+    parser.add_argument("--restarts", type=int, default=0, metavar="N",
+                        help="further starts of the search from perturbed plans (default: 0)")  # fmt: skip
+    parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
     parser.add_argument("--device", default="numpy", metavar="NAME",
                         help="where sweeps compute: numpy (default), torch:cuda, torch:cpu, cupy:0")  # fmt: skip
 

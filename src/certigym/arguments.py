@@ -77,6 +77,11 @@ def relation_of(options: Namespace) -> dict[str, Any]:
     return {"relation": options.relation, **({} if options.delta is None else {"delta": options.delta})}
 
 
+def search_of(options: Namespace) -> dict[str, Any]:
+    """What ``--restarts``, ``--stationary`` and ``--device`` ask for; keyword arguments of ``synthesize``."""
+    return {"restarts": options.restarts, "stationary": options.stationary, "device": options.device}
+
+
 def show(options: Namespace, text: Any, data: Any) -> None:
     """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
     if options.json != "-":

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from .arguments import budget_of, cells_of, named_problem, problem_of, relation_of, state_of, write_json
+from .arguments import budget_of, cells_of, named_problem, problem_of, relation_of, search_of, state_of, write_json
 from .envs.agent import LinearAgent
 from .envs.problem import Problem
 from .envs.suite import make_problem, problem_ids
@@ -173,7 +173,7 @@ def _synthesize(options: Namespace) -> Synthesis:
             bar.set_postfix_str(f"value {value:.6f}")
             bar.update()
 
-        chosen = {**relation_of(options), **budget_of(options), "device": options.device}
+        chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
         found = synthesize_problem(problem, cells, **chosen, progress=report)
     record = found.stats.get("cells")
     if isinstance(record, dict) and options.json != "-":

@@ -1,0 +1,203 @@
+"""Person-by-person gains, further starts, horizons one after the other, and policies that do not look at the time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.ascent import Laws, sweep
+from certigym.synthesis.horizons import laws_from
+from certigym.synthesis.joint import JointModel, join, start_of
+from certigym.synthesis.kernel import UNIT
+from certigym.synthesis.oracle import dense_optimum, dense_value
+from certigym.synthesis.search import FINAL, Search, improve, perturbed
+from certigym.validation.verdict import REFUTED
+from problems import two_agents
+
+FALSE_ALARM = 1e-6
+
+
+def measured_gain(joint: JointModel, laws: Laws, problem: cg.Problem) -> float:
+    gains = [0.0]
+    sweep(joint, laws, start_of(problem, joint), FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
+    return max(gains)
+
+
+def at_start(problem: cg.Problem, joint: JointModel, dense: np.ndarray) -> float:
+    cells = [m.grid.cell_of(a.initial.low[:, None])[0] for a, m in zip(problem.agents, joint.models, strict=True)]
+    return float(dense[(problem.initial_q, *cells)])
+
+
+def brute_gain(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
+    """The largest gain of one agent at one time and state: every cell tries every target, one at a time.
+
+    Cells of one agent at one time and state exclude one another, so the gains of its cells add up.
+    """
+    models = list(joint.models)
+    value = at_start(problem, joint, dense_value(problem, models, laws))
+    most = 0.0
+    for i, model in enumerate(models):
+        for t in range(joint.horizon):
+            for q in range(joint.n_states):
+                total = 0.0
+                for s in range(model.n_cells):
+                    best = 0.0
+                    for z in range(int(model.choices.low[s, 0]), int(model.choices.high[s, 0])):  # type: ignore[union-attr]
+                        changed = [law.copy() for law in laws]
+                        changed[i][t, q, s] = z
+                        best = max(best, at_start(problem, joint, dense_value(problem, models, tuple(changed))) - value)
+                    total += best
+                most = max(most, total)
+    return most
+
+
+@pytest.mark.parametrize("formula", ["(!b | !c) U a", "(!b U a) & F c"])
+def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> None:
+    problem = two_agents(formula, horizon=2)
+    joint = join(problem, abstract(problem, 8))
+    found = improve(problem, joint, Search())
+    best = found.best.laws
+    assert found.unilateral_gain is not None and found.unilateral_gain < 1e-9
+    assert brute_gain(problem, joint, best) < found.unilateral_gain + 1e-9
+    spoiled = [law.copy() for law in best]
+    for law, model in zip(spoiled, joint.models, strict=True):  # all go down as far as they can
+        law[:] = np.where(law >= 0, model.choices.low[:, 0], law)  # type: ignore[union-attr]
+    expected = brute_gain(problem, joint, tuple(spoiled))
+    assert expected > 1e-4
+    assert measured_gain(joint, tuple(spoiled), problem) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "meeting-v0", "patrol-recharge-v0"])
+def test_further_starts_never_lower_the_bound(problem_id: str) -> None:
+    problem = cg.make_problem(problem_id)
+    problem = problem.replace(horizon=min(problem.horizon, 6))
+    plain, more, again = (cg.synthesize(problem, 20, restarts=r) for r in (0, 2, 2))
+    assert more.certificate.lower_bound >= plain.certificate.lower_bound * (1 - 1e-6)
+    assert more.certificate.lower_bound == again.certificate.lower_bound
+    starts = more.stats["starts"]
+    assert isinstance(starts, dict)
+    solved = max(starts.values()) >= float(more.stats["abstract_upper_bound"]) * (1 - 1e-9)  # type: ignore[arg-type]
+    assert solved or "perturbed start 2" in starts
+
+
+def test_perturbed_plans_are_the_plans_of_other_times() -> None:
+    law = np.arange(6 * 2 * 3, dtype=np.int32).reshape(6, 2, 3)
+    for seed in range(20):
+        (moved,) = perturbed((law,), np.random.default_rng(seed))
+        times = moved[:, 0, 0] // 6
+        np.testing.assert_array_equal(moved, law[times])
+        assert np.all(np.abs(times - np.arange(6)) <= 2)
+
+
+@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "package-delivery-v0", "reach-avoid-n-v0"])
+def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
+    problem = cg.make_problem(problem_id)
+    asked = [5, 3, 4, 8, 3]
+    found = cg.synthesize_horizons(problem, asked, 40)
+    assert [one.certificate.problem.horizon for one in found] == asked
+    by_horizon = {one.certificate.problem.horizon: one.certificate.lower_bound for one in found}
+    ordered = [by_horizon[horizon] for horizon in sorted(by_horizon)]
+    assert all(later >= earlier - 1e-9 for earlier, later in zip(ordered, ordered[1:], strict=False))
+    for one in found:
+        assert cg.check(one.certificate)
+        assert cg.validate(one, 20_000, confidence=1 - FALSE_ALARM).verdict != REFUTED
+
+
+def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
+    problem = cg.make_problem("reach-avoid-v0").replace(horizon=5)
+    certificate = cg.synthesize(problem, 20).certificate
+    laws = [part.law for part in certificate.agents]
+    longer, shorter = problem.replace(horizon=7), problem.replace(horizon=3)
+    kept = laws_from(certificate, longer, abstract(longer, 20))
+    left, gone = kept["given start by time left"], kept["given start by time gone"]
+    for law, a, b in zip(laws, left, gone, strict=True):
+        np.testing.assert_array_equal(a, law[[0, 0, 0, 1, 2, 3, 4]])
+        np.testing.assert_array_equal(b, law[[0, 1, 2, 3, 4, 4, 4]])
+    kept = laws_from(certificate, shorter, abstract(shorter, 20))
+    for law, a, b in zip(laws, *kept.values(), strict=True):
+        np.testing.assert_array_equal(a, law[2:])
+        np.testing.assert_array_equal(b, law[:3])
+    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
+        cg.synthesize(longer, 30, start=certificate)
+    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
+        cg.synthesize(cg.make_problem("meeting-v0"), 20, start=certificate)
+    with pytest.raises(ValueError, match="`start`: expected none for several relations"):
+        cg.synthesize(longer, 20, relation="best", start=certificate)
+    unchanged = cg.synthesize(problem, 20, start=certificate, max_sweeps=0).certificate
+    assert unchanged.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
+
+
+@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "meeting-v0"])
+def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str, tmp_path: Path) -> None:
+    problem = cg.make_problem(problem_id)
+    result = cg.synthesize(problem, 40, stationary=True)
+    certificate = result.certificate
+    assert certificate.stationary and all(len(part.law) == 1 for part in certificate.agents)
+    assert certificate.lower_bound <= float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
+    cg.save_certificate(certificate, tmp_path / "stationary.npz")
+    loaded = cg.load_certificate(tmp_path / "stationary.npz")
+    assert loaded.stationary and cg.check(loaded, problem)
+    assert cg.validate(loaded, 20_000, confidence=1 - FALSE_ALARM).verdict != REFUTED
+    expected = certificate.lower_bound if problem.automaton.semantics == "co-safe" else None
+    assert certificate.unbounded == expected
+
+
+def test_the_value_of_a_stationary_policy_is_that_of_dense_programming() -> None:
+    problem = two_agents(horizon=6)
+    joint = join(problem, abstract(problem, 12))
+    certificate = cg.synthesize(problem, 12, stationary=True).certificate
+    laws = tuple(np.repeat(part.law, 6, axis=0) for part in certificate.agents)
+    value = at_start(problem, joint, dense_value(problem, list(joint.models), laws))
+    assert certificate.lower_bound == pytest.approx(value, rel=1e-8)
+    assert value <= at_start(problem, joint, dense_optimum(problem, list(joint.models))) * (1 + 64 * UNIT)
+
+
+def one_agent() -> cg.Problem:
+    """A weak agent that may take as long as it likes to reach [2, 4), but not to enter [-4, -2)."""
+    agent = cg.LinearAgent(
+        name="slow", A=[[1.0]], B=[[0.3]], noise_covariance=[[0.36]], state_low=[-4.0], state_high=[4.0],
+        input_low=[-1.0], input_high=[1.0], initial_state=[0.0],
+    )  # fmt: skip
+    regions = {"goal": cg.Proposition("slow", [2.0], [4.0]), "pit": cg.Proposition("slow", [-4.0], [-2.0])}
+    return cg.Problem(
+        name="slow", horizon=8, agents=[agent], propositions=regions,
+        specification=cg.Specification("!pit U goal", "co-safe"),
+    )  # fmt: skip
+
+
+def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
+    """Value iteration over 1500 steps, far beyond its convergence, bounds what any policy attains at any time."""
+    problem = one_agent()
+    found = cg.without_deadline(problem, 60)
+    certificate = found.certificate
+    far = problem.replace(horizon=1500)
+    joint = join(far, abstract(far, 60))
+    optimum = at_start(far, joint, dense_optimum(far, list(joint.models)))
+    assert certificate.problem.horizon > 8 and certificate.stationary
+    assert optimum - 5e-6 < certificate.lower_bound <= optimum
+    assert certificate.unbounded == certificate.lower_bound
+    patient = cg.rollout(problem.replace(horizon=400), certificate.controller, 20_000, seed=4)
+    assert abs(patient.successes / 20_000 - optimum) < 5.0 * np.sqrt(0.25 / 20_000)  # 1e-6
+
+
+def test_deadlines_are_left_out_of_co_safe_tasks_only() -> None:
+    with pytest.raises(ValueError, match='expected a task of semantics "co-safe"'):
+        cg.without_deadline(cg.make_problem("invariance-v0"), 20)
+    shortened = cg.without_deadline(one_agent(), 60, longest=20)
+    assert shortened.certificate.problem.horizon == 16
+
+
+def test_the_command_line_asks_for_restarts_and_stationary_policies(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["run", "reach-avoid-v0", "--cells", "40", "--episodes", "2000", "--horizon", "5"]
+    assert main([*arguments, "--restarts", "1"]) == 0
+    assert "no agent gains more than" in capsys.readouterr().out
+    assert main([*arguments, "--stationary"]) == 0
+    shown = capsys.readouterr().out
+    assert "stationary policies" in shown and "no agent gains" not in shown
+    assert main([*arguments, "--restarts", "-1"]) == 2
+    assert "`restarts`" in capsys.readouterr().err
