@@ -41,6 +41,13 @@ two agents, whose rank is that of a matrix."""
 VISITED = 1e-2
 """Share of the mass of each step that may lie on cells which trains leave out, as a share of the tolerance."""
 
+WORTHWHILE = 1e-5
+"""What one agent alone could gain, as a share of the value, from which the policies are improved on the tree that is
+pruned as little as can be: pruning of the search has hidden it."""
+
+POLISHING = 4
+"""Most such sweeps."""
+
 RESTART_SEED = 1
 """Seed of the perturbed starts."""
 
@@ -141,12 +148,28 @@ def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str
         if naive is not None:
             starts["naive start"] = naive.laws
         trains = _Trains(joint, start, search, most)
-        best = trains.search(starts)
+        best = trains.search(starts, resting_laws(joint) if naive is None else naive.laws)
         return Found(best, trains.values, trains.starts, relaxations, None)
     laws = trees.search(naive, relaxations)
+    frozen, gain = _frozen(joint, laws, start)
+    for _ in range(POLISHING if search.max_sweeps else 0):
+        if gain <= WORTHWHILE * frozen.value:
+            break
+        better = sweep(joint, frozen.laws, start, FINAL, improve=True)
+        trees.values.append(better.value)
+        search.tell("polishing", max(better.value, frozen.value))
+        polished, less = _frozen(joint, better.laws, start)
+        if polished.value <= frozen.value:
+            break
+        frozen, gain = polished, less
+    return Found(frozen, trees.values, trees.starts, relaxations, gain)
+
+
+def _frozen(joint: JointModel, laws: Laws, start: Occupancy) -> tuple[Sweep, float]:
+    """Value of given policies, pruned as little as can be, and what one agent alone could gain."""
     gains = [0.0]
-    frozen = sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
-    return Found(frozen, trees.values, trees.starts, relaxations, max(gains))
+    found = sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
+    return found, max(gains)
 
 
 class _Trees:
@@ -184,10 +207,7 @@ class _Trees:
         (relaxed,) = self.each({"relaxed start": relaxed_laws(relaxations)})
         if before is not None and abs(relaxed.value - before.value) <= SAME * before.value:
             return  # two starts that differ have come to the same
-        staged: dict[str, Laws] = {}
-        for path in best_paths(self.joint, self.start, width=32, count=1):
-            for k, own in enumerate(staged_paths(self.joint, path)):
-                staged[f"staged start {k + 1}"] = path_laws(self.joint, own, naive)
+        staged = staged_starts(self.joint, self.start, naive)
         tried = dict(zip(("relaxed start", *staged), (relaxed, *self.each(staged)), strict=True))
         for name, found in sorted(tried.items(), key=lambda item: -item[1].value)[:2]:
             if not self.is_solved:
@@ -225,25 +245,30 @@ class _Trains:
         self.starts: dict[str, float] = {}
         self.best: TrainSweep | None = None
 
-    def search(self, starts: dict[str, Laws]) -> TrainSweep:
+    def search(self, starts: dict[str, Laws], naive: Laws) -> TrainSweep:
         """The best policies from several starts, those of the first one if there are no sweeps to be made."""
         for name, laws in starts.items():
-            self.run(name, laws)
-            if self.best is not None and self.best.value >= SOLVED * self.most:
-                break
+            if not self.is_good:
+                self.run(name, laws, self.how.max_sweeps)
+        if not self.is_good and self.how.max_sweeps >= 2:
+            staged = staged_starts(self.joint, self.start, naive)
+            tried = {name: self.run(name, laws, 1) for name, laws in staged.items()}
+            for k, (name, found) in enumerate(sorted(tried.items(), key=lambda item: -item[1].value)[:2]):
+                if k == 0 or not self.is_good:
+                    self.run(name, found.laws, self.how.max_sweeps - 1)
         rng = np.random.default_rng(RESTART_SEED)
         for k in range(self.how.restarts):
             if self.best is not None and not self.is_solved:
-                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng))
+                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng), self.how.max_sweeps)
         laws = next(iter(starts.values())) if self.best is None else self.best.laws
         scale = self.most if self.best is None else max(self.best.value, 1e-6)
         fine = FINE if len(self.joint.models) > 2 else PAIR
         return sweep_trains(self.joint, laws, self.start, _tolerance(fine * scale), improve=False, share=fine * VISITED)
 
-    def run(self, name: str, laws: Laws) -> None:
-        """Sweep from ``laws`` until nothing improves."""
-        last = 0.0
-        for _ in range(self.how.max_sweeps):
+    def run(self, name: str, laws: Laws, sweeps: int) -> TrainSweep:
+        """Sweep from ``laws`` until nothing improves; the last sweep."""
+        last, found = 0.0, self.best
+        for _ in range(sweeps):
             tolerance = self.tolerance
             found = sweep_trains(self.joint, laws, self.start, tolerance, improve=True, margin=1)
             self.values.append(found.value)
@@ -253,6 +278,13 @@ class _Trains:
             if found.value <= last + tolerance or self.is_solved:
                 break
             last, laws = found.value, found.laws
+        assert found is not None
+        return found
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the best is so near the upper bound that no further start is tried."""
+        return self.best is not None and self.best.value >= SOLVED * self.most
 
     @property
     def tolerance(self) -> float:
@@ -265,6 +297,15 @@ class _Trains:
         """Whether more sweeps are not worth their time."""
         enough = COARSE if len(self.joint.models) > 2 else 10 * PAIR
         return self.best is not None and self.best.value >= (1 - enough) * self.most
+
+
+def staged_starts(joint: JointModel, start: Occupancy, naive: Laws) -> dict[str, Laws]:
+    """Policies that take the most likely way through the task, in several stagings (see ``seeds``)."""
+    starts: dict[str, Laws] = {}
+    for path in best_paths(joint, start, width=32, count=1):
+        for own in staged_paths(joint, path):
+            starts[f"staged start {len(starts) + 1}"] = path_laws(joint, own, naive)
+    return starts
 
 
 def perturbed(laws: Laws, rng: np.random.Generator) -> Laws:
