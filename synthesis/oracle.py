@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..envs.problem import Problem
 from .abstraction import AgentModel
 from .ascent import Laws
-from .choices import TargetWindows
+from .choices import InputMenu, TargetWindows
 
 FAILED = -1
 MAX_ENTRIES = 50_000_000
@@ -51,10 +51,10 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> N
 def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.float64]:
     """Largest value (Q, S_1, .., S_I) at time 0 over all policies of the abstraction (abstract optimum).
 
-    Admissible targets must be products of intervals (scaled permutation inputs); the joint maximum over a product of
-    windows is then taken one axis after the other.
+    Agents choose from a menu of inputs, or targets whose admissible ones are products of intervals (scaled permutation
+    inputs).
     """
-    if not all(isinstance(m.choices, TargetWindows) and m.choices.relation.is_box for m in models):
+    if any(isinstance(m.choices, TargetWindows) and not m.choices.relation.is_box for m in models):
         raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models).astype(float)
@@ -134,7 +134,11 @@ def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.fl
     """Expectations (.., Z) at an agent's lattice points turned into the best over its admissible targets (.., S)."""
     lead = values.shape[:-1]
     windows = model.choices
-    assert isinstance(windows, TargetWindows)
+    if isinstance(windows, InputMenu):
+        best = np.zeros((*lead, model.n_cells))
+        for menu in windows.leads_to.T:  # one input after the other: values are not negative
+            best = np.maximum(best, np.where(menu >= 0, values[..., np.maximum(menu, 0)], 0.0))
+        return best
     on_lattice = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
     best = np.zeros((len(on_lattice), model.n_cells))
     tensor = on_lattice.reshape(-1, *windows.shape)

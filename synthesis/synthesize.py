@@ -31,9 +31,9 @@ from .controller import Controller
 from .described_relation import describe_relation
 from .horizons import laws_from
 from .joint import JointModel, join, start_of
+from .optimum import abstract_bound
 from .product import synthesize_parts
 from .refine import refine
-from .relaxation import upper_bound
 from .search import FINAL, Search, improve
 from .stationary import stationary_best, time_invariant
 from .train_ascent import TrainSweep
@@ -50,7 +50,7 @@ class Synthesis:
     stats : dict
         ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),
         ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
-        ``relaxation``), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
+        ``optimum``), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
         state; None for tensor trains and stationary policies), and with
         ``relation="best"`` what was ``tried``: the lower bound of each relation, or why it does not apply.
     """
@@ -168,7 +168,9 @@ def _on(
         "starts": found.starts,
         "rank": certificate.rank,
         "dropped": best.dropped,
-        "abstract_upper_bound": upper_bound(joint, start_of(problem, joint), found.relaxations),
+        "abstract_upper_bound": abstract_bound(
+            problem, joint, start_of(problem, joint), found.relaxations, certificate.lower_bound
+        ),
         "unilateral_gain": None if stationary else found.unilateral_gain,
     }
     return Synthesis(certificate, certificate.controller, stats)

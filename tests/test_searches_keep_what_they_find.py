@@ -10,14 +10,16 @@ import pytest
 import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, sweep
+from certigym.synthesis.ascent import Laws, Limits, sweep
+from certigym.synthesis.grid import start_share
 from certigym.synthesis.horizons import laws_from
 from certigym.synthesis.joint import JointModel, join, start_of
 from certigym.synthesis.kernel import UNIT
 from certigym.synthesis.oracle import dense_optimum, dense_value
+from certigym.synthesis.relaxation import relax
 from certigym.synthesis.search import FINAL, Search, improve, perturbed
 from certigym.validation.verdict import REFUTED
-from problems import two_agents
+from problems import cart, cart_reach, two_agents
 
 FALSE_ALARM = 1e-6
 
@@ -132,7 +134,7 @@ def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
     assert unchanged.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
 
 
-@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "meeting-v0"])
+@pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"])
 def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str, tmp_path: Path) -> None:
     problem = cg.make_problem(problem_id)
     result = cg.synthesize(problem, 40, stationary=True)
@@ -201,3 +203,57 @@ def test_the_command_line_asks_for_restarts_and_stationary_policies(capsys: pyte
     assert "stationary policies" in shown and "no agent gains" not in shown
     assert main([*arguments, "--restarts", "-1"]) == 2
     assert "`restarts`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("formula", ["F (a & c)", "(!b U a) & F c", "F (a & F c)"])
+def test_the_bound_from_above_is_the_joint_optimum_where_that_is_small(formula: str) -> None:
+    problem = two_agents(formula, horizon=4)
+    result = cg.synthesize(problem, 12)
+    joint = join(problem, abstract(problem, 12))
+    optimum = at_start(problem, joint, dense_optimum(problem, list(joint.models)))
+    most = float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
+    assert result.certificate.lower_bound <= optimum <= most <= optimum * (1 + 1e-6) + 1e-12
+
+
+def test_the_bound_from_above_is_a_mean_over_boxes() -> None:
+    problem = two_agents("F (a & c)", horizon=3).replace(initial_low=[0.0, -1.0], initial_high=[1.0, 1.0])
+    result = cg.synthesize(problem, 16)
+    joint = join(problem, abstract(problem, 16))
+    dense = dense_optimum(problem, list(joint.models))
+    weights = [start_share(m.grid, np.eye(1), np.array([low]), np.array([high]))
+               for m, low, high in zip(joint.models, (0.0, -1.0), (1.0, 1.0), strict=True)]  # fmt: skip
+    initial = problem.replace(initial_state=[0.5, 0.0]).initial_q  # the start meets no region of the task
+    mean = float(weights[0] @ dense[initial] @ weights[1])
+    most = float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
+    assert result.certificate.lower_bound <= mean * (1 + 1e-9) and most == pytest.approx(mean, rel=1e-6)
+
+
+def test_dense_programming_chooses_from_menus_of_inputs() -> None:
+    """Under the tube relation agents choose inputs; one agent alone comes to the optimum. Relaxations lie above."""
+    problem = cart_reach(cart(), horizon=10)
+    result = cg.synthesize(problem, 48, relation="tube")
+    joint = join(problem, abstract(problem, 48, relation="tube"))
+    (alone,) = relax(problem, joint)
+    dense = dense_optimum(problem, list(joint.models))
+    assert np.all(dense <= alone.values * (1 + 1e-12) + 1e-15)
+    assert 0.01 < result.certificate.lower_bound
+    assert result.certificate.lower_bound == pytest.approx(at_start(problem, joint, dense), rel=1e-8)
+
+
+def test_what_pruning_hides_is_found_in_the_end() -> None:
+    """With few terms the search stops early; the last sweeps see what one agent alone could gain."""
+    problem = cg.make_problem("patrol-recharge-v0").replace(horizon=8)
+    result = cg.synthesize(problem, 24, value="tree", limits=Limits(rank=8))
+    gain = result.stats["unilateral_gain"]
+    assert isinstance(gain, float) and gain <= 1e-5 * result.certificate.lower_bound
+    sweeps = result.stats["sweeps"]
+    assert isinstance(sweeps, list) and result.certificate.lower_bound >= max(sweeps) - 1e-9
+
+
+def test_trains_try_staged_starts_where_others_fail() -> None:
+    """Two robots have to agree on one of two rooms; from other starts they do not."""
+    problem = cg.make_problem("meeting-v0")
+    result = cg.synthesize(problem, 48, value="train")
+    starts = result.stats["starts"]
+    assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
+    assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)
