@@ -264,15 +264,43 @@ def _numbers(problem: cg.Problem, measured: dict[str, Any] | None) -> str:
         lines.append("- Certified: nothing worth the name yet; the policies found satisfy the task with P < 1e-12.")
     else:
         start = {"point": "from the start", "mean": "on average over the start box"}[certificate["start"]]
-        cells = certificate["cells"] or "the default number of"
         lines.append(
-            f"- Certified: **{shown_bound(certificate['lower_bound'], None)}** {start} ({certificate['method']}; "
-            f"{certificate['bound']} bound; {cells} cells per axis)."
+            f"- Certified: **{shown_bound(certificate['lower_bound'], certificate['gap'])}** {start} "
+            f"({certificate['method']}; {certificate['bound']} bound; {_cells(certificate['cells'])} cells)."
         )
-        lines.append(f"- Measured under the certified controllers: {_rate(certificate['rollouts'])}.")
+        lines.append(
+            f"- Measured under the certified controllers: {_rate(certificate['rollouts'])}: {verdict(certificate)}."
+        )
+        lines.append(
+            f"- Synthesis took {_number(certificate['seconds'])} CPU seconds, the process {certificate['mebibytes']} "
+            f"MiB; no policy on these finite models does better than {_up(certificate['abstract_upper_bound'])}."
+        )
     lines.append(f"- Measured under inputs drawn uniformly: {_rate(measured['random'])}.")
     lines.append("\nNumbers of `python docs/measure_environments.py`; the horizon and the start are the defaults.")
     return "\n".join(lines)
+
+
+def _cells(shapes: list[list[int]]) -> str:
+    """Cells per axis of all agents, such as `150 x 60`."""
+    return ", ".join(" x ".join(map(str, shape)) for shape in shapes)
+
+
+def _number(value: float) -> str:
+    """Two digits of a small number, all of a large one."""
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}"
+
+
+def _up(value: float) -> str:
+    """A probability, rounded up."""
+    return f"{min(1.0, np.ceil(value * 1e4) / 1e4):.4f}"
+
+
+def verdict(certificate: dict[str, Any]) -> str:
+    """What the rollouts say of the bound, at their confidence."""
+    rollouts, bound, gap = certificate["rollouts"], certificate["lower_bound"], certificate["gap"]
+    if rollouts["high"] < bound or (certificate["exact"] and rollouts["low"] > bound + gap):
+        return "refuted"
+    return "confirmed" if rollouts["low"] >= bound else "consistent"
 
 
 def _rate(rollouts: dict[str, Any]) -> str:
@@ -297,7 +325,43 @@ def _index(measured: dict[str, Any]) -> str:
         bound = "none yet" if certificate is None else f"{np.floor(certificate['lower_bound'] * 1e4) / 1e4:.4f}"
         title = _docstring(id)[0]
         lines.append(f"| [{id}]({id}.md) | {problem.n_agents} | {problem.horizon} | {bound} | {title} |")
+    lines += ["\n## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
     return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
+
+
+MEASURED_WITH = """Certified lower bounds against rollouts of the same controllers from the same start: estimate and
+99.9 % limits of `python docs/measure_environments.py`. `confirmed`: the lower limit is not below the bound;
+`consistent`: the bound lies between the limits (as those that are *exact*, equal to the probability up to 1e-6, have
+to). Cells are those per axis of one agent, seconds those of one thread for the synthesis, memory is the peak of the
+process.
+
+| id | T | certified | optimum at most | rollouts | limits | verdict | cells | rank | seconds | MiB |
+|---|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def _measured_rows(measured: dict[str, Any]) -> list[str]:
+    """One row per problem; the optimum is that of the finite models, no bound for the continuous system."""
+    rows = []
+    for id in cg.problem_ids():
+        entry, problem = measured.get(id) or {}, cg.make_problem(id)
+        certificate = entry.get("certificate")
+        if certificate is None:
+            rows.append(f"| [{id}]({id}.md) | {problem.horizon} | none | | | | | | | | |")
+            continue
+        rollouts = certificate["rollouts"]
+        bound = f"{np.floor(certificate['lower_bound'] * 1e5) / 1e5:.5f}" + (" exact" if certificate["exact"] else "")
+        cells = [
+            f"{rollouts['successes'] / rollouts['episodes']:.5f}",
+            f"[{rollouts['low']:.5f}, {rollouts['high']:.5f}]",
+            verdict(certificate),
+            _cells(certificate["cells"]),
+            str(certificate["rank"]),
+            _number(certificate["seconds"]),
+            str(certificate["mebibytes"]),
+        ]
+        best = _up(certificate["abstract_upper_bound"])
+        rows.append(f"| [{id}]({id}.md) | {problem.horizon} | {bound} | {best} | {' | '.join(cells)} |")
+    return rows
 
 
 def main() -> None:

@@ -34,7 +34,16 @@ def test_measured_numbers_are_about_these_problems() -> None:
         remedy = f"{id} has changed; run `python docs/measure_environments.py {id}`"
         assert entry["fingerprint"] == cg.make_problem(id).fingerprint, remedy
         if entry["certificate"] is not None:
-            assert entry["certificate"]["lower_bound"] <= entry["certificate"]["rollouts"]["high"]
+            assert environment_pages.verdict(entry["certificate"]) in ("confirmed", "consistent")
+            assert entry["certificate"]["rollouts"]["episodes"] >= 100_000
+            assert entry["certificate"]["lower_bound"] <= entry["certificate"]["abstract_upper_bound"]
+
+
+def test_the_table_has_a_row_for_every_problem(texts: dict[str, str]) -> None:
+    table = texts["README.md"].partition("## Measured")[2]
+    for id in cg.problem_ids():
+        (row,) = [line for line in table.splitlines() if line.startswith(f"| [{id}]({id}.md)")]
+        assert row.count("|") == 12 and "refuted" not in row
 
 
 def test_every_page_has_its_parts(texts: dict[str, str]) -> None:
