@@ -75,11 +75,9 @@ Row = tuple[Callable[[], cg.Problem], Any]
 ROWS: dict[str, Row] = {
     "car park, whole, 400 x 400": (lambda: cg.make_problem("car-park-planar-v0"), 400),
     "car park, split, 400": (lambda: cg.split_axes(cg.make_problem("car-park-planar-v0")), 400),
-    "car park, split, 2000": (lambda: cg.split_axes(cg.make_problem("car-park-planar-v0")), 2000),
     "delivery, whole, 240 x 240": (lambda: cg.make_problem("package-delivery-single-v0"), 240),
     "delivery, whole, 400 x 400": (lambda: cg.make_problem("package-delivery-single-v0"), 400),
     "delivery, split, 240": (lambda: cg.split_axes(cg.make_problem("package-delivery-single-v0")), 240),
-    "delivery, split, 1000": (lambda: cg.split_axes(cg.make_problem("package-delivery-single-v0")), 1000),
     "one drone, 60 x 60 x 60": (lambda: drones(1), 60),
     "one drone, split, 60": (lambda: cg.split_axes(drones(1)), 60),
     "two drones, 60 x 60 x 60": (lambda: drones(2), 60),
