@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
 from .abstraction import Abstraction, Cells
 from .ascent import Laws
@@ -69,8 +70,10 @@ def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstracti
     fits: bool = (
         len(agents) == problem.n_agents and certificate.problem.automaton.n_states == problem.automaton.n_states
     )
-    for part, model in zip(agents, abstraction.models, strict=False):
+    members = zip(certificate.problem.agents, problem.agents, strict=False)
+    for part, model, (given, asked) in zip(agents, abstraction.models, members, strict=False):
         same = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
+        fits = fits and _moves(given) == _moves(asked)
         fits = fits and part.law.shape[-1] == model.n_cells and all(np.array_equal(a, b) for a, b in same)
         if isinstance(model.choices, InputMenu):
             fits = fits and part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
@@ -88,6 +91,11 @@ def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstracti
         kept[f"given start by {name}"] = tuple(_admissible(law, m.choices.resting_law) for law, m in
                                                zip(laws, abstraction.models, strict=True))  # fmt: skip
     return kept if certificate.problem.horizon != problem.horizon else dict([kept.popitem()])
+
+
+def _moves(agent: LinearAgent) -> dict[str, Any]:
+    """All of an agent but its name and its start: what its choices are admissible for."""
+    return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
 
 
 def _admissible(law: Any, resting: Any) -> Any:

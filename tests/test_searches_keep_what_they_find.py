@@ -19,7 +19,7 @@ from certigym.synthesis.oracle import dense_optimum, dense_value
 from certigym.synthesis.relaxation import relax
 from certigym.synthesis.search import FINAL, Search, improve, perturbed
 from certigym.validation.verdict import REFUTED
-from problems import cart, cart_reach, two_agents
+from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
 
@@ -132,6 +132,25 @@ def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
         cg.synthesize(longer, 20, relation="best", start=certificate)
     unchanged = cg.synthesize(problem, 20, start=certificate, max_sweeps=0).certificate
     assert unchanged.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
+
+
+def test_policies_of_stronger_agents_are_refused() -> None:
+    """Same cells and lattice, but the weaker agent cannot reach the targets of the stronger one."""
+    strong, weak = (
+        cg.Problem(
+            name="one",
+            horizon=1,
+            agents=[scalar_agent("one", input_low=[-a], input_high=[a], initial_state=[-2.0])],
+            propositions={"goal": cg.Proposition("one", [1.0], [4.0])},
+            specification=cg.Specification("F goal", "co-safe"),
+        )
+        for a in (9.0, 6.0)
+    )
+    certificate = cg.synthesize(strong, 30).certificate
+    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
+        cg.synthesize(weak, 30, start=certificate)
+    moved = strong.replace(initial_state=[-3.0])
+    assert cg.check(cg.synthesize(moved, 30, start=certificate).certificate)
 
 
 @pytest.mark.parametrize("problem_id", ["reach-avoid-v0", "car-park-v0", "invariance-v0"])
