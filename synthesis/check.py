@@ -39,6 +39,9 @@ from .verify_relation import verify_relation
 
 FloatArray = NDArray[Any]
 
+CORRELATION = 1e-11
+"""Largest correlation of the noises of two grid axes that passes for rounding."""
+
 
 @dataclass(frozen=True)
 class CheckReport:
@@ -92,7 +95,7 @@ def check(certificate: Certificate | ProductCertificate, problem: Problem | None
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     else:
-        for step in (_check_grids, _check_relations, _check_guards):
+        for step in (_check_form, _check_grids, _check_relations, _check_guards):
             failures += step(certificate)
             if failures:
                 break
@@ -122,24 +125,48 @@ def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport
     return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures))
 
 
+def _check_form(certificate: Certificate) -> list[str]:
+    """The value function covers the horizon, and the bound is one that applies to it."""
+    failures = []
+    tree = certificate.rounding is None
+    if tree and len(certificate.skeleton) != certificate.problem.horizon:
+        failures.append("its tree does not cover its horizon")
+    if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
+        failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
+    return failures
+
+
 def _check_grids(certificate: Certificate) -> list[str]:
     """Grids cover the workspaces and, in their coordinates, the noise is independent and positive."""
     failures = []
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         low = np.array([edges[0] for edges in part.grid.edges])
         high = np.array([edges[-1] for edges in part.grid.edges])
+        if not _is_inverted(part.coordinates):
+            failures.append(f"the grid coordinates of agent `{agent.name}` cannot be inverted")
+            continue
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
         if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
             failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
         if not identity and not _covers(agent.workspace, part.coordinates, low, high):
             failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
         noise = grid_noise(agent.noise_covariance, part.coordinates)
-        off = noise - np.diag(np.diag(noise))
-        if np.any(np.diag(noise) <= 0) or np.max(np.abs(off)) > 1e-12 * np.max(np.diag(noise)):
+        variances = np.diag(noise)
+        off = np.abs(noise - np.diag(variances))
+        if np.any(variances <= 0) or np.any(off > CORRELATION * np.sqrt(np.outer(variances, variances))):
             failures.append(f"the noise of agent `{agent.name}` is not independent along its grid axes")
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
+
+
+def _is_inverted(coordinates: FloatArray) -> bool:
+    """Whether the inverse of grid coordinates, which everything else takes, is one."""
+    try:
+        inverse = np.linalg.inv(coordinates)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.all(np.abs(coordinates @ inverse - np.eye(len(coordinates))) <= 1e-9))
 
 
 def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> bool:
@@ -317,15 +344,20 @@ def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: f
     """The claims are not larger than what was regrown."""
     failures = []
     n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
-    rounding = (n + certificate.rank + 2) * 2.0**-53
+    counted = max((len(kept) for step in certificate.skeleton for kept in step.kept), default=0)
+    rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):
         failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
+    if not rounding + 1e-11 * len(certificate.agents) <= certificate.relative_rounding <= 1.0:
+        failures.append("its reserve for rounding is too small")
     tolerance = 1.0 + 1e-11
     stored, regrown = certificate.terms, terms
     if stored is None or isinstance(regrown, Trains):
         return failures if stored is None else [*failures, "it stores a value tree beside its tensor trains"]
     if any(len(a) != len(b) for a, b in zip(stored.index, regrown.index, strict=True)):
         return [*failures, "the stored value function has other terms than the tree"]
+    if any(not np.all(own >= 0.0) for own in stored.factors):
+        return [*failures, "the stored value function has factors that are negative or no numbers"]
     for i, (mine, yours) in enumerate(zip(stored.factors, regrown.factors, strict=True)):
         for q, rows in enumerate(stored.index):
             if np.any(mine[rows[:, i]] > yours[regrown.index[q][:, i]] * tolerance + 1e-250):

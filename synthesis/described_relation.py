@@ -64,6 +64,8 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
     if kind == "exact":
         return exact_relation(agent, coordinates)
     if kind == "paper":
+        if not np.array_equal(coordinates, np.eye(len(coordinates))):
+            raise ValueError("the `paper` relation is for grids in state coordinates")
         return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBERS["paper"]})
     given = {name: np.array(description[name], dtype=float) for name in ARRAYS[kind]}
     if kind == "tube":

@@ -113,6 +113,22 @@ def inflate_the_value_elsewhere(c: Certificate) -> Certificate:
     return replace(c, terms=Terms(factors, c.tree.index))
 
 
+def hide_factors_behind_signs(c: Certificate) -> Certificate:
+    return replace(c, terms=Terms(tuple(np.full_like(own, -5.0) for own in c.tree.factors), c.tree.index))
+
+
+def turn_the_reserve_for_rounding_around(c: Certificate) -> Certificate:
+    return replace(c, rank=-(10**16), lower_bound=1.0)
+
+
+def keep_no_reserve_for_rounding(c: Certificate) -> Certificate:
+    return replace(c, relative_rounding=0.0)
+
+
+def keep_no_tree(c: Certificate) -> Certificate:
+    return replace(c, skeleton=(), terms=replace(c.tree, index=tuple(rows[:1] for rows in c.tree.index)))
+
+
 def drop_the_last_step(c: Certificate) -> Certificate:
     problem = c.problem.replace(horizon=c.problem.horizon - 1)
     return replace(c, problem=problem)
@@ -123,6 +139,7 @@ def drop_the_last_step(c: Certificate) -> Certificate:
     [
         raise_the_bound, command_beyond_the_inputs, use_another_policy, narrow_the_cells, let_guards_overlap,
         swap_targets, count_a_vertex_twice, inflate_the_value_elsewhere, drop_the_last_step,
+        hide_factors_behind_signs, turn_the_reserve_for_rounding_around, keep_no_reserve_for_rounding, keep_no_tree,
     ],
 )  # fmt: skip
 def test_tampered_certificates_are_refused(
@@ -133,6 +150,58 @@ def test_tampered_certificates_are_refused(
     report = cg.check(tamper(certificate), original)
     assert not report
     assert report.failures
+
+
+@pytest.mark.parametrize("value", ["tree", "train"])
+def test_bounds_that_forget_lost_relations_are_refused(value: str) -> None:
+    """The value of an abstraction alone, under any name, is no bound where relations can be lost."""
+    problem = cg.Problem(
+        name="one", horizon=3, agents=[scalar_agent("one", A=[[1.1]])],
+        propositions={"goal": cg.Proposition("one", [1.0], [3.0])}, specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3, value=value).certificate
+    assert certificate.delta > 0 and cg.check(certificate)
+    refused = ["nominal", "none", ""] + ["robust tree"] * (value == "train")
+    for bound in refused:
+        assert not cg.check(replace(certificate, bound=bound))
+        assert not cg.check(replace(certificate, bound=bound, lower_bound=certificate.lower_bound + 0.01))
+
+
+def test_scalar_relations_are_refused_on_grids_in_other_coordinates() -> None:
+    """Cells that look narrow in other coordinates would make ``delta`` small."""
+    problem = cg.Problem(
+        name="one", horizon=3, agents=[scalar_agent("one", A=[[1.1]])],
+        propositions={"goal": cg.Proposition("one", [1.0], [3.0])}, specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3).certificate
+    part = certificate.agents[0]
+    moved = with_agent(
+        certificate, 0, coordinates=np.array([[2.0]]), grid=cg.Grid((part.grid.edges[0] / 2.0,)),
+        lattice=(part.lattice[0] / 2.0,),
+    )  # fmt: skip
+    assert "state coordinates" in str(cg.check(moved))
+
+
+def test_correlated_noise_is_not_hidden_by_the_scale_of_an_axis() -> None:
+    values: dict[str, Any] = {"A": np.eye(2), "B": np.eye(2), "state_low": [-1, -1], "state_high": [1, 1],
+                              "input_low": [-1, -1], "input_high": [1, 1], "initial_state": [0, 0]}  # fmt: skip
+    alone, together = (
+        cg.Problem(
+            name="one", horizon=2, agents=[cg.LinearAgent(name="one", noise_covariance=[[0.1, c], [c, 0.1]], **values)],
+            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])}, specification=cg.Specification("F g", "co-safe"),
+        )
+        for c in (0.0, 0.09)
+    )  # fmt: skip
+    certificate = cg.synthesize(alone, 8).certificate
+    part, scale = certificate.agents[0], np.array([1e13, 1.0])
+    hidden = with_agent(
+        replace(certificate, problem=together), 0, coordinates=np.diag(scale),
+        grid=cg.Grid(tuple(own / s for own, s in zip(part.grid.edges, scale, strict=True))),
+        lattice=tuple(own / s for own, s in zip(part.lattice, scale, strict=True)),
+    )  # fmt: skip
+    assert "not independent" in str(cg.check(hidden))
+    flat = with_agent(certificate, 0, coordinates=np.ones((2, 2)))
+    assert "cannot be inverted" in str(cg.check(flat))
 
 
 def test_a_certificate_for_another_noise_is_refused(certificate: Certificate) -> None:
