@@ -111,7 +111,10 @@ def _conjuncts(formula: Formula, families: Mapping[str, Sequence[str]], positive
         return _conjuncts(operands[0], families, True) + _conjuncts(operands[1], families, False)
     if operator in (("G", "X", "N") if positive else ("F",)):
         kept = operator if positive else "G"
-        return [Formula(kept, (part,), bounds=formula.bounds) for part in _conjuncts(operands[0], families, positive)]
+        parts = _conjuncts(operands[0], families, positive)
+        if operator == "X" and not parts:
+            return [formula]  # `X true` asks for another letter
+        return [Formula(kept, (part,), bounds=formula.bounds) for part in parts]
     return [formula if positive else Formula("!", (formula,))]
 
 

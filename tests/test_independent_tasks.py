@@ -46,7 +46,8 @@ def test_conjunctions_fall_apart_by_agents(formula: str, expected: list[tuple[tu
     assert groups_of(formula) == expected
 
 
-@pytest.mark.parametrize("formula", ["F (a & c & e)", "F a & F c | F e", "F a", "all(first) U f", "F a & F c & false"])
+@pytest.mark.parametrize("formula", ["F (a & c & e)", "F a & F c | F e", "F a", "all(first) U f", "F a & F c & false",
+                                     "F a & F c & G X true", "F a & F c & X[2] G true"])  # fmt: skip
 def test_other_tasks_stay_whole(formula: str) -> None:
     assert groups_of(formula) == []
 
@@ -58,7 +59,8 @@ def test_errors_point_at_the_formula_as_it_was_written() -> None:
         groups_of("F a & G c", "co-safe")
 
 
-PARTS = ("F a", "G[0,2] b", "a U b", "G !b", "F (c & d)", "d R c", "X X c", "F (e | f)", "e M f", "N f", "F (b & !d)")
+PARTS = ("F a", "G[0,2] b", "a U b", "G !b", "F (c & d)", "d R c", "X X c", "F (e | f)", "e M f", "N f", "F (b & !d)",
+         "X true", "X[2] G true", "N true", "G (true & !b)", "!F X !false")  # fmt: skip
 
 
 @given(st.lists(st.sampled_from(PARTS), min_size=2, max_size=4), st.data())
