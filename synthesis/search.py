@@ -38,6 +38,9 @@ COARSE, FINE, PAIR = 1e-2, 1e-4, 1e-7
 """What rounding of trains may change, as a share of the value: during the search, for what is reported, and that for
 two agents, whose rank is that of a matrix."""
 
+FAILURE = 0.05
+"""The same for what is reported, as a share of the probability of failing, where that is less."""
+
 VISITED = 1e-2
 """Share of the mass of each step that may lie on cells which trains leave out, as a share of the tolerance."""
 
@@ -207,6 +210,9 @@ class _Trees:
         (relaxed,) = self.each({"relaxed start": relaxed_laws(relaxations)})
         if before is not None and abs(relaxed.value - before.value) <= SAME * before.value:
             return  # two starts that differ have come to the same
+        if self.is_solved:
+            self.run("relaxed start", relaxed.laws, self.how.max_sweeps - 1, relaxed.value)
+            return
         staged = staged_starts(self.joint, self.start, naive)
         tried = dict(zip(("relaxed start", *staged), (relaxed, *self.each(staged)), strict=True))
         for name, found in sorted(tried.items(), key=lambda item: -item[1].value)[:2]:
@@ -261,9 +267,9 @@ class _Trains:
             if self.best is not None and not self.is_solved:
                 self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng), self.how.max_sweeps)
         laws = next(iter(starts.values())) if self.best is None else self.best.laws
-        scale = self.most if self.best is None else max(self.best.value, 1e-6)
-        fine = FINE if len(self.joint.models) > 2 else PAIR
-        return sweep_trains(self.joint, laws, self.start, _tolerance(fine * scale), improve=False, share=fine * VISITED)
+        value = self.most if self.best is None else max(self.best.value, 1e-6)
+        tolerance = _tolerance(min(self.fine * value, max(FAILURE * (1.0 - value), 1e-3 * self.fine)))
+        return sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=tolerance / value * VISITED)
 
     def run(self, name: str, laws: Laws, sweeps: int) -> TrainSweep:
         """Sweep from ``laws`` until nothing improves; the last sweep."""
@@ -288,15 +294,19 @@ class _Trains:
 
     @property
     def tolerance(self) -> float:
-        """What a sweep may round: a share of the value, for two agents of what there may be left to gain."""
-        left = self.most if self.best is None or len(self.joint.models) > 2 else self.most - self.best.value
-        return _tolerance(max(COARSE * left, PAIR * self.most))
+        """What a sweep may round: a share of the value at first, then of what there may be left to gain."""
+        left = self.most if self.best is None else self.most - self.best.value
+        return _tolerance(max(COARSE * left, self.fine * self.most))
+
+    @property
+    def fine(self) -> float:
+        """Rounding of what is reported, as a share of the value."""
+        return FINE if len(self.joint.models) > 2 else PAIR
 
     @property
     def is_solved(self) -> bool:
         """Whether more sweeps are not worth their time."""
-        enough = COARSE if len(self.joint.models) > 2 else 10 * PAIR
-        return self.best is not None and self.best.value >= (1 - enough) * self.most
+        return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
 
 
 def staged_starts(joint: JointModel, start: Occupancy, naive: Laws) -> dict[str, Laws]:
