@@ -208,6 +208,8 @@ def synthesize_parts(problem: Problem, cells: Cells, one: Callable[[Problem, Cel
         "distinct_tasks": len(found),
     }
     if problem.specification.semantics != "co-safe":  # of these the parts ask for more than the whole does
-        most = math.prod(dict(part.stats)["abstract_upper_bound"] for part in parts)  # type: ignore[misc]
-        stats["abstract_upper_bound"] = min(1.0, most * (1.0 + 4.0 * len(parts) * UNIT))
+        for name in ("abstract_upper_bound", "continuous_upper_bound"):
+            bounds: list[Any] = [dict(part.stats)[name] for part in parts]
+            if None not in bounds:
+                stats[name] = min(1.0, math.prod(bounds) * (1.0 + 4.0 * len(parts) * UNIT))
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ from .bounds import (
 )
 from .certificate import EXACT_GAP, AgentPart, Certificate
 from .choices import InputMenu
+from .continuous_bound import continuous_upper_bound
 from .controller import Controller
 from .described_relation import describe_relation
 from .horizons import laws_from
@@ -50,7 +51,8 @@ class Synthesis:
     stats : dict
         ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),
         ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
-        ``optimum``), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
+        ``optimum``), ``continuous_upper_bound`` (no policy of the continuous system does better; None where there is
+        no bound), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
         state; None for tensor trains and stationary policies), and with
         ``relation="best"`` what was ``tried``: the lower bound of each relation, or why it does not apply.
     """
@@ -163,14 +165,18 @@ def _on(
             "stationary": stationary, "limits": vars(search.limits), "final_limits": vars(FINAL)}  # fmt: skip
     how = "stationary policies from " if stationary else ""
     certificate = certify(problem, abstraction, joint, best, used, f"{how}occupancy-weighted coordinate ascent")
+    start = start_of(problem, joint)
+    anywhere = continuous_upper_bound(problem, joint, start)
+    most = abstract_bound(problem, joint, start, found.relaxations, certificate.lower_bound)
+    if anywhere is not None and certificate.delta == 0.0:  # what abstract policies attain, continuous ones do
+        most = min(most, anywhere)
     stats: dict[str, object] = {
         "sweeps": found.values,
         "starts": found.starts,
         "rank": certificate.rank,
         "dropped": best.dropped,
-        "abstract_upper_bound": abstract_bound(
-            problem, joint, start_of(problem, joint), found.relaxations, certificate.lower_bound
-        ),
+        "abstract_upper_bound": most,
+        "continuous_upper_bound": anywhere,
         "unilateral_gain": None if stationary else found.unilateral_gain,
     }
     return Synthesis(certificate, certificate.controller, stats)

@@ -52,7 +52,7 @@ class ValidationReport:
     details : dict
         Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
         logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply; ``abstract_upper_bound``,
-        ``unilateral_gain`` and ``tried`` of a synthesis (see ``synthesize``).
+        ``continuous_upper_bound``, ``unilateral_gain`` and ``tried`` of a synthesis (see ``synthesize``).
     """
 
     problem: str
@@ -92,8 +92,9 @@ class ValidationReport:
         start = {"point": "from the initial state", "mean": "mean over the initial box"}[self.details["start"]]
         above, notes = [], []
         if "abstract_upper_bound" in self.details:
-            most = math.ceil(self.details["abstract_upper_bound"] * 1e6) / 1e6
-            above.append(f"optimum      <= {most:.6f} for any policy on these cells (finer ones may do better)")
+            text = f"optimum      <= {_rounded_up(self.details['abstract_upper_bound'])} for any policy on these cells"
+            most = self.details.get("continuous_upper_bound")
+            above.append(f"{text}, <= {_rounded_up(most)} for any whatever" if most is not None and most < 1 else text)
         for relation, outcome in self.details.get("tried", {}).items():
             above.append(
                 f"tried        {relation}: {shown_bound(outcome, None) if isinstance(outcome, float) else outcome}"
@@ -124,6 +125,11 @@ class ValidationReport:
         )
 
 
+def _rounded_up(most: float) -> str:
+    """An upper bound, its digits rounded up so that what is printed holds too."""
+    return f"{math.ceil(most * 1e6) / 1e6:.6f}"
+
+
 def shown_bound(lower: float, gap: float | None) -> str:
     """A bound in words, its digits rounded down so that what is printed holds too."""
     digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
@@ -132,7 +138,7 @@ def shown_bound(lower: float, gap: float | None) -> str:
     return claim if gap is None else f"{claim} (exact to {gap:.1e})"
 
 
-_ABOUT_SEARCH = ("abstract_upper_bound", "unilateral_gain", "tried")
+_ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain", "tried")
 """What reports take from the statistics of a synthesis."""
 
 

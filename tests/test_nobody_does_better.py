@@ -1,0 +1,151 @@
+"""Upper bounds for all continuous policies lie above certificates, rollouts, and the suprema they stand for."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import certigym as cg
+from certigym.synthesis import continuous_bound
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.continuous_bound import Optimist, continuous_upper_bound
+from certigym.synthesis.joint import join, start_of
+from certigym.validation.verdict import clopper_pearson
+from problems import scalar_agent, two_agents
+
+FALSE_ALARM = 1e-6
+
+
+def bound(problem: cg.Problem, cells: object) -> float:
+    joint = join(problem, abstract(problem, cells))  # type: ignore[arg-type]
+    most = continuous_upper_bound(problem, joint, start_of(problem, joint))
+    assert most is not None
+    return most
+
+
+@pytest.mark.parametrize("n_cells", [6, 12, 40])
+@pytest.mark.parametrize("dynamics", [([[0.9]], [[0.5]]), ([[1.3]], [[0.02]]), ([[-0.7]], [[1.0]])])
+def test_one_step_lies_above_what_points_and_inputs_lead_to(n_cells: int, dynamics: tuple[object, object]) -> None:
+    """Expectations by the normal distribution function, at many points of every cell and many inputs."""
+    agent = scalar_agent("one", A=dynamics[0], B=dynamics[1], offset=[0.3], noise_covariance=[[0.16]])
+    problem = cg.Problem(
+        name="one", horizon=1, agents=[agent], propositions={"a": cg.Proposition("one", [1.0], [3.0])},
+        specification=cg.Specification("F a", "co-safe"),
+    )  # fmt: skip
+    model = abstract(problem, n_cells, relation="auto").models[0]
+    optimist = Optimist.of(agent, model)
+    assert optimist is not None
+    (edges,) = model.grid.edges
+    rng = np.random.default_rng(n_cells)
+    for sharp in range(6):
+        value = rng.random(len(edges) - 1) ** (1 + 4 * sharp)
+        most = optimist.back(value)
+        for share, u in itertools.product(np.linspace(0.0, 1.0, 9), np.linspace(-2.0, 2.0, 41)):
+            x = edges[:-1] + share * np.diff(edges)
+            mean = agent.A[0, 0] * x + agent.B[0, 0] * u + 0.3
+            masses = np.diff(norm.cdf((edges[None] - mean[:, None]) / 0.4), axis=1)
+            assert np.all(masses @ value <= most + 1e-12)
+
+
+def test_one_step_in_the_plane_with_correlated_noise() -> None:
+    agent = cg.LinearAgent(
+        name="one", A=[[0.9, 0.3], [-0.2, 0.8]], B=[[0.0], [0.4]], noise_covariance=[[0.3, 0.15], [0.15, 0.2]],
+        state_low=[-3.0, -3.0], state_high=[3.0, 3.0], input_low=[-1.0], input_high=[1.0], initial_state=[0.0, 0.0],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="one", horizon=1, agents=[agent], propositions={"a": cg.Proposition("one", [1.0, 1.0], [3.0, 3.0])},
+        specification=cg.Specification("F a", "co-safe"),
+    )  # fmt: skip
+    model = abstract(problem, 24, relation="tube").models[0]
+    optimist, rng = Optimist.of(agent, model), np.random.default_rng(0)
+    assert optimist is not None
+    value = rng.random(model.grid.n_cells) ** 8
+    most = optimist.back(value)
+    normals = rng.standard_normal((20_000, 2)) @ agent.noise_factor.T
+    inverse = np.linalg.inv(model.relation.coordinates)
+    for s in rng.integers(model.grid.n_cells, size=20):
+        for _ in range(4):
+            point = model.grid.low[s] + rng.random(2) * (model.grid.high[s] - model.grid.low[s])
+            x = model.relation.coordinates @ point
+            after = (agent.A @ x + agent.B[:, 0] * rng.uniform(-1, 1) + normals) @ inverse.T
+            inside = np.all((after >= model.grid.low.min(axis=0)) & (after < model.grid.high.max(axis=0)), axis=1)
+            worth = value[model.grid.cell_of(after[inside].T)]
+            error = 5.0 * np.sqrt(0.25 / len(after))  # 1e-6
+            assert worth.sum() / len(after) <= most[s] + error
+
+
+def test_without_the_curvature_one_step_would_be_too_low(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Means between lattice points can do better than those on it: the allowance for them is needed."""
+    monkeypatch.setattr(continuous_bound, "CURVATURE", 0.0)
+    with pytest.raises(AssertionError):
+        test_one_step_lies_above_what_points_and_inputs_lead_to(12, ([[1.3]], [[0.02]]))
+
+
+@pytest.mark.parametrize(
+    ("problem_id", "horizon", "coarse", "fine"),
+    [
+        ("reach-avoid-v0", 6, (60, 120, 250, 500), 1000),
+        ("reach-avoid-v0", 3, (60, 250), 500),
+        ("car-park-v0", 20, (60, 200), 600),
+        ("invariance-4-v0", 7, (40, 100), 200),
+        ("reach-avoid-n-v0", 3, (40, 80), 160),
+        ("building-automation-v0", 3, ([40, 30],), [80, 60]),
+    ],
+)
+def test_finer_certificates_stay_below(problem_id: str, horizon: int, coarse: tuple, fine: object) -> None:
+    """The 500-cell abstract optimum of reach-avoid is exceeded by the 1000-cell certificate; this bound is not."""
+    problem = cg.make_problem(problem_id).replace(horizon=horizon)
+    certificate = cg.synthesize(problem, fine).certificate  # type: ignore[arg-type]
+    found = [bound(problem, cells) for cells in coarse]
+    assert all(certificate.lower_bound <= most for most in found)
+    runs = cg.rollout(problem, certificate.controller, 20_000, seed=0)
+    assert clopper_pearson(runs.successes, runs.episodes, 1 - FALSE_ALARM)[0] <= min(found)
+
+
+def test_the_bound_is_tight_where_cells_are_small() -> None:
+    problem = cg.make_problem("reach-avoid-v0", horizon=6)
+    result = cg.synthesize(problem, 1000)
+    most = result.stats["continuous_upper_bound"]
+    assert isinstance(most, float) and result.certificate.lower_bound < most < 0.9956
+    assert result.stats["abstract_upper_bound"] <= most  # type: ignore[operator]
+    assert f"<= {np.ceil(most * 1e6) / 1e6:.6f} for any whatever" in str(cg.validate(result, 1_000))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_problems_stay_below(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    formula = ["(!b | !c) U a", "F (a & F c)", "!b U (a & d)", "G (!b | !c)"][seed % 4]
+    semantics = "finite-trace" if formula.startswith("G") else "co-safe"
+    problem = two_agents(
+        formula, semantics, horizon=3, A=[[rng.uniform(0.5, 1.2)]], offset=[rng.uniform(-0.2, 0.2)],
+        noise_covariance=[[rng.uniform(0.05, 0.5)]], initial_state=[rng.uniform(-1.5, 0.9)],
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, 120).certificate
+    for cells in (20, 40, 80):
+        assert certificate.lower_bound <= bound(problem, cells)
+
+
+def test_boxes_of_starts_are_averaged() -> None:
+    problem = two_agents("(!b | !c) U a", horizon=2).replace(initial_low=[0.05, -0.4], initial_high=[0.77, 1.0])
+    most = bound(problem, 60)
+    assert cg.synthesize(problem, 120).certificate.lower_bound <= most < 1.0
+    starts = np.random.default_rng(0).uniform([0.05, -0.4], [0.77, 1.0], size=(200, 2))
+    at_points = [bound(problem.replace(initial_state=start), 60) for start in starts]
+    assert most == pytest.approx(np.mean(at_points), abs=0.03)
+
+
+def test_independent_tasks_multiply_them() -> None:
+    meet = " & ".join(f"F near_{k}" for k in range(11))
+    agents = scalar_agent("one", initial_state=[-1.0]).copies(11)
+    problem = cg.Problem(
+        name="many", horizon=1, agents=agents, propositions={"near": cg.Proposition("one_*", [0.0], [1.0])},
+        specification=cg.Specification(meet, "finite-trace"),
+    )  # fmt: skip
+    result = cg.synthesize(problem, 400)
+    most = result.stats["continuous_upper_bound"]
+    alone = cg.synthesize(problem.tasks[0], 400).stats["continuous_upper_bound"]
+    assert isinstance(most, float) and isinstance(alone, float)
+    assert result.certificate.lower_bound <= most == pytest.approx(alone**11) and most < 0.9
