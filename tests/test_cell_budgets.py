@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.cells import cells_at, snapping_loss
+from certigym.synthesis.refine import refine
 from problems import two_agents
 
 
@@ -120,3 +122,16 @@ def test_budgets_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "finer cells need more memory" in capsys.readouterr().out
     assert main(["synthesize", "reach-avoid-v0", "--memory", "much", "--out", str(out)]) == 2
     assert "`--memory`: expected a number of bytes such as 500M or 2G, got 'much'" in capsys.readouterr().err
+
+
+def test_the_largest_bound_of_all_runs_is_kept() -> None:
+    bounds = iter([0.3, 0.5, 0.4])
+
+    def run(cells: object) -> Any:
+        try:
+            return SimpleNamespace(certificate=SimpleNamespace(lower_bound=next(bounds)))
+        except StopIteration:
+            raise ValueError("no more") from None
+
+    best, record = refine(cg.make_problem("reach-avoid-v0"), run, "auto", 2e7, None)
+    assert best.certificate.lower_bound == record["lower_bound"] == 0.5

@@ -160,7 +160,8 @@ def test_bounds_that_forget_lost_relations_are_refused(value: str) -> None:
         propositions={"goal": cg.Proposition("one", [1.0], [3.0])}, specification=cg.Specification("F goal", "co-safe"),
     )  # fmt: skip
     certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3, value=value).certificate
-    assert certificate.delta > 0 and cg.check(certificate)
+    assert certificate.delta > 0 and certificate.lower_bound > 0.1 and cg.check(certificate)
+    assert not cg.check(replace(certificate, lower_bound=certificate.lower_bound + 0.01))
     refused = ["nominal", "none", ""] + ["robust tree"] * (value == "train")
     for bound in refused:
         assert not cg.check(replace(certificate, bound=bound))

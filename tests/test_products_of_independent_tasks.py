@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from certigym.synthesis import product
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.oracle import dense_optimum
 from certigym.synthesis.product import ProductCertificate
+from certigym.synthesis.product_controller import ProductController
 from certigym.validation.cluster import executor_for
-from certigym.validation.rollout import Loop, arranged, frames, rollout
+from certigym.validation.rollout import Loop, arranged, chunk_results, frames, rollout
 from certigym.validation.verdict import REFUTED
 
 FALSE_ALARM = 1e-6
@@ -124,7 +126,11 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
 def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, problem = pairs(2, 4, "co-safe"), apart(monkeypatch, 2, 4, "co-safe")
     optimum = dense_optimum(whole, list(abstract(whole, 10).models))
-    certificate = cg.synthesize(problem, 10).certificate
+    result = cg.synthesize(problem, 10)
+    certificate = result.certificate
+    assert isinstance(certificate, ProductCertificate)
+    known = ProductCertificate(problem, tuple(replace(part, gap=0.0) for part in certificate.parts))
+    assert known.gap is None and not known.exact and "abstract_upper_bound" not in result.stats
     cells = [abstract(whole, 10).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
     assert 0.0 < certificate.lower_bound <= optimum[(whole.initial_q, *cells)]
 
@@ -159,6 +165,8 @@ def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
     low, high = [-2.0, 1.0, -1.5, 1.0], [-1.5, 2.0, -1.0, 1.5]
     smallest, mean = certificate.min(low, high), certificate.mean(low, high)
     inside = np.random.default_rng(1).uniform(low, high, size=(500, 4))
+    of_parts = [part.mean(low[k : k + 2], high[k : k + 2]) for part, k in zip(certificate.parts, (0, 2), strict=True)]
+    assert mean == pytest.approx(math.prod(of_parts), rel=1e-12)
     assert smallest <= certificate.at(inside).min() and smallest < mean < certificate.at(inside).max()
     moved = problem.replace(initial_state=states[0])
     assert cg.synthesize(moved, 40).certificate.lower_bound > 0.0
@@ -175,6 +183,54 @@ def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatc
     assert one_finer.certificate.parts[0].agents[0].grid.n_cells > one_finer.certificate.parts[3].agents[0].grid.n_cells
     with pytest.raises(ValueError, match="expected names of agents"):
         cg.synthesize(problem, {"nobody": 20})
+
+
+def test_parts_have_to_be_those_of_the_whole_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = apart(monkeypatch, 2, 3, starts=(-2.0, -1.2))
+    certificate = cg.synthesize(problem, 20).certificate
+    assert isinstance(certificate, ProductCertificate)
+    first, second = certificate.parts
+    assert cg.check(certificate)
+    for parts in [(second, first), (second, second), (second,)]:
+        assert not cg.check(ProductCertificate(problem, parts))
+
+
+def test_tasks_that_differ_in_a_region_alone_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(independent, "MOST_STATES", 0)
+    agents = [pairs(1).agents[0].replace(name=name) for name in ("one", "two")]
+    problem = cg.Problem(
+        name="goals", horizon=3, agents=agents,
+        propositions={"a": cg.Proposition("one", [-1.0], [0.0]), "b": cg.Proposition("two", [1.0], [2.0])},
+        specification=cg.Specification("F a & F b", "finite-trace"),
+    )  # fmt: skip
+    result = cg.synthesize(problem, 20)
+    assert result.stats["distinct_tasks"] == 2 and cg.check(result.certificate)
+
+
+def test_given_starts_are_those_of_every_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = apart(monkeypatch, 2, 3)
+    starts = np.array([[-0.5, -0.5, -0.5, -0.5], [-0.5, -0.5, -0.5, 9.0], [9.0, -0.5, -0.5, -0.5]])
+    loop = Loop(problem, cg.synthesize(problem, 20).controller, seed=1, chunk=300, starts=starts)
+    ((first, _),) = [(one.success, one.inadmissible) for one in chunk_results(loop, [(0, 300)])]
+    assert first[0::3].sum() > 50 and not first[1::3].any() and not first[2::3].any()
+
+
+def test_parts_of_a_controller_draw_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = apart(monkeypatch, 2, 3)
+    drawn: list[int | None] = []
+
+    class Part:
+        def __init__(self, task: cg.Problem) -> None:
+            self.problem = task
+
+        def reset(self, observations: object, infos: object, seed: int | None) -> None:
+            drawn.append(seed)
+
+    parts: Any = tuple(Part(task) for task in problem.tasks)
+    controller, observations = ProductController(problem, parts), dict.fromkeys(problem.agent_names)
+    for seed in (3, 3, 4):
+        controller.reset(observations, None, seed)
+    assert drawn[:2] == drawn[2:4] and len(set(drawn)) == 4
 
 
 def test_agents_without_a_task_have_to_stay_in_the_workspace(monkeypatch: pytest.MonkeyPatch) -> None:

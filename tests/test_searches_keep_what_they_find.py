@@ -276,3 +276,12 @@ def test_trains_try_staged_starts_where_others_fail() -> None:
     starts = result.stats["starts"]
     assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
     assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)
+
+
+def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
+    """Starts in a box have several letters that lead to one automaton state."""
+    problem = two_agents(horizon=3, initial_state=None, initial_low=[-3.5], initial_high=[3.0])
+    result = cg.synthesize(problem, 24)
+    joint = join(problem, abstract(problem, 24))
+    assert max(len(rows) for rows in start_of(problem, joint).terms.index) > 1
+    assert float(result.stats["abstract_upper_bound"]) >= result.certificate.lower_bound > 0.1  # type: ignore[arg-type]

@@ -189,3 +189,15 @@ def test_the_command_line_splits(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe", "car-park-planar-v0", "--split"]) == 0
     text = capsys.readouterr().out
     assert "2 agents" in text and "!(p2_x0 & p2_x1) U (p1_x0 & p1_x1)" in text
+
+
+def test_axes_with_correlated_noise_stay_together() -> None:
+    values: dict[str, Any] = {"A": np.eye(2), "B": np.eye(2), "state_low": [-1, -1], "state_high": [1, 1],
+                              "input_low": [-1, -1], "input_high": [1, 1], "initial_state": [0, 0]}  # fmt: skip
+    for correlation, expected in ((0.0, 2), (0.05, 1)):
+        noise = [[0.1, correlation], [correlation, 0.1]]
+        problem = cg.Problem(
+            name="one", horizon=2, agents=[cg.LinearAgent(name="one", noise_covariance=noise, **values)],
+            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])}, specification=cg.Specification("F g", "co-safe"),
+        )  # fmt: skip
+        assert cg.split_axes(problem).n_agents == expected
