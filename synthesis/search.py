@@ -254,7 +254,7 @@ class _Trains:
     def search(self, starts: dict[str, Laws], naive: Laws) -> TrainSweep:
         """The best policies from several starts, those of the first one if there are no sweeps to be made."""
         for name, laws in starts.items():
-            if not self.is_good:
+            if self.how.max_sweeps and not self.is_good:
                 self.run(name, laws, self.how.max_sweeps)
         if not self.is_good and self.how.max_sweeps >= 2:
             staged = staged_starts(self.joint, self.start, naive)

@@ -236,3 +236,8 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     fine = sweep_trains(joint, laws, start, 1e-6, improve=False, share=0.0)
     assert abs(coarse.value - fine.value) <= coarse.terms.error + fine.terms.error
     assert coarse.rank <= fine.rank
+
+
+def test_no_sweeps_leave_the_first_start() -> None:
+    result = cg.synthesize(cg.make_problem("meeting-v0"), 12, value="train", max_sweeps=0, restarts=1)
+    assert cg.check(result.certificate) and result.stats["sweeps"] == []
