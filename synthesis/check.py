@@ -126,8 +126,13 @@ def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport
 
 
 def _check_form(certificate: Certificate) -> list[str]:
-    """The value function covers the horizon, and the bound is one that applies to it."""
+    """The value function covers the horizon, and what is said about the bound is right."""
     failures = []
+    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
+    if certificate.start != ("point" if point else "mean"):
+        failures.append(f"its start is called {certificate.start!r}, which it is not")
+    if any((part.relation["kind"] == "exact") != (part.menu is None) for part in certificate.agents):
+        failures.append("a relation and its choices do not belong together")
     tree = certificate.rounding is None
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
@@ -348,6 +353,8 @@ def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: f
     rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):
         failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
+    elif any(not value <= recomputed * (1.0 - rounding) for value in certificate.bounds.values()):
+        failures.append(f"it lists a bound that exceeds the recomputed value {recomputed:.12g}")
     if not rounding + 1e-11 * len(certificate.agents) <= certificate.relative_rounding <= 1.0:
         failures.append("its reserve for rounding is too small")
     tolerance = 1.0 + 1e-11

@@ -125,6 +125,14 @@ def keep_no_reserve_for_rounding(c: Certificate) -> Certificate:
     return replace(c, relative_rounding=0.0)
 
 
+def list_a_larger_bound(c: Certificate) -> Certificate:
+    return replace(c, bounds={**c.bounds, "robust tree": 1.0})
+
+
+def call_the_start_a_box(c: Certificate) -> Certificate:
+    return replace(c, start="mean")
+
+
 def keep_no_tree(c: Certificate) -> Certificate:
     return replace(c, skeleton=(), terms=replace(c.tree, index=tuple(rows[:1] for rows in c.tree.index)))
 
@@ -140,6 +148,7 @@ def drop_the_last_step(c: Certificate) -> Certificate:
         raise_the_bound, command_beyond_the_inputs, use_another_policy, narrow_the_cells, let_guards_overlap,
         swap_targets, count_a_vertex_twice, inflate_the_value_elsewhere, drop_the_last_step,
         hide_factors_behind_signs, turn_the_reserve_for_rounding_around, keep_no_reserve_for_rounding, keep_no_tree,
+        list_a_larger_bound, call_the_start_a_box,
     ],
 )  # fmt: skip
 def test_tampered_certificates_are_refused(
