@@ -82,10 +82,12 @@ def without_deadline(
         )
     if problem.groups:
         raise ValueError("`problem`: expected one task, got independent ones; take the problems of `problem.tasks`")
+    reusable = not {"memory", "accuracy"} & {*settings} and settings.get("relation") != "best"
     best = synthesize(problem, cells, stationary=True, **settings)
     while 2 * best.certificate.problem.horizon <= longest:
         longer = problem.replace(horizon=2 * best.certificate.problem.horizon)
-        found = synthesize(longer, cells, stationary=True, start=best.certificate, **settings)
+        start = best.certificate if reusable else None
+        found = synthesize(longer, cells, stationary=True, start=start, **settings)
         if found.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
             return max(best, found, key=lambda one: one.certificate.lower_bound)
         best = found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -285,3 +286,9 @@ def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
     joint = join(problem, abstract(problem, 24))
     assert max(len(rows) for rows in start_of(problem, joint).terms.index) > 1
     assert float(result.stats["abstract_upper_bound"]) >= result.certificate.lower_bound > 0.1  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("settings", [{"relation": "best"}, {"memory": 2e6}])
+def test_horizons_are_doubled_under_budgets_and_several_relations(settings: dict[str, Any]) -> None:
+    found = cg.without_deadline(cg.make_problem("car-park-v0").replace(horizon=2), longest=4, **settings)
+    assert found.certificate.problem.horizon == 4 and cg.check(found.certificate)
