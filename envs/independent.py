@@ -5,8 +5,9 @@ groups of agents, so is the outcome of every group, and the probability of the w
 automaton of the whole would need as many states as there are combinations of the groups' states (fifty pairs that are
 to meet: 2^50); the groups' own automata stay small.
 
-Conjunctions are found below ``&``, ``all``, ``G``, ``G[a,b]``, ``X`` and ``N``, and below the negations of their duals,
-all of which distribute over them. An agent that no conjunct speaks of is to stay in its workspace.
+Conjunctions are found below ``&``, ``all``, ``G``, ``G[a,b]``, ``X`` and ``N``, and below the negations of ``|``,
+``any``, ``->``, ``F`` and ``F[a,b]``, all of which distribute over them. An agent that no conjunct speaks of is to stay
+in its workspace.
 
 A co-safe task of the whole is satisfied at the step at which the last group accepts, and until then every agent has to
 stay in its workspace, also those of groups that are done. So a group of a co-safe task is judged at the horizon, like
