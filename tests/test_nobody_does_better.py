@@ -149,3 +149,17 @@ def test_independent_tasks_multiply_them() -> None:
     alone = cg.synthesize(problem.tasks[0], 400).stats["continuous_upper_bound"]
     assert isinstance(most, float) and isinstance(alone, float)
     assert result.certificate.lower_bound <= most == pytest.approx(alone**11) and most < 0.9
+
+
+def test_starts_whose_letter_is_not_certain_count_in_full() -> None:
+    """A ninth of the start box is in the region, which cuts through the cell that holds the box."""
+    agent = cg.LinearAgent(
+        name="plane", A=0.5 * np.eye(2), B=np.eye(2), noise_covariance=0.1 * np.eye(2), output_matrix=[[1.0, 1.0]],
+        state_low=[-4.0, -4.0], state_high=[4.0, 4.0], input_low=[-0.01, -0.01], input_high=[0.01, 0.01],
+        initial_low=[-0.2, -0.2], initial_high=[0.2, 0.2],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="cut", horizon=1, agents=[agent], propositions={"near": cg.Proposition("plane", [0.0], [0.05])},
+        specification=cg.Specification("near", "co-safe"),
+    )  # fmt: skip
+    assert bound(problem, 5) > 0.05 * 2.5 * 0.9
