@@ -269,7 +269,8 @@ class _Trains:
         laws = next(iter(starts.values())) if self.best is None else self.best.laws
         value = self.most if self.best is None else max(self.best.value, 1e-6)
         tolerance = _tolerance(min(self.fine * value, max(FAILURE * (1.0 - value), 1e-3 * self.fine)))
-        return sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=tolerance / value * VISITED)
+        share = VISITED * min(self.fine, tolerance / value)  # the tolerance may be more, where the value is next to 0
+        return sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=share)
 
     def run(self, name: str, laws: Laws, sweeps: int) -> TrainSweep:
         """Sweep from ``laws`` until nothing improves; the last sweep."""
