@@ -16,11 +16,6 @@ import time
 from typing import Any
 
 import certigym as cg
-from certigym.synthesis.ascent import Limits, sweep
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.relaxation import relax, relaxed_laws, upper_bound
-from certigym.synthesis.search import FINAL
-from certigym.synthesis.synthesize import Synthesis, certify
 from certigym.validation.policies import RandomController
 from certigym.validation.rollout import rollout
 from certigym.validation.verdict import clopper_pearson
@@ -38,6 +33,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "integrator-chain-v0": {"cells": [800, 800]},
     "meeting-v0": {"cells": 64},
     "package-delivery-eased-v0": {"cells": 250},
+    "package-delivery-kinematic-v0": {"cells": [250, 100]},
     "package-delivery-single-v0": {"cells": 240},
     "package-delivery-v0": {"cells": 250},
     "patrol-recharge-v0": {"cells": 160},
@@ -47,36 +43,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """Settings of `synthesize` where the defaults would be too many cells for a page, or too few."""
 
 
-SWEEPS = 3
-RELAXED = {"package-delivery-kinematic-v0": [250, 100]}
-"""Problems searched from the relaxed start alone, and their cells: `synthesize` comes to it too, but its further starts
-take ten times as long for the little that is left to gain."""
-
-
-def from_relaxation(problem: cg.Problem, cells: list[int]) -> Synthesis:
-    """Improving sweeps from the policies that each agent would have if the others followed."""
-    joint = join(problem, abstraction := cg.abstract(problem, cells))
-    start, relaxations = start_of(problem, joint), relax(problem, joint)
-    laws = relaxed_laws(relaxations)
-    for _ in range(SWEEPS):
-        laws = sweep(joint, laws, start, Limits(), improve=True).laws
-    best = sweep(joint, laws, start, FINAL, improve=False)
-    used = {**abstraction.settings, "limits": vars(Limits()), "final_limits": vars(FINAL)}
-    certificate = certify(problem, abstraction, joint, best, used, "occupancy-weighted coordinate ascent")
-    most = upper_bound(joint, start, relaxations)
-    return Synthesis(certificate, certificate.controller, {"abstract_upper_bound": most})
-
-
 def measured(id: str) -> dict[str, Any]:
     """Return the entry of one problem."""
     problem = cg.make_problem(id)
     result: dict[str, Any] = {"fingerprint": problem.fingerprint, "certificate": None}
     began = time.process_time()
     try:
-        if id in RELAXED:
-            found = from_relaxation(problem, RELAXED[id])
-        else:
-            found = cg.synthesize(problem, **SETTINGS.get(id, {}))
+        found = cg.synthesize(problem, **SETTINGS.get(id, {}))
     except ValueError as error:
         result["reason"] = " ".join(str(error).split())
     else:
