@@ -26,7 +26,7 @@ from certigym.synthesis.ascent import Limits, resting_laws, sweep
 from certigym.synthesis.controller import Controller
 from certigym.synthesis.guards import compile_guards
 from certigym.synthesis.joint import join, start_of
-from certigym.validation.rollout import CHUNK, BatchPolicy
+from certigym.validation.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
 DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875]

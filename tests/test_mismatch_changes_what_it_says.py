@@ -11,8 +11,9 @@ import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
 from certigym.synthesis.certificate import Certificate
+from certigym.validation.chunks import frames
+from certigym.validation.loop import Loop
 from certigym.validation.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
-from certigym.validation.rollout import Loop, frames
 from certigym.validation.stress import stress
 from problems import two_agents
 

@@ -24,8 +24,10 @@ from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.oracle import dense_optimum
 from certigym.synthesis.product import ProductCertificate
 from certigym.synthesis.product_controller import ProductController
+from certigym.validation.chunks import chunk_results, frames
 from certigym.validation.cluster import executor_for
-from certigym.validation.rollout import Loop, arranged, chunk_results, frames, rollout
+from certigym.validation.loop import Loop, arranged
+from certigym.validation.rollout import rollout
 from certigym.validation.verdict import REFUTED
 
 FALSE_ALARM = 1e-6

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 import certigym as cg
 from certigym.envs.dynamics import Dynamics
 from certigym.synthesis.certificate import Certificate
-from certigym.validation.rollout import run_chunk
+from certigym.validation.chunks import run_chunk
 from certigym.validation.verdict import CONFIRMED, CONSISTENT, REFUTED, clopper_pearson, verdict
 from problems import two_agents
 

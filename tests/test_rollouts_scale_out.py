@@ -23,8 +23,9 @@ from certigym.synthesis.certificate import Certificate
 from certigym.validation.audit import audit
 from certigym.validation.cluster import dask_cluster, executor_for, processes
 from certigym.validation.fields import find_weakest, validate_field
+from certigym.validation.loop import Loop
 from certigym.validation.report import gather_report
-from certigym.validation.rollout import TOGETHER, Loop, stream
+from certigym.validation.rollout import TOGETHER, stream
 from certigym.validation.stress import stress
 from certigym.validation.sweeps import sweep_horizons, synthesize_best
 from certigym.validation.validate import ValidationInterrupted

@@ -12,8 +12,10 @@ from certigym.envs import dynamics as core
 from certigym.envs import reading
 from certigym.envs.dynamics import Dynamics, Worlds
 from certigym.envs.suite import problem_ids
+from certigym.validation.chunks import frames
+from certigym.validation.loop import Loop, arranged
 from certigym.validation.mismatch import Mismatch
-from certigym.validation.rollout import Loop, arranged, frames, stream
+from certigym.validation.rollout import stream
 from problems import two_agents
 from sample_problems import mixed_problem, planar
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ..envs.dynamics import Dynamics, Worlds, joint
 from ..envs.problem import Problem
+from .loop import BatchPolicy
 from .policies import as_controller
-from .rollout import BatchPolicy
 from .views import CentralView, SharedView, View, inputs_of
 
 Array = NDArray[Any]

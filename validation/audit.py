@@ -32,8 +32,9 @@ from ..synthesis.terms import Terms
 from ..synthesis.train_value import Trains
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
 from .audit_report import AuditReport, report_of
+from .chunks import Frame, chunks_of, frames
 from .claims import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
-from .rollout import CHUNK, Batchable, Frame, Loop, arranged, chunks_of, frames
+from .loop import CHUNK, Batchable, Loop, arranged
 from .verdict import check_confidence
 
 STAKES = np.concatenate([0.9 * 0.5 ** np.arange(12.0)] * 2)

@@ -25,8 +25,9 @@ from ..synthesis.certificate import Certificate
 from ..synthesis.controller import Controller
 from ..synthesis.decentralised import LOCAL
 from ..synthesis.synthesize import Synthesis
+from .loop import CHUNK, Batchable
 from .policies import as_controller
-from .rollout import CHUNK, Batchable, Rollouts, rollout
+from .rollout import Rollouts, rollout
 from .train import Training
 from .validate import shown_bound
 from .verdict import clopper_pearson, holm, p_at_least

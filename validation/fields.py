@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate, checked_certificate
+from .loop import CHUNK, Loop
 from .mismatch import Mismatch
-from .rollout import CHUNK, Loop, stream
+from .rollout import stream
 from .starts import corner_starts, neighbours, random_starts
 from .verdict import (
     CONFIRMED,

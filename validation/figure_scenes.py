@@ -11,9 +11,10 @@ from ..envs.problem import Problem
 from ..envs.scene import panels
 from ..synthesis.certificate import Certificate
 from .automaton_drawing import edges, places
+from .chunks import paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, SERIES, SOFT, legend_above, new_figure
-from .rollout import Loop, paths
+from .loop import Loop
 from .validate import shown_bound
 
 if TYPE_CHECKING:

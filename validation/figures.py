@@ -16,6 +16,7 @@ from ..synthesis.certificate import Certificate
 from ..synthesis.regrow_trains import regrow_trains
 from ..synthesis.relation_coupled import CoupledRelation
 from ..synthesis.train_value import Trains
+from .chunks import frames
 from .claims import standing_cells
 from .figure_regions import bands, region_boxes
 from .figure_style import (
@@ -32,8 +33,8 @@ from .figure_style import (
     whole_ticks,
 )  # fmt: skip
 from .figure_style import new_figure as _new
+from .loop import Loop, arranged
 from .pictures import coordinate_name
-from .rollout import Loop, arranged, frames
 from .starts import slice_starts, workspace_box
 from .validate import ValidationReport, shown_bound
 

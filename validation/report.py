@@ -19,10 +19,11 @@ from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.check import CheckReport, check
 from .audit import audit
 from .audit_report import AuditReport
+from .chunks import paths
 from .claims import bound_by_steps_left, claimed_values
 from .fields import FieldReport, validate_field
+from .loop import CHUNK, Loop
 from .page import page_of
-from .rollout import CHUNK, Loop, paths
 from .starts import slice_starts, start_box
 from .validate import ValidationInterrupted, ValidationReport, validate
 

@@ -14,8 +14,9 @@ from typing import Any
 
 from ..spread import Executor
 from ..synthesis.certificate import Certificate, checked_certificate
+from .loop import CHUNK
 from .mismatch import FAMILIES, Mismatch
-from .rollout import CHUNK, rollout
+from .rollout import rollout
 from .validate import claim_at
 from .verdict import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
 

@@ -17,8 +17,9 @@ from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate, checked_certificate
 from ..synthesis.product import ProductCertificate
 from ..synthesis.synthesize import Synthesis
+from .loop import CHUNK, Loop
 from .mismatch import Mismatch
-from .rollout import CHUNK, Loop, stream
+from .rollout import stream
 from .sequential import SequentialState, confidence_sequence
 from .verdict import CONSISTENT, REFUTED, check_confidence, clopper_pearson, verdict
 
