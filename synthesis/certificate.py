@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem
 from .abstraction import Relation
+from .agent_controller import AgentController
 from .ascent import Skeleton
 from .bounds import joint_delta, term_depths
-from .controller import AgentController, Controller
+from .controller import Controller
 from .described_relation import relation_from
 from .grid import FloatArray, Grid, start_share
 from .guards import Guards

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem
-from .controller import AgentController, Controller
+from .agent_controller import AgentController
+from .controller import Controller
 from .grid import FloatArray, Grid
 
 LOCAL = "own state, automaton state, time"

@@ -70,7 +70,7 @@ class ProductController:
         return {name: actions[name] for name in observations}
 
     def batch(self, dynamics: Dynamics) -> Any:
-        """Refused: batches are simulated part by part (``validation.rollout.Loop``)."""
+        """Refused: batches are simulated part by part (``validation.loop.Loop``)."""
         raise ValueError(
             f"`dynamics`: expected none, got those of {dynamics.problem.name!r}; tasks that fall apart are simulated "
             "part by part: take the controllers of `.parts`"

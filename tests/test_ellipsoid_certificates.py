@@ -16,7 +16,7 @@ from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
 from certigym.synthesis import abstraction
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.controller import BatchMemory
+from certigym.synthesis.batch_controller import BatchMemory
 from certigym.synthesis.labels import cell_labels
 from certigym.synthesis.relation_coupled import CoupledRelation
 from certigym.validation.verdict import REFUTED

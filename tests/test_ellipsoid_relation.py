@@ -16,10 +16,10 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 import problems
 from certigym.synthesis import relation_ellipsoid
+from certigym.synthesis.abstract_state import Memory, follow
 from certigym.synthesis.agent_models import ellipsoid_model
 from certigym.synthesis.certificate import AgentPart
 from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.controller import Memory, follow
 from certigym.synthesis.described_relation import check_description, describe_relation, relation_from
 from certigym.synthesis.ellipsoid_search import find_ellipsoid
 from certigym.synthesis.grid import Grid

@@ -13,11 +13,11 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
+from certigym.synthesis.abstract_state import Memory, follow
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Limits, forward, resting_laws, start_value, sweep
 from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
 from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.controller import Memory, follow
 from certigym.synthesis.heuristics import paper_laws, paper_steps
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.relation_coupled import CoupledRelation, couple, coupling_failure

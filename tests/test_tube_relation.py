@@ -11,7 +11,7 @@ import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.controller import BatchMemory
+from certigym.synthesis.batch_controller import BatchMemory
 from certigym.synthesis.relation_coupled import CoupledRelation
 from certigym.synthesis.relation_tube import tube_generators, tube_relation
 from certigym.validation.verdict import REFUTED

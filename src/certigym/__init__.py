@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from .envs.translate import translate as translate
     from .envs.vector_env import vector_env as vector_env
     from .synthesis.abstraction import abstract as abstract
+    from .synthesis.agent_controller import AgentController as AgentController
     from .synthesis.certificate import Certificate as Certificate
     from .synthesis.certificate_file import load_certificate as load_certificate
     from .synthesis.certificate_file import save_certificate as save_certificate
     from .synthesis.certify import certify as certify
     from .synthesis.certify import improve as improve
     from .synthesis.check import check as check
-    from .synthesis.controller import AgentController as AgentController
     from .synthesis.controller import Controller as Controller
     from .synthesis.decentralised import InputTable as InputTable
     from .synthesis.decentralised import vectorized as vectorized
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     from .validation.validate import validate as validate
 
 _EXPORTS = {
-    "AgentController": "synthesis.controller",
+    "AgentController": "synthesis.agent_controller",
     "AuditReport": "validation.audit_report",
     "Automaton": "envs.automaton",
     "Box": "envs.box",
