@@ -97,15 +97,20 @@ def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: floa
     return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
 
 
-def train_bound(joint: JointModel, sweep: TrainSweep) -> Bound:
+def train_bound(joint: JointModel, sweep: TrainSweep, above: float | None = None) -> Bound:
     """Bound of a value held as tensor trains: less its error and, where relations can be lost, ``Delta T``.
 
-    A tenth of the tolerance is held back for a second evaluation, whose rounding may choose otherwise.
+    A tenth of the tolerance is held back for a second evaluation, whose rounding may choose otherwise. ``above``, an
+    upper bound on what the policies attain (see ``train_above``), gives the gap.
     """
     delta = joint_delta([model.delta for model in joint.models])
     reserve = sweep.terms.error + 0.1 * sweep.rounding.tolerance + relative_rounding(joint, sweep.rank)
-    lower = sweep.value - reserve - delta * joint.horizon * INFLATE
-    return Bound("a-posteriori" if delta > 0 else "nominal", min(1.0, max(0.0, lower)))
+    lower = min(1.0, max(0.0, sweep.value - reserve - delta * joint.horizon * INFLATE))
+    if delta > 0 or above is None:
+        return Bound("a-posteriori" if delta > 0 else "nominal", lower)
+    loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
+    more = 0.1 * sweep.rounding.tolerance + relative_rounding(joint, sweep.rank) + loss
+    return Bound("nominal", lower, float(min(max(0.0, above + more - lower) * (1 + 1e-12), 1.0 - lower)))
 
 
 def a_posteriori_bound(joint: JointModel, sweep: Sweep, undecided: float) -> Bound:

@@ -37,6 +37,7 @@ from .product import synthesize_parts
 from .refine import refine
 from .search import FINAL, Search, improve
 from .stationary import stationary_best, time_invariant
+from .train_above import evaluate_above, start_above
 from .train_ascent import TrainSweep
 
 
@@ -232,7 +233,10 @@ def certify(
     """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
     grown: Sweep | TrainSweep
     if isinstance(best, TrainSweep):
-        grown, bound = best, train_bound(joint, best)
+        above = None
+        if abstraction.is_exact:
+            above = start_above(start_of(problem, joint), evaluate_above(joint, best.laws, best.rounding))
+        grown, bound = best, train_bound(joint, best, above)
         bounds = {bound.name: bound.lower}
     else:
         grown, bound, bounds = best_bound(problem, abstraction, joint, best)

@@ -15,7 +15,7 @@ a set of joint cells, which a deterministic diagram over the agents describes (`
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -120,6 +120,21 @@ Masked = tuple[Train, Diagram]
 def ones(n_cells: Sequence[int], cells: Cells = None) -> Train:
     """The train that is 1 everywhere, or on the given cells."""
     return Train(tuple(np.ones((1, n, 1)) for n in (n_cells if cells is None else map(len, cells))), 0.0, cells)
+
+
+def added(one: Train, other: Train | None) -> Train:
+    """Sum of two trains that cover the same cells, its columns those of both; the first one if there is no other."""
+    if other is None:
+        return one
+    cores = []
+    for i, (a, b) in enumerate(zip(one.cores, other.cores, strict=True)):
+        first, last = i == 0, i == len(one.cores) - 1
+        core = np.zeros((a.shape[0] + (not first) * b.shape[0], a.shape[1], a.shape[2] + (not last) * b.shape[2]))
+        core[: a.shape[0], :, : a.shape[2]] = a
+        core[-b.shape[0] :, :, -b.shape[2] :] += b
+        cores.append(core)
+    total = Train(tuple(cores), one.error + other.error, one.cells)
+    return total if len(cores) > 1 else replace(total, error=total.error + UNIT * frobenius_sup(cores[0]))
 
 
 def diagram(masks: Sequence[NDArray[np.bool_]], cubes: NDArray[Any]) -> Diagram:

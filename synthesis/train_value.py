@@ -24,7 +24,7 @@ from .guards import Guards
 from .joint import JointModel
 from .kernel import UNIT
 from .occupancy import Occupancy
-from .train import Cells, Core, Diagram, Train, diagram, frobenius_sup, ones, rounded
+from .train import Cells, Core, Diagram, Train, added, diagram, frobenius_sup, ones, rounded
 
 ROWS = 256
 """Rows of a core that are smoothed at once."""
@@ -208,11 +208,13 @@ def backward(
     tolerance: float,
     each: Callable[[int, Trains], None] | None = None,
     visited: Sequence[Cells] | None = None,
+    beside: Callable[[int, int], Train | None] | None = None,
 ) -> Trains:
     """Value function at time 0 under the laws that ``choose`` gives, rounded by at most ``tolerance`` in all.
 
     ``each(t, value)`` is called with the value function at every time t = T - 1 .. 0. With ``visited``, the cells at
     times 0 .. T, a run that leaves them counts as failed: a lower bound still, with far less to be rounded.
+    ``beside(t, q)`` is added to the value of a step where acceptance can still be reached (see ``train_above``).
     """
     where = [None] * (joint.horizon + 1) if visited is None else visited
     value = terminal(joint, where[-1])
@@ -224,7 +226,11 @@ def backward(
                 states.append(ones(joint.n_cells, where[t]) if joint.accepting[q] else None)
                 continue
             arriving = arrival(value, ways[q], share)
-            states.append(None if arriving is None else moved(arriving, joint.models, choose(t, q, arriving), where[t]))
+            if arriving is None:
+                states.append(None)
+                continue
+            own = moved(arriving, joint.models, choose(t, q, arriving), where[t])
+            states.append(added(own, None if beside is None else beside(t, q)))
         value = Trains(tuple(states))
         if each is not None:
             each(t, value)

@@ -15,7 +15,7 @@ from certigym.synthesis.ascent import Laws
 from certigym.synthesis.joint import JointModel, join, start_of
 from certigym.synthesis.oracle import dense_optimum, dense_value
 from certigym.synthesis.relaxation import relax, relaxed_laws, upper_bound
-from certigym.synthesis.train import Diagram, Train, diagram, rounded
+from certigym.synthesis.train import Diagram, Train, added, diagram, rounded
 from certigym.synthesis.train_ascent import sweep_trains
 from certigym.synthesis.train_value import Rounding, evaluate
 from test_tree_equals_dense_programming import FORMULAS, problem_of
@@ -58,6 +58,21 @@ def test_rounding_a_masked_sum_changes_it_by_no_more_than_it_says(seed: int, tol
     made = found.error - 0.04  # the larger of the parts' own errors is carried along
     assert np.max(np.abs(dense(found) - total)) <= made
     assert made <= tolerance + 1e-9
+
+
+@pytest.mark.parametrize("n_agents", [1, 2, 3])
+def test_sums_of_trains_are_sums(n_agents: int) -> None:
+    rng = np.random.default_rng(n_agents)
+
+    def train(rank: int, error: float) -> Train:
+        ranks = [1, *[rank] * (n_agents - 1), 1]
+        return Train(tuple(rng.standard_normal((a, 4, b)) for a, b in zip(ranks, ranks[1:])), error)
+
+    one, other = train(2, 0.25), train(3, 0.5)
+    total = added(one, other)
+    np.testing.assert_allclose(dense(total), dense(one) + dense(other), atol=1e-12)
+    assert 0.75 <= total.error <= 0.75 + 1e-12
+    assert added(one, None) is one
 
 
 def test_rounding_pays_in_columns() -> None:
