@@ -9,7 +9,9 @@ keeps, its sum is a lower bound; so a certificate is right if
 3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
-   exceeds its regrown one.
+   exceeds its regrown one;
+5. where it says how far above its bound the probability may be (``gap``), nothing is lost anywhere, and what its
+   policies attain, evaluated forward in time, is no more than that (``check_above``).
 
 United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
 """
@@ -23,16 +25,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.agent import LinearAgent
 from ..envs.box import Box
 from ..envs.problem import Problem
-from .certificate import AgentPart, Certificate, checked_certificate
-from .checked_kernel import axis_tables, grid_noise
-from .grid import start_share
+from .certificate import EXACT_GAP, Certificate, checked_certificate
+from .check_above import MOST, attained, inexact
+from .check_guards import wrong_guards
+from .checked_kernel import grid_noise
+from .checked_mass import TooManyProducts, masses
 from .product import ProductCertificate
 from .regrow import BrokenTreeError, regrow
 from .regrow_trains import BrokenTrainError, regrow_trains
-from .relation_coupled import CoupledRelation
 from .terms import Terms
 from .train_value import Trains
 from .verify_relation import verify_relation
@@ -41,6 +43,9 @@ FloatArray = NDArray[Any]
 
 CORRELATION = 1e-11
 """Largest correlation of the noises of two grid axes that passes for rounding."""
+
+DROPPED, SPARE = 1e-12, 1e-9
+"""Undecided mass that may be dropped per step, and what is added to it for rounding."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +61,24 @@ class CheckReport:
         Value at the start computed again (NaN if it was not reached); a lower bound up to rounding.
     failures : tuple of str
         What is wrong, in words.
+    above : float or None
+        Upper bound on the satisfaction probability of the certificate's controller, computed anew; None if the
+        certificate claims none, or if it was too large a computation (``gap`` is unverified then).
     """
 
     valid: bool
     claimed: float
     recomputed: float
     failures: tuple[str, ...]
+    above: float | None = None
 
     def __bool__(self) -> bool:
         return self.valid
 
     def __str__(self) -> str:
         if self.valid:
-            return f"valid: lower bound {self.claimed:.9g}, recomputed {self.recomputed:.9g}"
+            above = "" if self.above is None else f", at most {self.above:.9g}"
+            return f"valid: lower bound {self.claimed:.9g}, recomputed {self.recomputed:.9g}{above}"
         return "NOT valid: " + "; ".join(self.failures)
 
 
@@ -84,18 +94,18 @@ def check(certificate: Certificate | ProductCertificate, problem: Problem | None
     Returns
     -------
     CheckReport
-        Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere. The
-        upper end of an exact claim (``gap``) is not verified here; rollouts test it (``certigym.validate``).
+        Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
+        the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, certificate.problem if problem is None else problem)
     problem = checked_certificate(certificate).problem if problem is None else problem
     failures: list[str] = []
-    recomputed = float("nan")
+    recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
     else:
-        for step in (_check_form, _check_grids, _check_relations, _check_guards):
+        for step in (_check_form, _check_grids, _check_relations, wrong_guards):
             failures += step(certificate)
             if failures:
                 break
@@ -107,7 +117,9 @@ def check(certificate: Certificate | ProductCertificate, problem: Problem | None
             else:
                 recomputed = _start_value(certificate, value)
                 failures += _check_values(certificate, value, recomputed)
-    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+                if certificate.gap is not None and not failures:
+                    above, failures = _check_above(certificate, certificate.gap)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
 
 
 def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport:
@@ -136,6 +148,8 @@ def _check_form(certificate: Certificate) -> list[str]:
     tree = certificate.rounding is None
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
+    if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
+        failures.append("whether it is exact does not fit its gap")
     if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
         failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
     return failures
@@ -183,19 +197,6 @@ def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: Floa
     return bool(np.all(low <= middle - reach + slack) and np.all(high >= middle + reach - slack))
 
 
-def _cell_boxes(agent: LinearAgent, part: AgentPart, starting: bool) -> tuple[FloatArray, FloatArray]:
-    """Boxes in state space around the states related to each cell; for ``starting`` around the cell itself."""
-    relation = part.relation_of(agent)
-    if isinstance(relation, CoupledRelation) and not relation.is_cell and not starting:
-        epsilon = relation.state_reach
-        centre = part.grid.centres @ part.coordinates.T
-        return centre - epsilon - 1e-12, np.nextafter(centre + epsilon + 1e-12, np.inf)
-    if np.array_equal(part.coordinates, np.eye(len(part.coordinates))):
-        return part.grid.low, part.grid.high
-    centre, reach = part.grid.centres @ part.coordinates.T, part.grid.half_widths @ np.abs(part.coordinates).T
-    return centre - reach * (1 + 1e-12) - 1e-12, centre + reach * (1 + 1e-12) + 1e-12
-
-
 def _check_relations(certificate: Certificate) -> list[str]:
     """The relation of every agent holds, and its policy asks for nothing beyond the input box."""
     failures = []
@@ -210,69 +211,14 @@ def _check_relations(certificate: Certificate) -> list[str]:
     return failures
 
 
-def _check_guards(certificate: Certificate) -> list[str]:
-    """Guards are disjoint, stay inside the workspace, and every letter of their states leads where they say."""
-    initial = np.full(len(certificate.start_target), certificate.problem.automaton.initial)
-    arriving = [part.masks for part in certificate.agents], certificate.guard_source, certificate.guard_target
-    starting = [part.start_masks for part in certificate.agents], initial, certificate.start_target
-    failures = _check_guard_set(certificate, *arriving, certificate.guard_mask, starting=False)
-    return failures or _check_guard_set(certificate, *starting, certificate.start_mask, starting=True)
-
-
-def _check_guard_set(
-    certificate: Certificate, masks: list[NDArray], source: NDArray, target: NDArray, mask: NDArray, starting: bool
-) -> list[str]:  # fmt: skip
-    """What is wrong with one set of guards."""
-    problem, automaton = certificate.problem, certificate.problem.automaton
-    co_safe = automaton.semantics == "co-safe"
-    meets, letters = [], []
-    for i, (part, own) in enumerate(zip(certificate.agents, masks, strict=True)):
-        meets.append((own.astype(np.int64) @ own.T.astype(np.int64)) > 0)
-        agent = problem.agents[i]
-        low, high = _cell_boxes(agent, part, starting)
-        possible = problem.labeling.box_classes(i, low, high)
-        outside = np.any((low < agent.workspace.low) | (high > agent.workspace.high), axis=1)
-        if own[:, outside].any():
-            return [f"a guard uses cells of agent `{agent.name}` that reach beyond its workspace"]
-        classes = problem.labeling.classes[i]
-        letters.append([classes[possible[cells].any(axis=0)] for cells in own])
-    for q in np.unique(source):
-        rows = np.flatnonzero(source == q)
-        overlap = np.ones((len(rows), len(rows)), dtype=bool)
-        for i, both in enumerate(meets):
-            overlap &= both[np.ix_(mask[rows, i], mask[rows, i])]
-        if np.any(overlap & ~np.eye(len(rows), dtype=bool)):
-            return [f"guards out of automaton state {q} overlap"]
-        if co_safe and automaton.accepting[q]:
-            return [f"guards leave the accepting state {q}"]
-    for g in range(len(source)):
-        reached = _targets(problem, int(source[g]), [letters[i][mask[g, i]] for i in range(len(letters))])
-        allowed = {int(target[g])} | ({int(a) for a in np.flatnonzero(automaton.accepting)} if co_safe else set())
-        if not reached <= allowed:
-            return [f"guard {g} out of automaton state {source[g]} does not always lead to state {target[g]}"]
-    return []
-
-
-def _targets(problem: Problem, q: int, classes: list[NDArray[np.bool_]]) -> set[int]:
-    """Automaton states reached from q by the letters of a product of class sets (a superset of them, never less)."""
-    automaton, labeling = problem.automaton, problem.labeling
-    frontier = {int(automaton.root[q])}
-    for own, rows in zip(labeling.agent_propositions, classes, strict=True):
-        if len(own) == 0 or all(entry < 0 for entry in frontier):
-            continue
-        positions = {int(p): k for k, p in enumerate(own)}
-        following = set()
-        for entry in frontier:
-            if entry < 0 or int(automaton.variable[entry]) not in positions:
-                following.add(entry)
-                continue
-            for row in rows:
-                e = entry
-                while e >= 0 and (k := positions.get(int(automaton.variable[e]))) is not None:
-                    e = int(automaton.high[e] if row[k] else automaton.low[e])
-                following.add(e)
-        frontier = following
-    return {-1 - entry for entry in frontier}
+def _check_above(certificate: Certificate, gap: float) -> tuple[float | None, list[str]]:
+    """What the policies attain at most, and whether the certificate says less."""
+    failures = inexact(certificate)
+    above = None if failures else attained(certificate)
+    if above is not None and not above <= certificate.lower_bound + gap:
+        most = certificate.lower_bound + gap
+        failures.append(f"it says that the probability is at most {most:.12g}, but what was recomputed is {above:.12g}")
+    return above, failures
 
 
 def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
@@ -294,55 +240,12 @@ def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
 
 
 def _undecided(certificate: Certificate) -> float:
-    """Upper bound on the expected number of undecided steps: alive mass pushed forward, dropped mass in full."""
-    problem, agents = certificate.problem, certificate.agents
-    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    kernels = [axis_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
-    settled = problem.automaton.dead.copy()
-    if problem.automaton.semantics == "co-safe":
-        settled |= problem.automaton.accepting
-    pairs = zip(problem.agents, agents, strict=True)
-    shares = [start_share(p.grid, p.coordinates, a.initial.low, a.initial.high) for a, p in pairs]
-    alive: list[tuple[int, list[FloatArray]]] = []
-    if all(np.array_equal(a.initial.low, a.initial.high) for a in problem.agents):
-        alive = [(problem.initial_q, shares)] if problem.initial_q is not None else []
-    else:
-        for target, masks in zip(certificate.start_target, certificate.start_mask, strict=True):
-            alive.append((int(target), [p.start_masks[m] * s for p, m, s in zip(agents, masks, shares, strict=True)]))
-    dropped, total = 0.0, 0.0
-    for t in range(problem.horizon):
-        alive = [(q, f) for q, f in alive if not settled[q]]
-        masses = np.array([np.prod([own.sum() for own in f]) for _, f in alive])
-        small = np.zeros(len(alive), dtype=bool)
-        order = np.argsort(masses)
-        small[order[np.cumsum(masses[order]) <= 1e-9 * masses.sum()]] = True
-        dropped += float(masses[small].sum())
-        total += min(1.0, float(masses.sum()) + dropped + 1e-9)
-        alive = _step([pair for pair, out in zip(alive, small, strict=True) if not out], certificate, kernels, t)
-    return total
-
-
-def _step(
-    alive: list[tuple[int, list[FloatArray]]], certificate: Certificate, kernels: list[list[FloatArray]], t: int
-) -> list[tuple[int, list[FloatArray]]]:
-    """Alive products one step later."""
-    following = []
-    for q, factors in alive:
-        moved = []
-        for part, own, axes in zip(certificate.agents, factors, kernels, strict=True):
-            points = part.points(t, q)
-            shape = tuple(len(table) for table in axes)
-            on_lattice = np.bincount(points[points >= 0], weights=own[points >= 0], minlength=int(np.prod(shape)))
-            spread = on_lattice.reshape(shape)
-            for axis, table in enumerate(axes):
-                spread = np.moveaxis(np.tensordot(spread, table, axes=(axis, 0)), -1, axis)
-            moved.append(spread.ravel())
-        for g in np.flatnonzero(certificate.guard_source == q):
-            masks = (part.masks[m] for part, m in zip(certificate.agents, certificate.guard_mask[g], strict=True))
-            product = [own * mask for own, mask in zip(moved, masks, strict=True)]
-            if all(own.any() for own in product):
-                following.append((int(certificate.guard_target[g]), product))
-    return following
+    """Upper bound on the expected number of undecided steps."""
+    try:
+        passed = list(masses(certificate, DROPPED, MOST))
+    except TooManyProducts:
+        return float(certificate.problem.horizon)
+    return sum(min(1.0, mass.alive + mass.dropped + SPARE) for mass in passed[:-1])
 
 
 def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: float) -> list[str]:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from .checked_kernel import axis_tables, smooth
 from .guards import Guards
-from .train import Train, ones
+from .train import Train, added, ones
+from .train_above import counted_as_failed
 from .train_value import Trains, arrival, assembled, routes, smoothed_core
 
 if TYPE_CHECKING:
@@ -29,8 +30,12 @@ class BrokenTrainError(ValueError):
     """What a certificate says about its tensor trains makes no sense."""
 
 
-def regrow_trains(certificate: Certificate, each: Callable[[int, Trains], None] | None = None) -> Trains:
+def regrow_trains(
+    certificate: Certificate, each: Callable[[int, Trains], None] | None = None, above: bool = False
+) -> Trains:
     """Value function at time 0 as tensor trains, with their errors; ``each(t, value)`` at t = T - 1 .. 0.
+
+    With ``above`` what the value counts as failed and the continuous system may survive is added (``train_above``).
 
     Raises
     ------
@@ -63,7 +68,11 @@ def regrow_trains(certificate: Certificate, each: Callable[[int, Trains], None] 
                 states.append(ones(n_cells, visited[t]))
                 continue
             arriving = arrival(value, ways[q], rounding.tolerance / problem.horizon)
-            states.append(None if arriving is None else _moved(certificate, kernels, arriving, t, q))
+            if arriving is None:
+                states.append(None)
+                continue
+            before = _moved(certificate, kernels, arriving, t, q)
+            states.append(added(before, _beside(certificate, kernels, t, q) if above else None))
         value = Trains(tuple(states))
         if each is not None:
             each(t, value)
@@ -72,9 +81,17 @@ def regrow_trains(certificate: Certificate, each: Callable[[int, Trains], None] 
 
 def _moved(certificate: Certificate, kernels: list[list[FloatArray]], arriving: Train, t: int, q: int) -> Train:
     """Expected value one step before arriving."""
-    cells = certificate.rounding.visited[t] if certificate.rounding is not None else None
-    cores = []
+    assert certificate.rounding is not None
+    cells, cores = certificate.rounding.visited[t], []
     for i, (part, axes) in enumerate(zip(certificate.agents, kernels, strict=True)):
         points = part.points(t, q) if cells is None else part.points(t, q)[cells[i]]
         cores.append(smoothed_core(arriving, i, part.grid.n_cells, points, partial(smooth, tables=axes)))
     return assembled(arriving, cores, [[table.shape[1] for table in axes] for axes in kernels], cells)
+
+
+def _beside(certificate: Certificate, kernels: list[list[FloatArray]], t: int, q: int) -> Train | None:
+    """What is counted as failed one step before arriving, of what may succeed."""
+    assert certificate.rounding is not None
+    here, there = certificate.rounding.visited[t : t + 2]
+    points, n_cells = [part.points(t, q) for part in certificate.agents], [p.grid.n_cells for p in certificate.agents]
+    return counted_as_failed(points, [partial(smooth, tables=axes) for axes in kernels], n_cells, here, there)

@@ -1,0 +1,244 @@
+"""How far above its bound a probability may be: right against dense programming, and verified by ``check``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import certigym as cg
+from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.certificate import Certificate
+from certigym.synthesis.check_above import attained, inexact
+from certigym.synthesis.checked_mass import TooManyProducts, masses
+from certigym.synthesis.joint import JointModel, join, start_of
+from certigym.synthesis.oracle import dense_value
+from certigym.synthesis.train_above import evaluate_above, start_above
+from certigym.synthesis.train_value import Rounding, Trains, evaluate, start_value
+from problems import scalar_agent, two_agents
+
+WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
+"""Inputs too weak for some cells: no target is admissible there."""
+
+PROBLEMS = [
+    two_agents(horizon=5),
+    two_agents("F (a & F c) & G[0,2] !b", horizon=5),
+    two_agents("G (b -> X d)", "finite-trace", horizon=3),
+    two_agents(horizon=3, initial_state=None, initial_low=[-3.0], initial_high=[-1.0]),
+    cg.make_problem("reach-avoid-n-v0", n_agents=3),
+    cg.make_problem("invariance-4-v0"),
+]
+
+
+def truth(certificate: Certificate, cells: int) -> float:
+    """What the certificate's policies attain from a point, by dense programming."""
+    problem = certificate.problem
+    models = abstract(problem, cells).models
+    dense = dense_value(problem, models, tuple(part.law for part in certificate.agents))
+    where = [int(m.grid.cell_of(a.initial.low[:, None])[0]) for m, a in zip(models, problem.agents, strict=True)]
+    return float(dense[(problem.initial_q, *where)])
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.name + problem.specification.semantics)
+@pytest.mark.parametrize("value", ["tree", "train"])
+def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: str) -> None:
+    certificate = cg.synthesize(problem, 24, value=value).certificate
+    assert certificate.gap is not None
+    report = cg.check(certificate)
+    assert report and report.above is not None
+    assert report.recomputed - 1e-12 <= report.above <= certificate.lower_bound + certificate.gap
+    if problem.n_agents == 2 and certificate.start == "point":
+        exactly = truth(certificate, 24)
+        assert certificate.lower_bound <= exactly <= report.above
+
+
+def test_mass_goes_where_dense_programming_says() -> None:
+    certificate = cg.synthesize(two_agents("F (a & F c) & G[0,2] !b", horizon=5), 24).certificate
+    *_, last = masses(certificate, 0.0, 10_000)
+    exactly = truth(certificate, 24)
+    assert last.dropped == last.stranded == 0.0
+    accepted = last.accepted + last.totals[certificate.problem.automaton.accepting[last.states]].sum()
+    assert accepted == pytest.approx(exactly, rel=1e-11)
+    with pytest.raises(TooManyProducts):
+        list(masses(certificate, 0.0, 1))
+
+
+@pytest.mark.parametrize("value", ["tree", "train"])
+def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
+    """Controllers go on where policies have no choice; 40,000 rollouts, seed 2: refuted with probability 1e-6."""
+    problem = two_agents("F (a & d)", horizon=6, B=[[0.35]], input_low=[-0.32], input_high=[0.32])
+    certificate = cg.synthesize(problem, 16, value=value).certificate
+    assert any(np.any(part.law < 0) for part in certificate.agents)
+    assert certificate.gap is not None and certificate.gap > 1e-3
+    report = cg.check(certificate)
+    assert report and report.above is not None and report.above > report.recomputed + 1e-3
+    runs = cg.rollout(problem, certificate.controller, 40_000, seed=2)
+    assert binom.sf(runs.successes - 1, 40_000, certificate.lower_bound + certificate.gap) > 1e-6
+    assert runs.successes / 40_000 > certificate.lower_bound
+
+
+def a_team() -> tuple[cg.Problem, JointModel, Any]:
+    problem = two_agents("F (a & F c)", horizon=4, **WEAK)
+    joint = join(problem, abstract(problem, 16))
+    laws = tuple(np.tile(model.choices.resting_law, (4, joint.n_states, 1)) for model in joint.models)
+    return problem, joint, laws
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_cells_left_out_are_counted_from_above(seed: int) -> None:
+    """Whatever cells trains leave out, the closed loop lies between both sides; choices are random, some missing."""
+    problem, joint, laws = a_team()
+    rng = np.random.default_rng(seed)
+    laws = tuple(rng.integers(0, len(m.lattice[0]), size=law.shape).astype(np.int32)
+                 for m, law in zip(joint.models, laws, strict=True))  # fmt: skip
+    dense = dense_value(problem, joint.models, laws)
+    visited = [tuple(np.flatnonzero(rng.random(n) < 0.7) for n in joint.n_cells) for _ in range(5)]
+    above = evaluate_above(joint, laws, Rounding(1e-9, tuple(visited)))
+    below = evaluate(joint, laws, 1e-9, visited=visited)
+    cells = np.stack(np.meshgrid(*visited[0], indexing="ij"), axis=-1).reshape(-1, 2)
+    differences = []
+    for q, train in enumerate(above.states):
+        exactly = dense[q][tuple(cells.T)]
+        if train is None:
+            continue
+        assert np.all(train.at(cells) + train.error >= exactly)
+        assert np.all(below.at(q, cells) <= exactly)
+        if not (problem.automaton.accepting[q] or problem.automaton.dead[q]):
+            differences.append(np.max(train.at(cells) - exactly))
+    assert max(differences) > 1e-3
+    everything = evaluate_above(joint, laws, Rounding(1e-9, (None,) * 5))
+    start = start_of(problem, joint)
+    exact = sum(float(own[0] @ dense[q] @ other[0]) for q, rows in enumerate(start.terms.index) if len(rows)
+                for own, other in [start.terms.factors])  # fmt: skip
+    assert exact <= start_above(start, everything) <= exact + 1e-8
+
+
+def test_what_rounding_may_have_taken_is_counted() -> None:
+    problem, joint, laws = a_team()
+    start, value = start_of(problem, joint), evaluate_above(joint, laws, Rounding(1e-9, (None,) * 5))
+    coarse = Trains(tuple(None if train is None else replace(train, error=0.01) for train in value.states))
+    assert start_above(start, coarse) == pytest.approx(start_value(start, value) + 0.01, abs=1e-8)
+
+
+def test_the_start_may_lie_outside_of_what_trains_cover() -> None:
+    problem, joint, laws = a_team()
+    away = tuple(np.arange(3) for _ in joint.models)
+    above = evaluate_above(joint, laws, Rounding(1e-9, (away,) * 5))
+    assert start_above(start_of(problem, joint), above) == pytest.approx(1.0)
+
+
+@pytest.fixture(scope="module", params=["tree", "train"])
+def certificate(request: pytest.FixtureRequest) -> Certificate:
+    return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param).certificate
+
+
+def claim_nothing_above(c: Certificate) -> Certificate:
+    return replace(c, gap=0.0, exact=True)
+
+
+def call_it_inexact(c: Certificate) -> Certificate:
+    return replace(c, exact=not c.exact)
+
+
+def promise_less(c: Certificate) -> Certificate:
+    return replace(c, lower_bound=c.lower_bound - 0.01)
+
+
+def forget_a_guard(c: Certificate) -> Certificate:
+    kept = np.arange(len(c.guard_source)) != np.flatnonzero(c.guard_source == c.problem.automaton.initial)[-1]
+    guards = {"guard_source": c.guard_source, "guard_target": c.guard_target, "guard_mask": c.guard_mask}
+    return replace(c, **{name: own[kept] for name, own in guards.items()})
+
+
+@pytest.mark.parametrize("tamper", [claim_nothing_above, call_it_inexact, promise_less])
+def test_upper_ends_that_are_too_low_are_refused(
+    certificate: Certificate, tamper: Callable[[Certificate], Certificate]
+) -> None:
+    assert cg.check(certificate)
+    assert not cg.check(tamper(certificate))
+
+
+def test_guards_that_leave_something_out_have_no_upper_end(certificate: Certificate) -> None:
+    assert inexact(certificate) == []
+    assert "leave out" in inexact(forget_a_guard(certificate))[0]
+
+
+def test_a_pruned_tree_is_found_out() -> None:
+    """A tree without its largest term proves less, and says nothing about the probability from above."""
+    c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree").certificate
+    q = c.problem.initial_q
+    assert q is not None and c.terms is not None
+    first, terms = c.skeleton[0], c.terms
+    size = np.prod([own.max(axis=1)[terms.index[q][:, i]] for i, own in enumerate(terms.factors)], axis=0)
+    left = np.delete(np.arange(len(size)), size.argmax())
+    kept = tuple(own[left] if p == q else own for p, own in enumerate(first.kept))
+    index = tuple(own[left] if p == q else own for p, own in enumerate(terms.index))
+    pruned = replace(c, skeleton=(replace(first, kept=kept), *c.skeleton[1:]), terms=replace(terms, index=index))
+    pruned.__dict__.pop("value", None)
+    state = np.concatenate([agent.initial.low for agent in c.problem.agents])
+    lower = float(pruned.at(state)[0])
+    assert lower < c.lower_bound - 1e-3
+    below = replace(pruned, lower_bound=lower, bounds={"nominal": lower})
+    assert cg.check(replace(below, gap=None, exact=False))
+    report = cg.check(below)
+    assert not report and "at most" in report.failures[0]
+    above = attained(below)
+    assert above is not None and above >= c.lower_bound
+
+
+def test_only_exact_relations_have_an_upper_end() -> None:
+    certificate = cg.synthesize(two_agents(horizon=4), 40, relation="tube").certificate
+    assert certificate.gap is None and cg.check(certificate).above is None
+    claimed = cg.check(replace(certificate, gap=0.5, exact=False))
+    assert not claimed and "does not follow" in claimed.failures[0]
+
+
+def test_uncertain_cells_have_no_upper_end() -> None:
+    """The goal is a strip across the cells, of the sum of both coordinates."""
+    agent = cg.LinearAgent(
+        name="a", A=np.eye(2), B=np.eye(2), output_matrix=[[1.0, 1.0]], noise_covariance=0.2 * np.eye(2),
+        state_low=[-3.0, -3.0], state_high=[3.0, 3.0], input_low=[-1.0, -1.0], input_high=[1.0, 1.0],
+        initial_state=[0.0, 0.0],
+    )  # fmt: skip
+    goal = cg.Proposition("a", [1.0], [3.0])
+    problem = cg.Problem(name="strip", horizon=3, agents=[agent], propositions={"goal": goal},
+                         specification=cg.Specification("F goal", "co-safe"))  # fmt: skip
+    certificate = cg.synthesize(problem, 20).certificate
+    assert certificate.lower_bound > 0.1 and certificate.gap is None and cg.check(certificate)
+    assert "certain class" in cg.check(replace(certificate, gap=0.5)).failures[0]
+
+
+def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree").certificate
+    exactly = attained(certificate)
+    monkeypatch.setattr("certigym.synthesis.check_above.SPARED", 1e9)
+    coarse = attained(certificate)
+    assert exactly is not None and coarse is not None and coarse > exactly + 1e-4
+
+
+def test_large_masses_are_left_unverified(certificate: Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
+    if certificate.rounding is not None:
+        return
+    monkeypatch.setattr("certigym.synthesis.check_above.MOST", 1)
+    report = cg.check(certificate)
+    assert report and report.above is None and "at most" not in str(report)
+
+
+def test_a_single_agent_has_trains_too() -> None:
+    problem = cg.Problem(
+        name="one",
+        horizon=4,
+        agents=[scalar_agent("a", **WEAK)],
+        propositions={"goal": cg.Proposition("a", [1.0], [3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
+    certificate = cg.synthesize(problem, 16, value="train").certificate
+    report = cg.check(certificate)
+    assert report and report.above is not None and certificate.gap is not None
+    assert (
+        certificate.lower_bound <= truth(certificate, 16) <= report.above <= certificate.lower_bound + certificate.gap
+    )
