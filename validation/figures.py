@@ -81,9 +81,7 @@ def value_figure(
     if len(shown) == 1:
         figure, (plot,) = _new(6.4, 3.8)
         x = states[:, shown[0]]
-        upper = np.minimum(1.0, bounds + certificate.gap) if certificate.exact and certificate.gap is not None else 1.0
-        label = "probability (exact)" if certificate.exact else "certified lower bound"
-        draw_bound(plot, x, bounds, label, upper=upper)
+        draw_bound(plot, x, bounds, "certified lower bound", upper=1.0)
         bands(plot, certificate, shown[0], across=True)
         plot.set_ylim(-0.02, 1.04)
         plot.set_xlim(*_limits(certificate, shown[0]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
-from ..synthesis.certificate import Certificate, checked_certificate
+from ..synthesis.certificate import EXACT_GAP, Certificate, checked_certificate
 from ..synthesis.product import ProductCertificate
 from ..synthesis.synthesize import Synthesis
 from .loop import CHUNK, Loop
@@ -35,9 +35,9 @@ class ValidationReport:
     lower_bound : float
         The claim, from the start that was simulated.
     exact : bool
-        Whether the claim was tested from above as well.
+        Whether the probability is claimed to be known to ``EXACT_GAP``.
     gap : float or None
-        Width of an exact claim.
+        How far above the bound the probability may be, where that is claimed; then it was tested from above as well.
     episodes, successes : int
     estimate : float
         Share of successes.
@@ -132,11 +132,13 @@ def _rounded_up(most: float) -> str:
 
 
 def shown_bound(lower: float, gap: float | None) -> str:
-    """A bound in words, its digits rounded down so that what is printed holds too."""
+    """A claim in words, its digits rounded away from what is claimed so that what is printed holds too."""
     digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
     shown = math.floor(lower * 10**digits) / 10**digits
     claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {lower:.3g}"
-    return claim if gap is None else f"{claim} (exact to {gap:.1e})"
+    if gap is None or (gap > EXACT_GAP and lower + gap >= 1.0):
+        return claim
+    return f"{claim} (exact to {gap:.1e})" if gap <= EXACT_GAP else f"{claim}, P <= {_rounded_up(lower + gap)}"
 
 
 _ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain", "tried")
@@ -240,7 +242,7 @@ def validate(
         horizon=problem.horizon,
         method=certificate.method,
         lower_bound=lower,
-        exact=gap is not None,
+        exact=gap is not None and gap <= EXACT_GAP,
         gap=gap,
         episodes=state.episodes,
         successes=state.successes,
@@ -261,10 +263,10 @@ def validate(
 def claim_at(
     certificate: Certificate | ProductCertificate, initial_state: Any = None
 ) -> tuple[Problem, float, float | None, str]:
-    """Problem with the start, lower bound there, gap if the claim is exact, and ``point`` or ``mean``."""
+    """Problem with the start, lower bound there, how far above it the probability may be, and ``point`` or ``mean``."""
     problem = certificate.problem
     if initial_state is None:
-        return problem, certificate.lower_bound, certificate.gap if certificate.exact else None, certificate.start
+        return problem, certificate.lower_bound, certificate.gap, certificate.start
     problem = problem.replace(initial_state=initial_state)
     joint = np.concatenate([agent.initial.low for agent in problem.agents])
     return problem, float(certificate.at(joint)[0]), None, "point"

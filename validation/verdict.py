@@ -1,10 +1,10 @@
 """What simulation says about a certificate: exact binomial limits, p-values and a verdict.
 
-A certificate claims ``P >= lower`` (and, when it is exact, ``P <= lower + gap``). With k successes in M independent
-episodes and Clopper-Pearson limits that each miss P with probability at most (1 - confidence) / 2, it is
+A certificate claims ``P >= lower`` (and, when nothing is lost on the way, ``P <= lower + gap``). With k successes in M
+independent episodes and Clopper-Pearson limits that each miss P with probability at most (1 - confidence) / 2, it is
 
 ``confirmed``   if the lower limit reaches the claim: a rejection of ``P < lower``;
-``refuted``     if the upper limit is below the claim, or, for an exact one, the lower limit above ``lower + gap``;
+``refuted``     if the upper limit is below the claim, or the lower limit above ``lower + gap``, where it says so;
 ``consistent``  otherwise.
 
 A true certificate is refuted with probability at most ``1 - confidence``, a false one confirmed with at most half.
