@@ -47,7 +47,7 @@ class Episode:
         self.one_world = OneWorld.of(self.dynamics)
         shaped = checked_option(reward, "reward", REWARDS) == "shaped"
         self._potential = Potential.of(self.dynamics) if shaped else None
-        self._level = 0.0
+        self.level = 0.0
         self._world: World | None = None
         self._track: list[World] = []
         self._picture: Picture | None = None
@@ -69,7 +69,7 @@ class Episode:
         self._world = self.one_world.begin(worlds)
         self._track = [self._world]
         if self._potential is not None:
-            self._level = float(self._potential.at(worlds)[0])
+            self.level = float(self._potential.at(worlds)[0])
         self._show()
 
     def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
@@ -84,9 +84,9 @@ class Episode:
         truncated = not terminated and world.time >= self.problem.horizon
         reward = float(self.one_world.satisfied(world))
         if self._potential is not None:
-            before = self._level
-            self._level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
-            reward += self.discount * self._level - before
+            before = self.level
+            self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
+            reward += self.discount * self.level - before
         self._show()
         return reward, terminated, truncated
 

@@ -16,7 +16,7 @@ Everything below holds for any problem; the pages of the suite add their numbers
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -38,6 +38,9 @@ from .observation import (
 )
 from .problem import Problem
 from .suite import resolve
+
+if TYPE_CHECKING:
+    from .tasks_env import TasksEnv
 
 Observations = dict[str, np.ndarray]
 Infos = dict[str, dict[str, Any]]
@@ -150,6 +153,16 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             self._infos(),
         )
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing can change the verdict any more."""
+        return self._episode.one_world.settled(self._episode.world)
+
+    @property
+    def potential(self) -> float:
+        """What shaped rewards are the differences of, now; 0 where they are sparse."""
+        return self._episode.level
+
     def state(self) -> np.ndarray:
         """Return the joint state (projected onto the workspace), automaton state one-hot and fraction of time left."""
         world, numbers = self._episode.world, self._episode.one_world.agents
@@ -193,8 +206,10 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         return inputs
 
 
-def parallel_env(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> ProblemEnv:
-    """Return the PettingZoo parallel environment of a problem.
+def parallel_env(
+    problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any
+) -> ProblemEnv | TasksEnv:
+    """Return the PettingZoo parallel environment of a problem, of all tasks together if it falls apart (`TasksEnv`).
 
     Parameters
     ----------
@@ -212,7 +227,12 @@ def parallel_env(problem: Problem | str | Path, render_mode: str | None = None, 
     ['agent_0', 'agent_1']
     """
     options = {name: arguments.pop(name) for name in OPTIONS if name in arguments}
-    return ProblemEnv(resolve(problem, arguments), render_mode, **options)
+    resolved = resolve(problem, arguments)
+    if resolved.groups:
+        from .tasks_env import TasksEnv
+
+        return TasksEnv(resolved, render_mode, **options)
+    return ProblemEnv(resolved, render_mode, **options)
 
 
 OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "caption")

@@ -141,7 +141,7 @@ class Problem:
         if self._automaton is None:
             raise ValueError(
                 f"`problem`: expected a task with one automaton, got {len(self.groups)} independent tasks, whose joint "
-                "automaton would be too large; take the problems of `problem.tasks` one by one"
+                "automaton would be too large; take the problems of `problem.tasks` one by one, or `parallel_env`"
             )
         return self._automaton
 
