@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -205,6 +206,33 @@ def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     assert certificate.unbounded == certificate.lower_bound
     patient = cg.rollout(problem.replace(horizon=400), certificate.controller, 20_000, seed=4)
     assert abs(patient.successes / 20_000 - optimum) < 5.0 * np.sqrt(0.25 / 20_000)  # 1e-6
+
+
+def test_the_largest_bound_of_all_deadlines_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A doubled horizon may be searched worse; what was proved for the shorter one still holds."""
+    asked: list[int] = []
+
+    def worse(problem: cg.Problem, cells: int, **settings: Any) -> Any:
+        asked.append(problem.horizon)
+        found = real(problem.replace(horizon=8), cells, stationary=True)
+        lower = found.certificate.lower_bound * (1.0 if len(asked) == 1 else 0.9)
+        return replace(found, certificate=replace(found.certificate, problem=problem, lower_bound=lower))
+
+    real = cg.synthesize
+    monkeypatch.setattr("certigym.synthesis.synthesize.synthesize", worse)
+    kept = cg.without_deadline(one_agent().replace(horizon=8), 40).certificate
+    assert asked == [8, 16] and kept.problem.horizon == 8
+
+
+def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Abstract policies may then attain more than any policy of the continuous system."""
+    monkeypatch.setattr("certigym.synthesis.synthesize.continuous_upper_bound", lambda *_: 1e-3)
+    problem = two_agents(horizon=3)
+    exact, paper = (cg.synthesize(problem, 40, relation=relation).stats for relation in ("exact", "paper"))
+    assert exact["abstract_upper_bound"] == exact["continuous_upper_bound"] == 1e-3
+    assert isinstance(paper["abstract_upper_bound"], float) and paper["abstract_upper_bound"] > 0.1
 
 
 def test_deadlines_are_left_out_of_co_safe_tasks_only() -> None:
