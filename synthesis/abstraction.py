@@ -20,6 +20,8 @@ import numpy as np
 
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
+from .agent_grids import Cells as Cells
+from .agent_grids import agent_grid, cells_of_agent, label_room
 from .agent_models import (
     Bare,
     Relation,
@@ -30,20 +32,14 @@ from .agent_models import (
     tube_model,
 )
 from .choices import Choices
-from .grid import FloatArray, Grid, aligned_edges
+from .grid import FloatArray, Grid
 from .kernel import Kernel
 from .labels import CellLabels, cell_labels, error_labels
 from .relation_coupled import CoupledRelation
 from .relation_exact import ExactRelation
 
-DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
-"""Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
-
-NEAREST = 0.1
-"""Share of the room in a region that a start near its face leaves at least, where feedbacks are chosen."""
-
-Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
-RELATIONS = ("auto", "exact", "ellipsoid", "paper", "tube")
+Relations = str | Mapping[str, str]
+RELATIONS = ("auto", "exact", "ellipsoid", "paper", "quick", "tube")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +101,49 @@ class Abstraction:
         return all(model.is_exact for model in self.models)
 
 
+@dataclass(frozen=True)
+class Settings:
+    """Settings of relations, as in ``abstract``.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    targets_per_cell: int | None = None
+    epsilon: float = 0.1
+    feedback: float = 0.0
+    inputs: int = 10
+    delta: float | None = None
+    share: float | None = None
+
+    def __post_init__(self) -> None:
+        number = 1 if self.targets_per_cell is None else self.targets_per_cell
+        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {self.targets_per_cell!r}")
+        for name in ("delta", "share"):
+            value = getattr(self, name)
+            if value is not None and (
+                isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1
+            ):
+                raise ValueError(f"`{name}`: expected a number of at least 0 and below 1, got {value!r}")
+
+    def used_by(self, models: Sequence[AgentModel]) -> dict[str, object]:
+        """Relations and cells of the models, and the settings that some of them depend on."""
+        kinds = sorted({model.relation.kind for model in models})
+        used: dict[str, object] = {"relation": "/".join(kinds), "cells": [list(model.grid.shape) for model in models]}
+        names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
+        for kind in kinds:
+            used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
+        return used
+
+
 def abstract(
     problem: Problem,
     cells: Cells = None,
     *,
-    relation: str = "auto",
+    relation: Relations = "auto",
     targets_per_cell: int | None = None,
     epsilon: float = 0.1,
     feedback: float = 0.0,
@@ -124,11 +158,12 @@ def abstract(
     problem : Problem
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
-    relation : str
+    relation : str, or mapping from agent name to str
         ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"ellipsoid"``: any
         agent that some ellipsoid can be found for, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents,
-        delta >= 0 in closed form. ``"auto"``: for each agent ``exact`` where it applies and the inputs are strong
-        enough for the cells, else ``tube``.
+        delta >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it applies and the inputs are strong
+        enough for the cells, else ``tube``; so are agents that a mapping leaves out. ``"auto"`` is the same here: which
+        relation certifies most only a synthesis can tell (see ``synthesize``).
     targets_per_cell : int
         ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
         Default: 2 for scalar agents, 1 for others.
@@ -146,38 +181,51 @@ def abstract(
         If the relation does not apply to an agent, or a number is out of range.
     """
     checked_problem(problem)
-    _check_cells(cells, problem)
-    number = 1 if targets_per_cell is None else targets_per_cell
-    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {targets_per_cell!r}")
-    if relation not in RELATIONS:
-        raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {relation!r}")
-    for name, value, allowed in (("delta", delta, ("ellipsoid", "paper")), ("share", share, ("ellipsoid",))):
-        if value is not None and relation not in allowed:
-            raise ValueError(f"`{name}`: expected none with relation `{relation}`, got {value!r}; ask for `ellipsoid`")
-    paper = {"epsilon": epsilon, "feedback": feedback, "inputs": inputs, "delta": delta}
+    check_names("cells", cells, problem)
+    settings = Settings(targets_per_cell, epsilon, feedback, inputs, delta, share)
+    kinds = relations_of(problem, relation)
+    for name, value, allowed in (("delta", delta, {"ellipsoid", "paper"}), ("share", share, {"ellipsoid"})):
+        if value is not None and not allowed & {*kinds}:
+            asked = "/".join(sorted({*kinds})) if isinstance(relation, Mapping) else relation
+            raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
+    models = models_of(problem, cells, dict(enumerate(kinds)), settings)
+    found = tuple(models[i] for i in range(problem.n_agents))
+    return Abstraction(found, settings.used_by(found))
+
+
+def relations_of(problem: Problem, relation: Relations) -> list[str]:
+    """What is asked for of each agent; ``"auto"`` where a mapping leaves one out.
+
+    Raises
+    ------
+    ValueError
+        If an agent or a relation is not known.
+    """
+    check_names("relation", relation, problem)
+    asked = relation if isinstance(relation, Mapping) else dict.fromkeys(problem.agent_names, relation)
+    for name in asked.values():
+        if name not in RELATIONS:
+            raise ValueError(f"`relation`: expected one of {', '.join(RELATIONS)}, got {name!r}")
+    return [asked.get(name, "auto") for name in problem.agent_names]
+
+
+def models_of(
+    problem: Problem, cells: Cells, kinds: Mapping[int, str], settings: Settings
+) -> dict[int, AgentModel]:  # fmt: skip
+    """Finite models of some agents, by their number, each under the relation that ``kinds`` asks for."""
     bare: dict[object, Bare] = {}
     shared: dict[object, Bare] = {}
     whole: dict[object, AgentModel] = {}
-    models = []
-    for i, agent in enumerate(problem.agents):
-        grid, coordinates = _grid(problem, i, _cells_of(agent, cells))
-        room = _label_room(problem, i)
-        alike = (*(a.tobytes() for a in _identity(agent)), *(e.tobytes() for e in grid.edges))
-        minds_room = relation in ("tube", "ellipsoid") or np.linalg.matrix_rank(agent.B) < agent.n_states
+    models = {}
+    for i, kind in kinds.items():
+        agent = problem.agents[i]
+        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
+        room = label_room(problem, i)
+        alike = (kind, *alike_arrays(agent), *(e.tobytes() for e in grid.edges))
+        minds_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
         same = (*alike, room.tobytes() if minds_room else b"")
         if same not in bare:
-            per_cell = targets_per_cell or (2 if agent.n_states == 1 else 1)
-            if relation == "auto":
-                found = cheapest_model(agent, grid, coordinates, per_cell, room)
-            elif relation == "exact":
-                found = exact_model(agent, grid, coordinates, per_cell)
-            elif relation == "tube":
-                found = tube_model(agent, grid, coordinates, room)
-            elif relation == "ellipsoid":
-                found = ellipsoid_model(agent, grid, coordinates, room, 0.0 if delta is None else delta, share)
-            else:
-                found = paper_model(agent, grid, paper)
+            found = _bare(agent, kind, grid, coordinates, room, settings)
             numbers = (*alike, *(a.tobytes() for a in found[0].arrays))
             bare[same] = shared.setdefault(numbers, found)  # rooms that differ often lead to the same relation
         start_labels = cell_labels(problem, i, grid, coordinates)
@@ -189,21 +237,34 @@ def abstract(
         if key not in whole:
             _, lattice, kernel, choices = bare[same]
             whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
-        models.append(whole[key])
-    used: dict[str, object] = {"targets_per_cell": targets_per_cell}
-    if relation in ("paper", "ellipsoid"):
-        used = dict(paper) if relation == "paper" else {"delta": delta, "share": share}
-    kinds = "/".join(sorted({model.relation.kind for model in models}))
-    settings = {"relation": kinds, "cells": [list(m.grid.shape) for m in models], **used}
-    return Abstraction(tuple(models), settings)
+        models[i] = whole[key]
+    return models
 
 
-def _check_cells(cells: Cells, problem: Problem) -> None:
-    """Refuse names that no agent has; agents that are left out get the default."""
-    for name in cells if isinstance(cells, Mapping) else ():
+def _bare(
+    agent: LinearAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
+) -> Bare:  # fmt: skip
+    """Relation, lattice, kernel and choices of one agent."""
+    per_cell = settings.targets_per_cell or (2 if agent.n_states == 1 else 1)
+    if kind == "exact":
+        return exact_model(agent, grid, coordinates, per_cell)
+    if kind == "tube":
+        return tube_model(agent, grid, coordinates, room)
+    if kind == "ellipsoid":
+        delta = 0.0 if settings.delta is None else settings.delta
+        return ellipsoid_model(agent, grid, coordinates, room, delta, settings.share)
+    if kind == "paper":
+        names = ("epsilon", "feedback", "inputs", "delta")
+        return paper_model(agent, grid, {name: getattr(settings, name) for name in names})
+    return cheapest_model(agent, grid, coordinates, per_cell, room)
+
+
+def check_names(argument: str, given: object, problem: Problem) -> None:
+    """Refuse keys of a mapping that are no agents; agents that are left out get the default."""
+    for name in given if isinstance(given, Mapping) else ():
         if name not in problem.agent_names:
             known = ", ".join(problem.agent_names[:8])
-            raise ValueError(f"`cells`: expected names of agents among {known}, got {name!r}; correct the name")
+            raise ValueError(f"`{argument}`: expected names of agents among {known}, got {name!r}; correct the name")
 
 
 def check_settings(settings: Mapping[str, object]) -> None:
@@ -216,92 +277,13 @@ def check_settings(settings: Mapping[str, object]) -> None:
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
 
 
-def _identity(agent: LinearAgent) -> tuple[FloatArray, ...]:
-    """Arrays that determine the model of an agent apart from its grid and labels."""
+def alike_arrays(agent: LinearAgent) -> tuple[bytes, ...]:
+    """Arrays that determine the model of an agent apart from its relation, grid and labels, as bytes."""
     box, inputs = agent.workspace, agent.input_box
-    return (agent.A, agent.B, agent.offset, agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
+    found = (agent.A, agent.B, agent.offset, agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
+    return tuple(array.tobytes() for array in found)
 
 
-def _grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, FloatArray]:
-    """Grid of agent i and its coordinates (d, d)."""
-    agent = problem.agents[i]
-    coordinates = _noise_coordinates(agent)
-    if np.array_equal(coordinates, np.eye(agent.n_states)):
-        low, high = agent.workspace.low, agent.workspace.high
-    else:
-        inverse = np.linalg.inv(coordinates)
-        centre = 0.5 * (agent.workspace.low + agent.workspace.high)
-        middle, reach = inverse @ centre, np.abs(inverse) @ (0.5 * (agent.workspace.high - agent.workspace.low))
-        low, high = middle - reach, middle + reach
-    edges = []
-    for k in range(agent.n_states):
-        boundaries = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
-        edges.append(aligned_edges(float(low[k]), float(high[k]), cells[k], boundaries))
-    return Grid(tuple(edges)), coordinates
-
-
-def _noise_coordinates(agent: LinearAgent) -> FloatArray:
-    """Unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance."""
-    covariance = agent.noise_covariance
-    smallest = float(np.min(np.linalg.eigvalsh(covariance)))
-    if smallest <= 1e-12 * float(np.max(np.diag(covariance))):
-        raise ValueError(
-            f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
-            f"eigenvalue {smallest:.3g}; give every state some noise"
-        )
-    if np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
-        return np.eye(agent.n_states)
-    factor = np.linalg.cholesky(covariance)
-    return np.asarray(np.tril(factor / np.diag(factor)))
-
-
-def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
-    """Region boundaries of agent i that are hyperplanes of one state coordinate."""
-    agent = problem.agents[i]
-    found = []
-    for proposition in problem.propositions.values():
-        if proposition.agent != agent.name:
-            continue
-        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
-            if np.count_nonzero(row) == 1 and row[axis] != 0:
-                found += [float(low / row[axis]), float(high / row[axis])]
-    return found
-
-
-def _label_room(problem: Problem, i: int) -> FloatArray:
-    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
-
-    A start near a face of the workspace, or of a region that it lies in, counts as less room.
-    """
-    agent = problem.agents[i]
-    room = 0.5 * (agent.workspace.high - agent.workspace.low)
-    near = np.minimum(agent.initial.low - agent.workspace.low, agent.workspace.high - agent.initial.high)
-    for proposition in problem.propositions.values():
-        if proposition.agent != agent.name:
-            continue
-        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
-            if np.count_nonzero(row) == 1:
-                k = int(np.flatnonzero(row)[0])
-                inside = np.clip(
-                    np.sort([low / row[k], high / row[k]]), agent.workspace.low[k], agent.workspace.high[k]
-                )
-                if inside[1] > inside[0]:
-                    room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
-                    left = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
-                    near[k] = min(near[k], left) if left >= 0 else near[k]
-    return np.asarray(np.minimum(room, np.maximum(near, NEAREST * room)))
-
-
-def _cells_of(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:
-    """Cells per axis of one agent."""
-    wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
-    if wanted is None:
-        wanted = DEFAULT_CELLS.get(agent.n_states, 10)
-    per_axis = tuple(wanted) if isinstance(wanted, Sequence) else (wanted,) * agent.n_states
-    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)
-    if len(per_axis) != agent.n_states or not whole:
-        raise ValueError(
-            f"`cells`: expected a positive whole number or {agent.n_states} of them (cells per axis) for agent "
-            f"`{agent.name}`, got {wanted!r}"
-        )
-    return tuple(int(n) for n in per_axis)
+def has_full_rank(agent: LinearAgent) -> bool:
+    """Whether B has full row rank: every mean can be commanded."""
+    return bool(np.linalg.matrix_rank(agent.B) == agent.n_states)

@@ -21,12 +21,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem
-from .abstraction import region_boundaries
+from .abstraction import Relations
+from .agent_grids import region_boundaries
 from .agent_models import FINE
 from .choices import BAND_BYTES
 from .kernel import BLOCK, REACH
@@ -66,7 +68,7 @@ class AgentCells:
     points: float
 
 
-def cells_at(problem: Problem, resolution: float, relation: str = "auto") -> dict[str, AgentCells]:
+def cells_at(problem: Problem, resolution: float, relation: Relations = "auto") -> dict[str, AgentCells]:
     """Cells of every agent at about ``resolution`` cells per standard deviation; equal agents get equal ones.
 
     Parameters
@@ -74,18 +76,22 @@ def cells_at(problem: Problem, resolution: float, relation: str = "auto") -> dic
     problem : Problem
     resolution : float
         Cells per standard deviation of the noise (dimensionless), positive.
-    relation : str
-        As in ``abstract``.
+    relation : str, or mapping from agent name to str
+        As in ``synthesize``.
     """
-    alike: dict[object, list[int]] = {}
+    alike: dict[tuple[Any, ...], list[int]] = {}
     for i, agent in enumerate(problem.agents):
         arrays = (agent.A, agent.B, agent.noise_covariance, agent.state_low, agent.state_high, agent.input_low)
-        alike.setdefault((*(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
+        kind = relation.get(agent.name, "auto") if isinstance(relation, Mapping) else relation
+        alike.setdefault((kind, *(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
     found: dict[int, AgentCells] = {}
-    for members in alike.values():  # the boundaries of all of them, so that they share edges, and with them kernels
+    for (
+        kind,
+        *_,
+    ), members in alike.items():  # the boundaries of all of them, so that they share edges, and with them kernels
         own = problem.agents[members[0]]
         axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(own.n_states)]
-        cells = _agent_cells(problem, own, [sorted(axis) for axis in axes], resolution, relation)
+        cells = _agent_cells(problem, own, [sorted(axis) for axis in axes], resolution, kind)
         found |= dict.fromkeys(members, cells)
     return {agent.name: found[i] for i, agent in enumerate(problem.agents)}
 
@@ -124,7 +130,8 @@ def _agent_cells(
         _numbers(float(low), float(high), own, number)
         for low, high, own, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)
     ]
-    by_target = relation == "exact" or (relation == "auto" and np.linalg.matrix_rank(agent.B) == agent.n_states)
+    chosen = ("auto", "best", "quick")
+    by_target = relation == "exact" or (relation in chosen and np.linalg.matrix_rank(agent.B) == agent.n_states)
     scored = []
     for choice in product(*options):
         shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)

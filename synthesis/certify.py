@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
-from .abstraction import Abstraction, AgentModel, Cells, abstract, check_settings
+from .abstraction import Abstraction, AgentModel, Cells, Relations, abstract, check_settings
 from .ascent import Laws, Limits, Sweep, sweep
 from .choices import TargetWindows
 from .decentralised import Decentralised, Policy, decentralised
@@ -32,7 +32,7 @@ from .synthesize import certify as certificate_of
 
 
 def certify(
-    problem: Problem, policy: Policy, cells: Cells = None, *, relation: str = "auto", **settings: Any
+    problem: Problem, policy: Policy, cells: Cells = None, *, relation: Relations = "auto", **settings: Any
 ) -> Synthesis:
     """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
@@ -44,8 +44,8 @@ def certify(
         Decentralised policies, in any form of ``synthesis.decentralised``.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; with more of them the wrapped policy is closer to the raw one.
-    relation : str
-        As for ``synthesize``.
+    relation : str, or mapping from agent name to str
+        As for ``abstract``: relations are not compared.
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -72,7 +72,7 @@ def improve(
     policy: Policy,
     cells: Cells = None,
     *,
-    relation: str = "auto",
+    relation: Relations = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -188,7 +188,7 @@ def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: Fl
 
 
 def _wrapped(
-    problem: Problem, policy: Policy, cells: Cells, relation: str, settings: dict[str, Any]
+    problem: Problem, policy: Policy, cells: Cells, relation: Relations, settings: dict[str, Any]
 ) -> tuple[Abstraction, JointModel, Laws]:
     given = decentralised(checked_problem(problem), policy)
     check_settings(settings)

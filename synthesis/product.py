@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .abstraction import Cells
+from .abstraction import Cells, Relations, check_names
 from .certificate import EXACT_GAP, Certificate, joint_states
 from .grid import FloatArray
 from .kernel import UNIT
@@ -179,23 +179,19 @@ def nameless(problem: Problem) -> str:
     return json.dumps([problem.horizon, agents, regions, asked, task], sort_keys=True)
 
 
-def synthesize_parts(problem: Problem, cells: Cells, one: Callable[[Problem, Cells], Synthesis]) -> Synthesis:
-    """Synthesize every part with ``one(task, cells)``, those that differ in names alone once."""
+def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, one: Callable[..., Synthesis]) -> Synthesis:
+    """Synthesize every part with ``one(task, cells, relation=)``, those that differ in names alone once."""
     from .synthesize import Synthesis
 
-    if isinstance(cells, Mapping):
-        for name in cells:
-            if name not in problem.agent_names:
-                known = ", ".join(problem.agent_names[:8])
-                raise ValueError(f"`cells`: expected names of agents among {known}, got {name!r}; correct the name")
+    check_names("cells", cells, problem)
     found: dict[tuple[str, str], Synthesis] = {}
     parts = []
     for task in problem.tasks:
-        own: Cells = {a: cells[a] for a in task.agent_names if a in cells} if isinstance(cells, Mapping) else cells
-        asked = [own.get(a) for a in task.agent_names] if isinstance(own, Mapping) else own
+        own, kinds = _of_task(task, cells), _of_task(task, relation)
+        asked = [[o.get(a) for a in task.agent_names] if isinstance(o, Mapping) else o for o in (own, kinds)]
         key = (nameless(task), str(asked))
         if key not in found:
-            found[key] = one(task, own)
+            found[key] = one(task, own, relation=kinds)
         parts.append(found[key])
     certificate = product_certificate(problem, tuple(part.certificate for part in parts))
     each: list[dict[str, Any]] = [part.stats for part in found.values()]
@@ -207,9 +203,28 @@ def synthesize_parts(problem: Problem, cells: Cells, one: Callable[[Problem, Cel
         "tasks": len(parts),
         "distinct_tasks": len(found),
     }
+    if compared := relations_tried(certificate):
+        stats["tried"] = compared
     if problem.specification.semantics != "co-safe":  # of these the parts ask for more than the whole does
         for name in ("abstract_upper_bound", "continuous_upper_bound"):
             bounds: list[Any] = [dict(part.stats)[name] for part in parts]
             if None not in bounds:
                 stats[name] = min(1.0, math.prod(bounds) * (1.0 + 4.0 * len(parts) * UNIT))
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, float | str]:
+    """The bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
+    if isinstance(certificate, Certificate):
+        return dict(certificate.settings.get("relations_tried", {}))
+    found: dict[str, float | str] = {}
+    for same in certificate.alike:
+        part = certificate.parts[same[0]]
+        name = part.problem.agent_names[0]
+        found |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
+    return found
+
+
+def _of_task(task: Problem, given: Any) -> Any:
+    """What is given for the agents of a task: the entries of a mapping, or the whole."""
+    return {a: given[a] for a in task.agent_names if a in given} if isinstance(given, Mapping) else given

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..envs.problem import Problem
+from .abstraction import Relations
 from .cells import MOST, AgentCells, base_bytes, cells_at, snapping_loss
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class _Search:
     """What the runs so far have shown."""
 
     problem: Problem
-    relation: str
+    relation: Relations
     memory: float
     tried: list[dict[str, Any]] = field(default_factory=list)
     terms: float = 0.0
@@ -82,7 +83,7 @@ class _Search:
 
 
 def refine(
-    problem: Problem, run: Run, relation: str, memory: float | None, accuracy: float | None
+    problem: Problem, run: Run, relation: Relations, memory: float | None, accuracy: float | None
 ) -> tuple[Synthesis, dict[str, Any]]:
     """The best of several runs, and a record of how its cells were chosen (plain values).
 
@@ -91,7 +92,7 @@ def refine(
     problem : Problem
     run : callable
         Synthesis with given cells per agent and axis.
-    relation : str
+    relation : str, or mapping from agent name to str
         As in ``synthesize``.
     memory : float, optional
         Bytes that a run may take at its peak; default ``DEFAULT_MEMORY``.

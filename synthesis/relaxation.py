@@ -4,6 +4,9 @@ For agent i let the letters of the other agents be chosen favourably, step by st
 
     V^i_q,t+1(x) = max_u E[ max over q' in next_exists(q, L_i(x')) of V^i_q',t(x') ] .
 
+Where a cell may have several labels, the worst of them counts: the robust automaton goes to q' only if every letter
+that is possible leads there, or to acceptance, which is worth no less.
+
 Each ``V^i`` bounds the joint optimum from above (THEORY section 7), and so does their **product**, which is never
 larger. For the joint optimum W, by induction, ``W_q,t(x) <= prod_i V^i_q,t(x_i)``: at t = 0 both sides are 1 or 0; and
 
@@ -54,15 +57,13 @@ class Relaxation:
 
 
 def relax(problem: Problem, joint: JointModel) -> tuple[Relaxation, ...]:
-    """The relaxation of every agent; agents that are alike share theirs."""
-    found: dict[tuple[int, bytes], Relaxation] = {}
+    """The relaxation of every agent; agents that are alike share theirs, which ``joint`` remembers."""
+    found = joint.relaxations
     relaxations = []
     for model, follows in zip(joint.models, favourable_successors(problem), strict=True):
-        sets = model.labels.sets.astype(np.int64)
-        possible = np.einsum("nc,qcp->qnp", sets, follows.astype(np.int64)) > 0
-        key = (id(model), possible.tobytes())
+        key = (id(model), follows.tobytes())
         if key not in found:
-            found[key] = _solve(joint, model, possible)
+            found[key] = _solve(joint, model, follows)
         relaxations.append(found[key])
     return tuple(relaxations)
 
@@ -87,19 +88,15 @@ def relaxed_laws(relaxations: tuple[Relaxation, ...]) -> Laws:
     return tuple(one.law for one in relaxations)
 
 
-def _solve(joint: JointModel, model: AgentModel, possible: NDArray[np.bool_]) -> Relaxation:
-    """Dynamic programming over one agent's cells; ``possible[q, n, p]`` where label set n can lead from q to p."""
-    n_q, number = joint.n_states, model.labels.number
-    reachable = possible[:, np.maximum(number, 0)] & (number >= 0)[None, :, None]
+def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> Relaxation:
+    """Dynamic programming over one agent's cells; ``follows[q, c, p]`` where class c can lead from q to p."""
+    n_q = joint.n_states
     value = np.repeat(joint.accepting.astype(float)[:, None], model.n_cells, axis=1)
     settled = value.copy()
     law = np.tile(model.choices.resting_law, (joint.horizon, n_q, 1))
-    weights = np.ones((model.n_cells, 1))
+    weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
-        arriving = np.zeros_like(value)
-        for p in range(n_q):
-            arriving = np.maximum(arriving, reachable[:, :, p] * value[p])
-        smoothed = model.kernel.smooth(arriving)
+        smoothed = model.kernel.smooth(_arriving(value, classes))
         for q in range(n_q):
             if joint.absorbing[q]:
                 value[q] = settled[q]
@@ -107,6 +104,34 @@ def _solve(joint: JointModel, model: AgentModel, possible: NDArray[np.bool_]) ->
             law[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], law[t, q])
             value[q] = gather(smoothed[q : q + 1], model.choices.points(law[t, q]))[0]
     return Relaxation(value, law)
+
+
+def _cells_by_class(
+    model: AgentModel, follows: NDArray[np.bool_]
+) -> list[tuple[NDArray[np.bool_], NDArray[np.int64]]]:  # fmt: skip
+    """What can follow (Q, Q) on each class of labels, and the cells that may have it; those that lead alike as one."""
+    sets, number = model.labels.sets, model.labels.number
+    _, kind = np.unique(follows.transpose(1, 0, 2).reshape(follows.shape[1], -1), axis=0, return_inverse=True)
+    found = []
+    for k in range(int(kind.max(initial=-1)) + 1):
+        own = np.flatnonzero(kind.ravel() == k)
+        has = np.append(sets[:, own].any(axis=1), False)  # the last one is of cells without labels
+        found.append((follows[:, own[0]], np.flatnonzero(has[number])))
+    return found
+
+
+def _arriving(
+    value: FloatArray, classes: list[tuple[NDArray[np.bool_], NDArray[np.int64]]]
+) -> FloatArray:  # fmt: skip
+    """(Q, S) most that arriving in a cell is worth, its worst class counting; 0 where nothing is known of it."""
+    arriving = np.full(value.shape, np.inf)
+    for follows, cells in classes:
+        here = value[:, cells]
+        for q, after in enumerate(follows):
+            best = here[after].max(axis=0) if after.any() else 0.0
+            arriving[q, cells] = np.minimum(arriving[q, cells], best)
+    arriving[np.isinf(arriving)] = 0.0
+    return arriving
 
 
 def favourable_successors(problem: Problem) -> list[NDArray[np.bool_]]:

@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem, checked_problem
-from .abstraction import RELATIONS, Abstraction, Cells, abstract, check_settings
+from .abstraction import (
+    Abstraction,
+    Cells,
+    Relations,
+    Settings,
+    abstract,
+    check_names,
+    check_settings,
+    relations_of,
+)
 from .arrays import HOST, device_put
 from .ascent import Laws, Limits, Sweep, forward, sweep
 from .bounds import (
@@ -25,7 +34,7 @@ from .bounds import (
     train_bound,
     undecided_steps,
 )
-from .certificate import EXACT_GAP, AgentPart, Certificate
+from .certificate import EXACT_GAP, AgentPart, Certificate, checked_certificate
 from .choices import InputMenu
 from .continuous_bound import continuous_upper_bound
 from .controller import Controller
@@ -35,6 +44,7 @@ from .joint import JointModel, join, start_of
 from .optimum import abstract_bound
 from .product import synthesize_parts
 from .refine import refine
+from .relation_choice import Tries, groups_of
 from .search import FINAL, Search, improve
 from .stationary import stationary_best, time_invariant
 from .train_above import evaluate_above, start_above
@@ -54,8 +64,8 @@ class Synthesis:
         ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
         ``optimum``), ``continuous_upper_bound`` (no policy of the continuous system does better; None where there is
         no bound), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
-        state; None for tensor trains and stationary policies), and with
-        ``relation="best"`` what was ``tried``: the lower bound of each relation, or why it does not apply.
+        state; None for tensor trains and stationary policies), and, where relations were compared, what was
+        ``tried``: the lower bound of each, or why there is none.
     """
 
     certificate: Certificate
@@ -67,7 +77,7 @@ def synthesize(
     problem: Problem,
     cells: Cells = None,
     *,
-    relation: str = "auto",
+    relation: Relations = "auto",
     max_sweeps: int = 8,
     limits: Limits | None = None,
     value: str = "auto",
@@ -89,10 +99,12 @@ def synthesize(
         (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound.
-    relation : str
+    relation : str, or mapping from agent name to str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents), ``"auto"``: per agent ``exact`` where it applies and ``tube`` elsewhere
-        (see ``abstract``), or ``"best"``: every one of these that applies, and the largest bound is kept.
+        choice), ``"paper"`` (scalar agents). ``"auto"``, also for agents that a mapping leaves out: ``exact`` where it
+        leaves most of the inputs to the policy; elsewhere ``exact``, ``tube`` and ``ellipsoid`` as far as they apply,
+        and the largest bound is kept (see ``relation_choice``). ``"best"``: the same without any shortcut, ``paper``
+        included. ``"quick"``: ``exact`` or ``tube``, without comparing (see ``abstract``).
     max_sweeps : int
         Most improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
@@ -111,7 +123,8 @@ def synthesize(
     restarts : int
         Further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
-        Policies to begin with, of the same agents, cells and relation, for any horizon (see ``horizons``).
+        Policies to begin with, of the same agents, cells and relation, for any horizon (see ``horizons``); ``"auto"``
+        is then their relation.
     stationary : bool
         Policies that do not look at the time, for tasks without a deadline (see ``without_deadline``).
     **settings
@@ -135,22 +148,58 @@ def synthesize(
            "stationary": stationary, "device": device, **settings}  # fmt: skip
     if checked_problem(problem).groups:
         _refuse_start(start, "independent tasks")
-        return synthesize_parts(
-            problem, cells, partial(synthesize, relation=relation, memory=memory, accuracy=accuracy, **how)
-        )
+        check_names("relation", relation, problem)
+        one = partial(synthesize, memory=memory, accuracy=accuracy, **how)
+        return synthesize_parts(problem, cells, relation, one)
+    asked = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
+    compare = partial(_compared, problem, asked=asked, settings=Settings(**settings), search=search, device=device,
+                      stationary=stationary)  # fmt: skip
     if memory is not None or accuracy is not None:
         _refuse_start(start, "a budget")
-        return _within(problem, cells, memory, accuracy, {"relation": relation, **how})
-    if relation == "best":
-        _refuse_start(start, "several relations")
-        return _best_relation(problem, cells, how)
+        if cells is not None:
+            raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
+        return _within(problem, memory, accuracy, asked, how, compare)
+    if start is not None:
+        if relation == "best":
+            _refuse_start(start, "several relations")
+        kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
+        if len(kinds) == len(asked):
+            asked = [kind if own == "auto" else own for own, kind in zip(asked, kinds, strict=True)]
     began = time.perf_counter()
-    abstraction = abstract(problem, cells, relation=relation, **settings)
+    if {"auto", "best"} & {*asked} and start is None:
+        return compare(cells)
+    abstraction = abstract(problem, cells, relation=_one_or_each(problem, asked), **settings)
     abstracted = time.perf_counter()
     given = {} if start is None else laws_from(start, problem, abstraction)
     result = _on(problem, abstraction, join(problem, abstraction, device), search, given, stationary)
     result.stats["seconds"] = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
     return result
+
+
+def _one_or_each(problem: Problem, asked: list[str]) -> Relations:
+    """What is asked for of all agents alike, or of each."""
+    return asked[0] if len({*asked}) == 1 else dict(zip(problem.agent_names, asked, strict=True))
+
+
+def _compared(
+    problem: Problem, cells: Cells, known: Synthesis | None = None, *, asked: list[str], settings: Settings,
+    search: Search, device: str, stationary: bool,
+) -> Synthesis:  # fmt: skip
+    """The synthesis with the largest bound among relations that apply; what was tried is kept with the certificate."""
+    began = time.perf_counter()
+    tries = Tries(problem, groups_of(problem, cells, asked, settings), settings, device)
+    abstracted = time.perf_counter()
+
+    def run(abstraction: Abstraction, joint: JointModel) -> Synthesis:
+        return _on(problem, abstraction, joint, search, {}, stationary)
+
+    best, tried = tries.best(run, known, "best" in asked)
+    stats = {**best.stats, "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}}
+    certificate = best.certificate
+    if len(tried) > 1:
+        stats["tried"] = tried
+        certificate = replace(certificate, settings={**certificate.settings, "relations_tried": tried})
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def _on(
@@ -189,37 +238,25 @@ def _refuse_start(start: Certificate | None, what: str) -> None:
 
 
 def _within(
-    problem: Problem, cells: Cells, memory: float | None, accuracy: float | None, how: dict[str, Any]
-) -> Synthesis:
-    """The best synthesis within a budget; the record of its cells is kept with the settings of the certificate."""
-    if cells is not None:
-        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-    best, record = refine(problem, lambda own: synthesize(problem, own, **how), how["relation"], memory, accuracy)
+    problem: Problem, memory: float | None, accuracy: float | None, asked: list[str], how: dict[str, Any],
+    compare: Callable[[Cells, Synthesis], Synthesis],
+) -> Synthesis:  # fmt: skip
+    """The best synthesis within a budget; the record of its cells is kept with the settings of the certificate.
+
+    Relations are compared on the last cells only; what led to them is the quick choice.
+    """
+    quick = ["quick" if own in ("auto", "best") else own for own in asked]
+    first = _one_or_each(problem, quick)
+    if not {"ellipsoid", "paper"} & {*quick}:
+        how = {name: value for name, value in how.items() if name not in ("delta", "share")}
+    best, record = refine(problem, lambda own: synthesize(problem, own, relation=first, **how), first, memory, accuracy)
+    if quick != asked:
+        parts = zip(problem.agent_names, best.certificate.agents, strict=True)
+        best = compare({name: part.grid.shape for name, part in parts}, best)
     certificate = best.certificate
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
     return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
-
-
-def _best_relation(problem: Problem, cells: Cells, how: dict[str, Any]) -> Synthesis:
-    """The synthesis with the largest bound among all relations that apply; ``stats["tried"]`` lists them all.
-
-    A relation that does not apply raises ``ValueError``, whose text is what is listed; other errors are not expected.
-    """
-    tried: dict[str, float | str] = {}
-    best: Synthesis | None = None
-    for relation in RELATIONS:
-        try:
-            found = synthesize(problem, cells, relation=relation, **how)
-        except ValueError as error:
-            tried[relation] = " ".join(str(error).split())
-            continue
-        tried[relation] = found.certificate.lower_bound
-        if best is None or found.certificate.lower_bound > best.certificate.lower_bound:
-            best = found
-    if best is None:
-        raise ValueError("`relation`: expected one that applies, got none: " + "; ".join(map(str, tried.values())))
-    return Synthesis(best.certificate, best.controller, {**best.stats, "tried": tried})
 
 
 def certify(

@@ -81,13 +81,14 @@ def test_boxes_and_points_may_be_mixed_among_the_starts() -> None:
 
 
 def test_weak_inputs_are_not_called_exact() -> None:
-    """Where cells have no admissible target the value is a lower bound only; the automatic choice is a tube."""
+    """Where cells have no admissible target the value is a lower bound only; the automatic choice is another."""
     weak = two_agents("F (a & F c)", horizon=4, noise_covariance=[[1.5]], B=[[0.01]])
     forced = cg.synthesize(weak, 100, relation="exact").certificate
     assert not forced.exact
     assert not cg.validate(forced, 20_000, confidence=1 - FALSE_ALARM / 2).refuted
     chosen = cg.synthesize(weak, 100)
-    assert chosen.certificate.settings["relation"] == "tube"
+    assert chosen.certificate.settings["relation"] in ("tube", "ellipsoid")
+    assert cg.synthesize(weak, 100, relation="quick").certificate.settings["relation"] == "tube"
     assert chosen.certificate.lower_bound > forced.lower_bound
     assert not cg.validate(chosen, 20_000, confidence=1 - FALSE_ALARM / 2).refuted and cg.check(chosen.certificate)
 

@@ -13,6 +13,7 @@ import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Laws, Limits, sweep
+from certigym.synthesis.best_response import TIE
 from certigym.synthesis.grid import start_share
 from certigym.synthesis.horizons import laws_from
 from certigym.synthesis.joint import JointModel, join, start_of
@@ -283,7 +284,7 @@ def test_dense_programming_chooses_from_menus_of_inputs() -> None:
     joint = join(problem, abstract(problem, 48, relation="tube"))
     (alone,) = relax(problem, joint)
     dense = dense_optimum(problem, list(joint.models))
-    assert np.all(dense <= alone.values * (1 + 1e-12) + 1e-15)
+    assert np.all(dense <= alone.values * (1 + 2 * 10 * TIE) + 1e-15)  # incumbents stay that close to the best
     assert 0.01 < result.certificate.lower_bound
     assert result.certificate.lower_bound == pytest.approx(at_start(problem, joint, dense), rel=1e-8)
 

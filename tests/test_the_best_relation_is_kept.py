@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import certigym as cg
-from problems import scalar_agent
+from problems import cart, cart_reach, scalar_agent
 
 
 def task() -> cg.Problem:
@@ -41,5 +41,10 @@ def test_a_relation_that_does_not_apply_says_why() -> None:
 
 
 def test_where_nothing_applies_all_reasons_are_given() -> None:
-    with pytest.raises(ValueError, match="one that applies"):
+    """Nobody reaches the second state of the agent."""
+    adrift = cart(A=[[1.0, 0.5], [0.0, 1.2]], B=[[0.5], [0.0]])
+    for relation in ("auto", "best"):
+        with pytest.raises(ValueError, match=r"applies to agent `cart`, got none: .*tube: .*; ellipsoid: "):
+            cg.synthesize(cart_reach(adrift), 40, relation=relation)
+    with pytest.raises(ValueError, match="`delta`: expected a number of at least 0 and below 1, got 2"):
         cg.synthesize(task(), 40, relation="best", delta=2.0)

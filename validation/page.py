@@ -13,7 +13,7 @@ from ..envs.guards import letter_text
 from ..envs.scene import panels
 from .page_style import STYLE
 from .pictures import automaton_picture, bound_curve, coordinate_name, margin_pictures, rollouts_picture
-from .validate import shown_bound
+from .validate import shown_bound, tried_lines
 
 if TYPE_CHECKING:
     from .report import ReportContent
@@ -69,6 +69,7 @@ def _claim(content: ReportContent) -> str:
         "simulated": f"{v.estimate:.6f}, {100 * v.confidence:g} % limits [{v.ci_low:.6f}, {v.ci_high:.6f}]",
         "episodes": f"{v.successes} successes of {v.episodes}",
         "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
+        **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
         "separate check": checked,
         "audit": content.audit.verdict,
         "map of starts": content.field.verdict,

@@ -15,7 +15,7 @@ import numpy as np
 from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import EXACT_GAP, Certificate, checked_certificate
-from ..synthesis.product import ProductCertificate
+from ..synthesis.product import ProductCertificate, relations_tried
 from ..synthesis.synthesize import Synthesis
 from .loop import CHUNK, Loop
 from .mismatch import Mismatch
@@ -96,10 +96,7 @@ class ValidationReport:
             text = f"optimum      <= {_rounded_up(self.details['abstract_upper_bound'])} for any policy on these cells"
             most = self.details.get("continuous_upper_bound")
             above.append(f"{text}, <= {_rounded_up(most)} for any whatever" if most is not None and most < 1 else text)
-        for relation, outcome in self.details.get("tried", {}).items():
-            above.append(
-                f"tried        {relation}: {shown_bound(outcome, None) if isinstance(outcome, float) else outcome}"
-            )
+        above += [f"tried        {line}" for line in tried_lines(self.details)]
         if self.details.get("unilateral_gain") is not None:
             gain = self.details["unilateral_gain"]
             above.append(
@@ -131,6 +128,12 @@ def _rounded_up(most: float) -> str:
     return f"{math.ceil(most * 1e6) / 1e6:.6f}"
 
 
+def tried_lines(details: dict[str, Any]) -> list[str]:
+    """What each relation that was tried gave, in words."""
+    tried = details.get("tried", {})
+    return [f"{name}: {shown_bound(own, None) if isinstance(own, float) else own}" for name, own in tried.items()]
+
+
 def shown_bound(lower: float, gap: float | None) -> str:
     """A claim in words, its digits rounded away from what is claimed so that what is printed holds too."""
     digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
@@ -141,7 +144,7 @@ def shown_bound(lower: float, gap: float | None) -> str:
     return f"{claim} (exact to {gap:.1e})" if gap <= EXACT_GAP else f"{claim}, P <= {_rounded_up(lower + gap)}"
 
 
-_ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain", "tried")
+_ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain")
 """What reports take from the statistics of a synthesis."""
 
 
@@ -233,6 +236,8 @@ def validate(
     if interrupted:
         details["interrupted"] = True
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
+    if initial_state is None and (tried := relations_tried(certificate)):
+        details["tried"] = tried
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
         if initial_state is None:

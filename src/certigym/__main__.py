@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 
 from . import __version__
-from .learning_options import RELATIONS, add_learning_commands
+from .learning_options import add_learning_commands, add_relation
 from .plot_command import add_plot_command
 from .validation_options import add_validate_options, add_validation_commands
 
@@ -90,10 +90,8 @@ def _start(parser: argparse.ArgumentParser) -> None:
 
 
 def _synthesis(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--relation", choices=(*RELATIONS, "best"), default="auto",
-                        help="default: auto; best: try all that apply")  # fmt: skip
-    parser.add_argument("--delta", type=float, metavar="P",
-                        help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
+    add_relation(parser, "auto (default: what certifies most), quick (no comparison), best (no shortcut), exact, tube, "
+                         "ellipsoid or paper")  # fmt: skip
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
     parser.add_argument("--memory", metavar="BYTES",
                         help="instead of --cells: as fine as fits (bytes, or with K, M, G)")  # fmt: skip

@@ -73,8 +73,21 @@ def check_places(*paths: str | None) -> None:
 
 
 def relation_of(options: Namespace) -> dict[str, Any]:
-    """Relation given by ``--relation``, with ``--delta`` where it is given; keyword arguments of ``abstract``."""
-    return {"relation": options.relation, **({} if options.delta is None else {"delta": options.delta})}
+    """Relation given by ``--relation``, with ``--delta`` where it is given; keyword arguments of ``synthesize``.
+
+    One name for all agents, or ``AGENT=NAME`` for some of them.
+    """
+    words = [word for given in options.relation for word in given.split(",") if word]
+    relation: str | dict[str, str] = words[0] if len(words) == 1 and "=" not in words[0] else {}
+    if isinstance(relation, dict):
+        for word in words:
+            agent, equals, name = word.rpartition("=")
+            if not equals or not agent or agent in relation:
+                raise ValueError(
+                    f"`--relation`: expected one name, or AGENT=NAME once per agent, got {' '.join(words)!r}"
+                )
+            relation[agent] = name
+    return {"relation": relation, **({} if options.delta is None else {"delta": options.delta})}
 
 
 def search_of(options: Namespace) -> dict[str, Any]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-RELATIONS = ("auto", "exact", "tube", "ellipsoid", "paper")
-
 POLICIES = "certified, ppo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
 
 
@@ -37,10 +35,7 @@ def add_learning_commands(commands: Any) -> None:
     _problem(certify)
     certify.add_argument("--policy", required=True, metavar="POLICY", help="actor (.npz) or FILE.py:NAME")
     certify.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
-    certify.add_argument("--relation", choices=RELATIONS, default="auto",
-                         help="how agents follow their finite models (default: auto)")  # fmt: skip
-    certify.add_argument("--delta", type=float, metavar="P",
-                         help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip
+    add_relation(certify, "how agents follow their finite models: quick (default), exact, tube, ellipsoid or paper")
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
     certify.add_argument("--out", metavar="CERT", help="save the certificate, of the improved policy if any (.npz)")
     _rollouts(certify)
@@ -58,3 +53,11 @@ def _rollouts(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=10_000, metavar="M", help="rollouts per policy (10000)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
     parser.add_argument("--confidence", type=float, default=0.99, metavar="C", help="of each interval (0.99)")
+
+
+def add_relation(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Options ``--relation`` and ``--delta``."""
+    parser.add_argument("--relation", nargs="+", metavar="NAME", default=["auto"],
+                        help=f"{meaning}; AGENT=NAME for single agents")  # fmt: skip
+    parser.add_argument("--delta", type=float, metavar="P",
+                        help="failure probability per step and agent of `ellipsoid` or `paper`")  # fmt: skip

@@ -6,7 +6,7 @@ import argparse
 from argparse import Namespace
 from typing import Any
 
-from .learning_options import RELATIONS
+from .learning_options import add_relation
 
 KINDS = {
     "value": "certified bound over a slice of starts (--axes: one coordinate or two)",
@@ -31,8 +31,7 @@ def add_plot_command(commands: Any) -> None:
         "--horizons", nargs="+", type=int, metavar="T", help="for `horizon` (default: 1 to the problem's)"
     )
     plot.add_argument("--initial-state", nargs="+", metavar="X", help="joint initial state, agent after agent")
-    plot.add_argument("--relation", choices=RELATIONS, default="auto", help="as for `synthesize` (default: auto)")
-    plot.add_argument("--delta", type=float, metavar="P", help="as for `synthesize`")
+    add_relation(plot, "as for `synthesize` (default: auto)")
     plot.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
     plot.add_argument("--axes", nargs="+", type=int, metavar="K", help="joint coordinates of `value`")
     plot.add_argument("--agent", type=int, default=0, metavar="I", help="number of the agent of `relation`")

@@ -1,0 +1,199 @@
+"""By default relations are compared where more than one may be best: the largest bound is kept, all are reported."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.__main__ import main
+from certigym.envs import independent
+from certigym.synthesis import relation_choice
+from certigym.synthesis.abstraction import Settings, abstract
+from certigym.synthesis.joint import join, start_of
+from certigym.synthesis.relation_choice import Tries, groups_of
+from certigym.synthesis.relaxation import relax, upper_bound
+from certigym.validation.verdict import REFUTED
+from problems import cart, cart_reach, scalar_agent
+
+NEEDS_SOLVER = "cvxpy"
+
+
+def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str = "co-safe") -> cg.Problem:
+    """A scalar agent whose every mean can be commanded, and carts with one input for two states."""
+    names = [f"cart_{k}" for k in range(n_carts)]
+    regions = {f"goal_{k}": cg.Proposition(name, [0.0, -3.0], [5.0, 3.0]) for k, name in enumerate(names)}
+    task = formula.format(carts=" & ".join(regions))
+    return cg.Problem(
+        name="mixed",
+        horizon=5,
+        agents=[scalar_agent("car"), *(cart(name=name) for name in names)],
+        propositions={"home": cg.Proposition("car", [1.0], [3.0]), **regions},
+        specification=cg.Specification(task, semantics),
+    )
+
+
+@cache
+def chosen() -> cg.Synthesis:
+    return cg.synthesize(team(), {"car": 60, "cart_0": 40})
+
+
+def tried_of(found: cg.Synthesis) -> dict[str, float | str]:
+    return dict(found.stats["tried"])  # type: ignore[call-overload]
+
+
+def kinds_of(certificate: Any) -> list[str]:
+    return [part.relation["kind"] for part in certificate.agents]
+
+
+def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), 100)
+    assert "tried" not in found.stats and "relations_tried" not in found.certificate.settings
+    assert "tried " not in str(cg.validate(found, 200))
+    monkeypatch.setattr(relation_choice, "SETTLED", 0.0)
+    tried = tried_of(cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), 100))
+    assert {"exact", "tube", "ellipsoid"} == set(tried)
+
+
+def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
+    """On coarse cells the reserve of ``exact`` takes an eighth of the inputs."""
+    problem = cg.make_problem("car-park-planar-v0")
+    quick, found = (cg.synthesize(problem, 100, relation=relation) for relation in ("quick", "auto"))
+    assert kinds_of(quick.certificate) == ["exact"] and kinds_of(found.certificate) == ["tube"]
+    assert found.certificate.lower_bound > quick.certificate.lower_bound + 0.005
+    assert cg.check(found.certificate), str(cg.check(found.certificate))
+
+
+def test_an_ellipsoid_is_kept_where_it_certifies_more_than_a_tube() -> None:
+    """Two agents of position and velocity share it; the bound is checked and not refuted at 1e-6."""
+    pytest.importorskip(NEEDS_SOLVER)
+    problem = cg.make_problem("reach-avoid-kinematic-v0")
+    tube, found = (cg.synthesize(problem, 50, relation=relation, max_sweeps=2) for relation in ("tube", "auto"))
+    assert kinds_of(found.certificate) == ["ellipsoid", "ellipsoid"]
+    assert found.certificate.lower_bound > tube.certificate.lower_bound + 0.05
+    tried = tried_of(found)
+    assert tried["ellipsoid"] == found.certificate.lower_bound
+    most = re.fullmatch(r"at most (0\.\d+), not computed", str(tried["tube"]))
+    assert most is not None and float(most[1]) >= tube.certificate.lower_bound
+    assert cg.check(found.certificate)
+    assert cg.validate(found, 20_000, confidence=1 - 1e-6).verdict != REFUTED
+
+
+def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
+    found = chosen()
+    kinds = kinds_of(found.certificate)
+    assert kinds[0] == "exact" and kinds[1] in ("tube", "ellipsoid") and found.certificate.lower_bound > 0.1
+    assert f"exact for car, {kinds[1]} for cart_0" in tried_of(found)
+    assert cg.check(found.certificate)
+    assert cg.validate(found, 20_000, confidence=1 - 1e-6).verdict != REFUTED
+    cg.save_certificate(found.certificate, tmp_path / "c.npz")
+    loaded = cg.load_certificate(tmp_path / "c.npz")
+    assert loaded.settings["relations_tried"] == tried_of(found)
+    assert f"tried        exact for car, {kinds[1]} for cart_0: P >= " in str(cg.validate(loaded, 200))
+
+
+def test_what_is_passed_over_would_not_have_been_better() -> None:
+    found = chosen()
+    for kind in ("tube", "ellipsoid"):
+        if kind == "ellipsoid":
+            pytest.importorskip(NEEDS_SOLVER)
+        other = cg.synthesize(team(), {"car": 60, "cart_0": 40}, relation={"cart_0": kind})
+        assert kinds_of(other.certificate) == ["exact", kind]
+        assert other.certificate.lower_bound <= found.certificate.lower_bound + relation_choice.WORTHWHILE
+        outcome = tried_of(found)[f"exact for car, {kind} for cart_0"]
+        if isinstance(outcome, str) and outcome.startswith("at most"):
+            assert other.certificate.lower_bound <= float(outcome.split()[2].rstrip(","))
+        else:
+            assert outcome == other.certificate.lower_bound
+
+
+def test_bounds_from_above_hold_for_every_combination() -> None:
+    """Also where cells have several labels, of which the worst counts."""
+    problem, cells = team(), {"car": 40, "cart_0": 24}
+    for car in ("exact", "tube"):
+        relation = {"car": car, "cart_0": "tube"}
+        found = cg.synthesize(problem, cells, relation=relation)
+        joint = join(problem, abstract(problem, cells, relation=relation))
+        most = upper_bound(joint, start_of(problem, joint), relax(problem, joint))
+        assert 0.0 < found.certificate.lower_bound <= most
+
+
+def test_combinations_grow_with_the_groups_only() -> None:
+    """Alike agents share a relation; searches are as many as groups have relations, not as there are combinations."""
+    problem = team(n_carts=2)
+    alike = groups_of(problem, {"car": 40, "cart_0": 16, "cart_1": 16}, ["auto"] * 3, Settings())
+    assert [group.members for group in alike] == [(0,), (1, 2)]
+    groups = groups_of(problem, {"car": 40, "cart_0": 16, "cart_1": 20}, ["best"] * 3, Settings())
+    assert [group.members for group in groups] == [(0,), (1,), (2,)]
+    tries, runs = Tries(problem, groups, Settings(), "numpy"), []
+
+    def run(abstraction: Any, joint: Any) -> Any:
+        runs.append(tuple(model.relation.kind for model in abstraction.models))
+        return cg.synthesize(team(), {"car": 40, "cart_0": 16}, relation="quick", max_sweeps=0)
+
+    tries.best(run, every=True)
+    assert len(runs) == len({*runs}) == 1 + sum(len(group.models) - 1 for group in groups)
+
+
+def test_relations_can_be_named_per_agent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem, cells = team(), {"car": 40, "cart_0": 24}
+    assert [m.relation.kind for m in abstract(problem, cells, relation={"car": "tube"}).models] == ["tube", "tube"]
+    with pytest.raises(ValueError, match="`relation`: expected names of agents among car, cart_0, got 'bus'"):
+        cg.synthesize(problem, cells, relation={"bus": "tube"})
+    with pytest.raises(ValueError, match="`relation`: expected one of auto, exact"):
+        cg.synthesize(problem, cells, relation={"car": "exakt"})
+    out = str(tmp_path / "c.npz")
+    scalar = ["synthesize", "reach-avoid-v0", "--horizon", "2", "--cells", "40", "--out", out]
+    assert main([*scalar, "--relation", "agent_0=tube", "agent_1=exact"]) == 0
+    assert kinds_of(cg.load_certificate(out)) == ["tube", "exact"]
+    assert main([*scalar, "--relation", "tube", "exact"]) == 2
+    assert "`--relation`: expected one name, or AGENT=NAME once per agent" in capsys.readouterr().err
+
+
+def test_independent_tasks_choose_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(independent, "MOST_STATES", 0)
+    problem = team(formula="(F home) & (F {carts})", semantics="finite-trace")
+    assert problem.groups
+    found = cg.synthesize(problem, {"car": 60, "cart_0": 24})
+    first, second = found.certificate.parts  # type: ignore[attr-defined]
+    assert kinds_of(first) == ["exact"] and kinds_of(second)[0] in ("tube", "ellipsoid")
+    assert all(name.endswith(", task of cart_0") for name in tried_of(found))
+    named = cg.synthesize(problem, {"car": 60, "cart_0": 24}, relation={"car": "tube", "cart_0": "tube"})
+    assert [kinds_of(part) for part in named.certificate.parts] == [["tube"], ["tube"]]  # type: ignore[attr-defined]
+
+
+def test_budgets_compare_at_the_last_cells_only() -> None:
+    found = cg.synthesize(cart_reach(cart(), horizon=5), memory=6e6, max_sweeps=2)
+    settings = found.certificate.settings
+    assert {"tube", "ellipsoid"} <= set(settings["relations_tried"])
+    assert settings["cells"] == settings["cells_chosen"]["cells"]
+    last = max(run["lower_bound"] for run in settings["cells_chosen"]["tried"] if "lower_bound" in run)
+    assert settings["relations_tried"]["tube"] == last <= found.certificate.lower_bound
+
+
+def test_horizons_go_on_with_the_relation_of_the_first() -> None:
+    short, longer = cg.synthesize_horizons(cart_reach(cart()), [4, 6], 32)
+    assert kinds_of(short.certificate) == kinds_of(longer.certificate)
+    assert "tried" in short.stats and "tried" not in longer.stats
+    assert longer.certificate.lower_bound >= short.certificate.lower_bound > 0
+
+
+def test_stationary_policies_are_compared_too() -> None:
+    found = cg.synthesize(cart_reach(cart(), horizon=5), 32, stationary=True)
+    assert len(tried_of(found)) > 1 and all(len(part.law) == 1 for part in found.certificate.agents)
+    assert cg.check(found.certificate)
+
+
+def test_delta_is_for_the_ellipsoids_that_are_tried() -> None:
+    pytest.importorskip(NEEDS_SOLVER)
+    found = cg.synthesize(cart_reach(cart(), horizon=4), 40, delta=0.001)
+    assert {"tube", "ellipsoid"} <= set(tried_of(found))
+    alone = cg.synthesize(cart_reach(cart(), horizon=4), 40, relation="ellipsoid", delta=0.001)
+    outcome = tried_of(found)["ellipsoid"]
+    assert outcome == alone.certificate.lower_bound or isinstance(outcome, str)
+    assert np.isclose(found.certificate.lower_bound, max(v for v in tried_of(found).values() if isinstance(v, float)))
