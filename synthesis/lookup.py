@@ -20,6 +20,9 @@ from .grid import FloatArray, Grid
 FINEST = 64
 """Most buckets per cell; axes that would need more are searched by bisection."""
 
+WIDER = 1.0 - 1e-9
+"""Buckets per cell that are tried first: those of equal cells then hold one edge each, in order."""
+
 SHORTEST = 1e-290
 """Shortest axis, in state units, that is cut into buckets: their number per state unit must be a number."""
 
@@ -34,15 +37,15 @@ class Buckets:
         Low end of the axis, in state units.
     scale : float
         Buckets per state unit.
-    below : (n,) int64 array
-        Inner cell edges in the buckets before each.
+    below : (n,) int64 array or None
+        Inner cell edges in the buckets before each; None if there are as many as there are buckets before.
     edge : (n,) array
         The inner cell edge in each bucket, in state units; infinite where there is none.
     """
 
     low: float
     scale: float
-    below: NDArray[np.int64]
+    below: NDArray[np.int64] | None
     edge: FloatArray
 
     def cell_of(self, points: FloatArray) -> NDArray[np.int64]:
@@ -50,8 +53,9 @@ class Buckets:
         distance = points - self.low
         distance *= self.scale
         bucket = distance.astype(np.intp)
-        cells = self.below.take(bucket)
-        cells += points >= self.edge.take(bucket)
+        reached = points >= self.edge.take(bucket)
+        cells = bucket if self.below is None else self.below.take(bucket)
+        cells += reached
         return cells
 
 
@@ -65,7 +69,9 @@ def buckets(edges: FloatArray) -> Buckets | None:
     [0, 0, 1, 1]
     """
     inner, span = edges[1:-1], float(edges[-1]) - float(edges[0])
-    per_cell = 2 if SHORTEST <= span < math.inf else FINEST + 1
+    if not SHORTEST <= span < math.inf:
+        return None
+    per_cell = WIDER
     while per_cell <= FINEST:
         scale = per_cell * (len(edges) - 1) / span
         own = ((inner - edges[0]) * scale).astype(np.intp)
@@ -73,22 +79,30 @@ def buckets(edges: FloatArray) -> Buckets | None:
             n_buckets = int(span * scale) + 1
             edge = np.full(n_buckets, np.inf)
             edge[own] = inner
-            return Buckets(float(edges[0]), float(scale), np.searchsorted(own, np.arange(n_buckets)), edge)
-        per_cell *= 2
+            below = np.searchsorted(own, np.arange(n_buckets))
+            plain = bool(np.all(below == np.arange(n_buckets)))
+            return Buckets(float(edges[0]), float(scale), None if plain else below, edge)
+        per_cell = 2.0 if per_cell < 1.0 else 2.0 * per_cell
     return None
+
+
+def axis_finder(edges: FloatArray) -> Callable[[FloatArray], NDArray[np.int64]]:
+    """The function of points (...) of one axis with cell ``edges`` that gives their cells; points must lie on it."""
+    own = buckets(edges)
+    if own is not None:
+        return own.cell_of
+    return lambda points: np.asarray(np.searchsorted(edges[1:-1], points, side="right"))
 
 
 def cell_finder(grid: Grid) -> Callable[[FloatArray], NDArray[np.int64]]:
     """The same function of points (d, ...) inside the grid as ``grid.cell_of``, several times faster on many points."""
-    axes = [buckets(edges) for edges in grid.edges]
-    if any(axis is None for axis in axes):
-        return grid.cell_of
-    first, *rest = [axis for axis in axes if axis is not None]
+    first, *rest = [axis_finder(edges) for edges in grid.edges]
 
     def find(points: FloatArray) -> NDArray[np.int64]:
-        cells = first.cell_of(points[0])
-        for axis, size, own in zip(rest, grid.shape[1:], points[1:], strict=True):
-            cells = cells * size + axis.cell_of(own)
+        cells = first(points[0])
+        for finder, size, own in zip(rest, grid.shape[1:], points[1:], strict=True):
+            cells *= size
+            cells += finder(own)
         return cells
 
     return find
