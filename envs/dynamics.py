@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,6 +26,20 @@ from .arrays import read_only
 from .labeling import contains, inside, linear, row_times
 from .problem import Problem
 from .reading import Reader, reader
+
+Sparse = tuple[np.ndarray, tuple[int, ...]]
+"""Entries (k, n, 1) of a row of the agents' matrices, and their positions: those that are 0 for all agents are left out
+(but for one, if all are)."""
+
+
+class Draws(Protocol):
+    """Where random numbers of worlds come from: a `numpy.random.Generator`, or several, one for some worlds each."""
+
+    def standard_normal(self, size: tuple[int, ...], /) -> np.ndarray:
+        """Return standard normal numbers; the last axis is that of the worlds."""
+
+    def random(self, size: tuple[int, ...], /) -> np.ndarray:
+        """Return numbers uniform on [0, 1); the last axis is that of the worlds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +82,11 @@ class Block:
     columns: np.ndarray
 
     @cached_property
-    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, offset and noise factor, with a single agent where all are equal: faster to multiply by."""
-        a, b, c, factor = (
-            own[..., :1, :] if np.all(own == own[..., :1, :]) else own
-            for own in (self.A, self.B, self.offset, self.noise_factor)
-        )
-        return a, b, c, factor
+    def motion(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
+        """Rows of A, B, offset and noise factor, with a single agent where all are equal: faster to multiply by."""
+        matrices = (self.A, self.B, self.offset[:, None], self.noise_factor)
+        single = (own[..., :1, :] if np.all(own == own[..., :1, :]) else own for own in matrices)
+        return tuple((_sparse(a), _sparse(b), c[0], _sparse(factor)) for a, b, c, factor in zip(*single))
 
     @cached_property
     def input_range(self) -> tuple[float, float]:
@@ -159,7 +171,8 @@ def starts(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple
     for block in dynamics.blocks:
         width = block.initial_high - block.initial_low
         shape = (*width.shape[:2], n_worlds)
-        start = np.broadcast_to(block.initial_low, shape).copy()
+        start = np.empty(shape)
+        start[...] = block.initial_low
         if width.any():
             start += width * rng.random(shape)
             # Rounding can carry a draw to the upper corner, which half-open neighbours own.
@@ -205,7 +218,7 @@ def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
     return Worlds(states, worlds.q[which], worlds.time, worlds.failed[which], worlds.accepted[which])
 
 
-def noise(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
+def noise(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return standard normal numbers for one step, one array (d, n, M) per block."""
     return tuple(rng.standard_normal((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks)
 
@@ -243,8 +256,11 @@ def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.n
     The states of a decided world under an unstable A may grow beyond all numbers; infinity and NaN lie outside every
     workspace.
     """
+    components = []
     with np.errstate(over="ignore", invalid="ignore"):
-        components = moved(*block.motion, x, u, z)
+        for (a, to_a), (b, to_b), c, (factor, to_z) in block.motion:
+            own = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
+            components += moved([a], [b], [c], [factor], *own)
     return np.stack(components) if len(components) > 1 else components[0][None]
 
 
@@ -329,6 +345,12 @@ def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     for block, x in zip(dynamics.blocks, states):
         result |= ~inside(x, block.state_low, block.state_high).all(axis=0)
     return result
+
+
+def _sparse(row: np.ndarray) -> Sparse:
+    kept = np.flatnonzero(np.any(row != 0.0, axis=(1, 2)))
+    kept = kept if len(kept) else np.array([0])
+    return row[kept], tuple(kept.tolist())
 
 
 def _block(problem: Problem, group: list[int]) -> Block:
