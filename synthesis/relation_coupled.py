@@ -12,6 +12,7 @@ invariant, and how likely the coupling fails is the business of ``relation_paper
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from .relation_exact import apply
+from .rows import Row, rows_of, times
 
 FloatArray = NDArray[Any]
 
@@ -107,9 +109,19 @@ class CoupledRelation:
         The last digits are forgiven: labels and inputs allow for a set larger by ``1e-9``.
         """
         if self.shape is not None:
-            return np.asarray(np.sum(error * apply(self.shape, error), axis=0) <= self.epsilon**2 * (1 + 1e-12))
-        reach = self.reach.reshape(-1, *[1] * (error.ndim - 1)) * (1 + 1e-12)
-        return np.asarray(np.all(np.abs(error) <= reach, axis=0))
+            size = error[0] * times(self._shape_rows[0], error)
+            for own, row in zip(error[1:], self._shape_rows[1:], strict=True):
+                size += own * times(row, error)
+            return np.asarray(size <= self.epsilon**2 * (1 + 1e-12))
+        result = np.ones(error.shape[1:], dtype=bool)
+        for own, reach in zip(error, (self.reach * (1 + 1e-12)).tolist(), strict=True):
+            result &= np.abs(own) <= reach
+        return result
+
+    @cached_property
+    def _shape_rows(self) -> tuple[Row, ...]:
+        assert self.shape is not None
+        return rows_of(self.shape)
 
 
 def coupling_failure(distance: float) -> float:
@@ -133,8 +145,15 @@ def couple(whitened: FloatArray, move: FloatArray, uniform: FloatArray) -> Float
     Maximal coupling by reflection: ``whitened + move`` is accepted with probability ``min(1, phi(whitened + move) /
     phi(whitened))``, otherwise the noise is mirrored at 0 along ``move``.
     """
-    along = np.sum(whitened * move, axis=0)
-    length = np.sum(move * move, axis=0)
-    accepted = np.log(np.maximum(uniform, 1e-300)) <= -(along + 0.5 * length)
-    mirrored = whitened - 2.0 * move * (along / np.where(length > 0, length, 1.0))
-    return np.where(accepted, whitened + move, mirrored)
+    along, length = whitened[0] * move[0], move[0] * move[0]
+    for own, by in zip(whitened[1:], move[1:], strict=True):
+        along += own * by
+        length += by * by
+    length *= 0.5
+    result, rejected = whitened + move, np.flatnonzero(~(uniform <= np.exp(-(along + length))))
+    if len(rejected):  # few, as a rule
+        noise, by = (own.reshape(len(own), -1).take(rejected, axis=1) for own in (whitened, move))
+        whole = 2.0 * length.take(rejected)
+        share = along.take(rejected) / np.where(whole > 0, whole, 1.0)
+        result.reshape(len(result), -1)[:, rejected] = noise - 2.0 * by * share
+    return result
