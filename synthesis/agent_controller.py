@@ -12,6 +12,7 @@ of the nearest cell, and always admissible.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,15 +21,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .abstract_state import Memory, follow, moved_into
+from .abstract_state import Memory, Tracker, moved_into
 from .abstraction import Relation
 from .grid import FloatArray, Grid
 from .lookup import cell_finder
 from .relation_coupled import CoupledRelation
-from .relation_exact import ExactRelation, apply
+from .relation_exact import ExactRelation
+from .rows import Row, product, rows_of
 
 MOST_AIMS = 1 << 22
-"""Largest law whose lattice points are looked up once for all."""
+"""Most numbers that the lattice points of a law, looked up once for all, may take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,26 +66,32 @@ class AgentController:
     def _laws(self) -> NDArray[np.int32]:
         return self.law if self.law.ndim == 4 else self.law[None]
 
+    @cached_property
+    def tracker(self) -> Tracker | None:
+        """What moves the abstract state along; None for agents that remember nothing."""
+        return Tracker(self.relation, self.grid) if isinstance(self.relation, CoupledRelation) else None
+
+    @property
+    def draws(self) -> bool:
+        """Whether it takes auxiliary draws: its relation has a coupling F."""
+        return self.tracker is not None and self.tracker.is_coupled
+
     def begin(self, states: FloatArray) -> Memory | None:
         """Memory at time 0 for states (d, n, M): the cells of the states."""
-        if not self.is_coupled:
-            return None
-        nothing = np.zeros(states.shape)
-        cells = self.grid.cell_of(self.project(states))
-        return Memory(cells, nothing, nothing, nothing, np.zeros(cells.shape, dtype=bool))
+        return None if self.tracker is None else self.tracker.begin(self.tracker.points(states))
 
     def act(
         self, states: FloatArray, q: NDArray[Any], time: int, memory: Memory | None, uniform: FloatArray | None = None
     ) -> tuple[FloatArray, Memory | None]:
         """Inputs (m, n, M) at states (d, n, M) and automaton states (M,), the same bits for any number of worlds.
 
-        Coupled agents take ``uniform`` (n, M), one auxiliary draw per step.
+        Agents with a coupling F take ``uniform`` (n, M), one auxiliary draw per step.
         """
-        if memory is not None and isinstance(self.relation, CoupledRelation):
-            points = self.relation.to_grid(states)
-            if time > 0 and uniform is not None:
-                memory = follow(self.relation, self.grid, memory, points, uniform)
-            return self._coupled(self.relation, memory, points, q, time)
+        if memory is not None and self.tracker is not None:
+            points = self.tracker.points(states)
+            if memory.means is not None:
+                memory = self.tracker.follow(memory, points, uniform)
+            return self._coupled(self.tracker, memory, points, q, time)
         points = self.project(states)
         return self._towards(self._places(self._cell_of(points), q, time), points, time), None
 
@@ -102,10 +110,6 @@ class AgentController:
     def _first_places(self) -> NDArray[np.int64]:
         """Where the law of each agent begins in the flat laws, (n, 1)."""
         return np.arange(0, self._laws.size, self._laws[0].size)[:, None]
-
-    def _choice(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int32]:
-        """Choices (n, M) in cells (n, M) and automaton states (M,)."""
-        return self._laws.reshape(-1).take(self._places(cells, q, time))
 
     def _towards(self, places: NDArray[Any], points: FloatArray, time: int) -> FloatArray:
         """Inputs that put the mean of the next state where the laws say, from points (d, n, M) of the grid."""
@@ -134,27 +138,55 @@ class AgentController:
         return np.asarray((self._laws < 0).any(axis=(0, 2, 3)))
 
     def _coupled(
-        self, relation: CoupledRelation, memory: Memory, points: FloatArray, q: NDArray[Any], time: int
+        self, tracker: Tracker, memory: Memory, points: FloatArray, q: NDArray[Any], time: int
     ) -> tuple[FloatArray, Memory]:
         """Inputs ``uhat + K e`` and the memory of this step.
 
         The input is admissible by the relation; only where the relation is lost it is moved into the input box.
         """
-        assert self.menu is not None
-        choice = np.maximum(self._choice(memory.cells, q, time), 0)
-        shape = (-1, *[1] * memory.cells.ndim)
-        reach = relation.reach.reshape(shape)
-        error = np.nan_to_num(points - np.moveaxis(self._centres[memory.cells], -1, 0))
-        lost = ~relation.related(error)
-        inputs = np.moveaxis(relation.inputs[choice], -1, 0) + apply(relation.feedback, np.clip(error, -reach, reach))
-        admissible = np.clip(inputs, relation.input_low.reshape(shape), relation.input_high.reshape(shape))
-        inputs = np.where(lost | memory.lost, admissible, inputs)
-        means = _means(self.lattice, self.menu[memory.cells, choice])
-        return inputs, Memory(memory.cells, points, inputs, means, memory.lost)
+        relation, error = tracker.relation, memory.error
+        choices = self._laws.take(self._places(memory.cells, q, time))
+        if self._idles[min(time, len(self._idles) - 1)]:
+            np.maximum(choices, 0, out=choices)  # the first input where there is no choice
+        abstract, means = self._reaction(choices, memory.cells)
+        inputs = product(self._feedback, error)
+        inputs += abstract
+        gone = np.flatnonzero(memory.lost)
+        if len(gone):
+            there, uhat = (own.reshape(len(own), -1).take(gone, axis=1) for own in (error, abstract))
+            reach, low, high = (own[:, None] for own in (relation.reach, relation.input_low, relation.input_high))
+            asked = uhat + product(self._feedback, np.clip(there, -reach, reach))
+            inputs.reshape(len(inputs), -1)[:, gone] = np.clip(asked, low, high)
+        return inputs, Memory(memory.cells, error, memory.lost, points, inputs, means)
+
+    def _reaction(self, choices: NDArray[np.int32], cells: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+        """Abstract inputs (m, n, M) and means of the successor (d, n, M) of choices in cells (n, M)."""
+        assert isinstance(self.relation, CoupledRelation) and self.menu is not None
+        places = cells * self.menu.shape[1]
+        places += choices
+        if self._menu_means is None:
+            means = _means(self.lattice, self.menu.take(places))
+        else:
+            means = looked_up(self._menu_means, places)
+        return looked_up(self._inputs, choices.astype(np.intp)), means
 
     @cached_property
-    def _centres(self) -> FloatArray:
-        return self.grid.centres
+    def _inputs(self) -> FloatArray:
+        """Abstract inputs (m, A)."""
+        assert isinstance(self.relation, CoupledRelation)
+        return np.ascontiguousarray(self.relation.inputs.T)
+
+    @cached_property
+    def _menu_means(self) -> FloatArray | None:
+        """Means of the successor (d, S A) of each input of each cell; None if there were too many."""
+        assert self.menu is not None
+        small = self.menu.size * len(self.lattice) <= MOST_AIMS
+        return _means(self.lattice, self.menu.ravel()) if small else None
+
+    @cached_property
+    def _feedback(self) -> tuple[Row, ...]:
+        assert isinstance(self.relation, CoupledRelation)
+        return rows_of(self.relation.feedback)
 
     @cached_property
     def _cell_of(self) -> Callable[[FloatArray], NDArray[np.int64]]:
@@ -169,7 +201,17 @@ class AgentController:
         return self.relation.has_state_coordinates
 
 
+def looked_up(tables: FloatArray, places: NDArray[Any]) -> FloatArray:
+    """Entries (k, ...) at places (...) of tables (k, L)."""
+    found = np.empty((len(tables), *places.shape))
+    for table, own in zip(tables, found, strict=True):
+        table.take(places, out=own, mode="clip")  # all places are in range; other modes would make a copy first
+    return found
+
+
 def _means(lattice: tuple[FloatArray, ...], flat: NDArray[Any]) -> FloatArray:
-    """Lattice points (d, n, M) by their flat numbers (n, M)."""
-    indices = np.unravel_index(flat, tuple(len(axis) for axis in lattice)) if len(lattice) > 1 else (flat,)
-    return np.stack([axis.take(index) for axis, index in zip(lattice, indices, strict=True)])
+    """Lattice points (d, ...) by their flat numbers (...)."""
+    shape = tuple(len(axis) for axis in lattice)
+    if math.prod(shape) <= flat.size:
+        return looked_up(np.stack([axis.ravel() for axis in np.meshgrid(*lattice, indexing="ij")]), flat)
+    return np.stack([axis.take(own) for axis, own in zip(lattice, np.unravel_index(flat, shape), strict=True)])

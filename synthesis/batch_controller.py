@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.dynamics import Dynamics, Worlds
+from ..envs.dynamics import Draws, Dynamics, Worlds
 from .abstract_state import Memory
 from .agent_controller import AgentController
 from .grid import FloatArray
@@ -28,7 +28,7 @@ class BatchMemory:
     """Memory of a batch: one entry per group of each block, and the generator of auxiliary draws."""
 
     groups: tuple[tuple[Memory | None, ...], ...]
-    rng: np.random.Generator
+    rng: Draws
 
     @property
     def lost(self) -> NDArray[np.bool_] | None:
@@ -56,16 +56,16 @@ class BatchController:
             shapes.append((block.B.shape[1], len(block.agents)))
         return cls(tuple(blocks), tuple(shapes))
 
-    @property
-    def is_memoryless(self) -> bool:
-        """Whether inputs depend on state, automaton state and time alone, whatever worlds are beside."""
-        return not any(group.controller.is_coupled for groups in self.blocks for group in groups)
-
-    def begin(self, worlds: Worlds, rng: np.random.Generator) -> BatchMemory:
-        """Memory at time 0; coupled agents take one auxiliary draw per step and world from ``rng``."""
+    def begin(self, worlds: Worlds, rng: Draws) -> BatchMemory:
+        """Memory at time 0; agents with a coupling F take one auxiliary draw per step and world from ``rng``."""
         pairs = zip(self.blocks, worlds.states, strict=True)
         memory = tuple(tuple(g.controller.begin(states[:, g.members]) for g in groups) for groups, states in pairs)
         return BatchMemory(memory, rng)
+
+    def selected(self, memory: BatchMemory, which: NDArray[Any]) -> BatchMemory:
+        """Memory of the worlds ``which`` alone, whole numbers in increasing order."""
+        groups = (tuple(own and own.selected(which) for own in block) for block in memory.groups)
+        return BatchMemory(tuple(groups), memory.rng)
 
     def act(self, worlds: Worlds, memory: BatchMemory) -> tuple[tuple[FloatArray, ...], BatchMemory]:
         """Inputs (m, n, M) per block, and the memory for the next step."""
@@ -75,7 +75,7 @@ class BatchController:
         ):
             inputs, kept = [], []
             for group, own in zip(groups, memories, strict=True):
-                uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if own is not None else None
+                uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if group.controller.draws else None
                 here = states if len(groups) == 1 else states.take(group.members, axis=1)
                 chosen, own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
                 inputs.append(chosen)

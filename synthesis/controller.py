@@ -42,7 +42,7 @@ class Controller:
     ) -> None:
         """Begin an episode with the observations of ``env.reset``.
 
-        ``seed`` fixes the auxiliary draws of coupled agents; there are none under the ``exact`` relation.
+        ``seed`` fixes the auxiliary draws of agents with a coupling F; others draw nothing.
 
         Raises
         ------
@@ -88,7 +88,8 @@ class Controller:
         memories, rng = self._episode.setdefault("memory", {}), self._episode.setdefault("rng", np.random.default_rng())
         if time == 0 or agent.name not in memories:
             memories[agent.name] = agent.begin(state)
-        inputs, memories[agent.name] = agent.act(state, np.array([q]), time, memories[agent.name], rng.random((1, 1)))
+        uniform = rng.random((1, 1)) if agent.draws else None
+        inputs, memories[agent.name] = agent.act(state, np.array([q]), time, memories[agent.name], uniform)
         return np.ascontiguousarray(inputs[:, 0, 0])
 
     def _read(self, agent: AgentController, observation: FloatArray) -> tuple[FloatArray, int, int]:

@@ -16,7 +16,7 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 import problems
 from certigym.synthesis import relation_ellipsoid
-from certigym.synthesis.abstract_state import Memory, follow
+from certigym.synthesis.abstract_state import Memory, Tracker
 from certigym.synthesis.agent_models import ellipsoid_model
 from certigym.synthesis.certificate import AgentPart
 from certigym.synthesis.choices import InputMenu
@@ -287,11 +287,12 @@ def followed(relation: CoupledRelation, model: Any, agent: cg.LinearAgent, grid:
     point = int(model[3].leads_to[cell, choice])
     index = np.unravel_index(point, tuple(len(axis) for axis in model[1]))
     means = np.repeat(np.array([axis[k] for axis, k in zip(model[1], index)])[:, None, None], n, axis=2)
-    memory = Memory(np.full((1, n), cell), states, inputs, means, np.zeros((1, n), dtype=bool))
+    errors = np.repeat(error[:, None, None], n, axis=2)
+    memory = Memory(np.full((1, n), cell), errors, np.zeros((1, n), dtype=bool), states, inputs, means)
     rng = np.random.default_rng(5)
     noise = np.linalg.cholesky(agent.noise_covariance) @ rng.standard_normal((2, n))
     following = agent.A @ states[:, 0] + agent.B @ inputs[:, 0] + noise
-    return follow(relation, grid, memory, following[:, None], rng.random((1, n))), following, point
+    return Tracker(relation, grid).follow(memory, following[:, None], rng.random((1, n))), following, point
 
 
 def test_relations_are_lost_no_more_often_than_delta_says_and_cells_move_as_the_kernel_says() -> None:

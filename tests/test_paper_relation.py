@@ -13,7 +13,7 @@ from scipy.stats import binomtest, kstest, norm
 import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
-from certigym.synthesis.abstract_state import Memory, follow
+from certigym.synthesis.abstract_state import Memory, Tracker
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Limits, forward, resting_laws, start_value, sweep
 from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
@@ -75,9 +75,10 @@ def test_the_abstract_state_moves_as_the_kernel_says_and_stays_related() -> None
     states = np.full((1, 1, n), centre + 0.09)
     inputs = np.full((1, 1, n), relation.inputs[choice, 0])
     mean = relation.means(grid.centres)[cell, choice, 0]
-    memory = Memory(np.full((1, n), cell), states, inputs, np.full((1, 1, n), mean), np.zeros((1, n), dtype=bool))
+    cells, lost_before = np.full((1, n), cell), np.zeros((1, n), dtype=bool)
+    memory = Memory(cells, states - centre, lost_before, states, inputs, np.full((1, 1, n), mean))
     following = 0.9 * states + 0.5 * inputs + 0.5 * rng.standard_normal((1, 1, n))
-    moved = follow(relation, grid, memory, following, rng.random((1, n)))
+    moved = Tracker(relation, grid).follow(memory, following, rng.random((1, n)))
     row = model.kernel.tables[0].toarray()[model.choices.leads_to[cell, choice]]
     kept = ~moved.lost[0]
     lost = int((~kept).sum())

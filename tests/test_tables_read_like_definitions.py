@@ -108,12 +108,13 @@ def test_leaving_settled_worlds_changes_no_outcome(name: str, mismatch: Mismatch
 class Restless:
     """Inputs beyond the box, from the state alone."""
 
-    is_memoryless = True
-
     def batch(self, dynamics: Dynamics) -> Restless:
         return self
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
+        return None
+
+    def selected(self, memory: None, which: np.ndarray) -> None:
         return None
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[np.ndarray, ...], Any]:

@@ -21,6 +21,7 @@ from ..envs.dynamics import Dynamics, Worlds
 from .closed_step import step
 from .loop import BatchPolicy, Loop, arranged, check_whole
 from .mismatch import degraded
+from .streams import Streams
 
 LEAVE = 0.25
 """Share of settled worlds from which it pays to go on without them."""
@@ -66,7 +67,7 @@ def chunk_results(loop: Loop, chunks: Sequence[tuple[int, int]]) -> list[ChunkRe
 def _outcomes(loop: Loop, numbers: Sequence[int]) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
     """Success and inadmissible inputs of the worlds of some chunks."""
     dynamics, policy = arranged(loop)
-    if getattr(policy, "is_memoryless", False) and not _is_degraded(loop):
+    if hasattr(policy, "selected") and not _is_degraded(loop):
         return _leaving_settled(loop, dynamics, policy, numbers)
     return [_to_the_end(loop, dynamics, policy, number) for number in numbers]
 
@@ -113,16 +114,18 @@ def _to_the_end(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number: int
     return np.asarray(core.satisfied(dynamics, last.worlds)), last.inadmissible
 
 
-def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, numbers: Sequence[int]) -> list[Outcome]:
-    """Success, and inadmissible inputs, of the worlds of each of some chunks, under a policy without memory.
+def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: Any, numbers: Sequence[int]) -> list[Outcome]:
+    """Success, and inadmissible inputs, of the worlds of each of some chunks, under a policy with ``selected``.
 
     The worlds go as in ``frames``, to the last bit, but side by side, and only while the task is open in them: failure,
-    acceptance, and an automaton state from which no acceptance can be reached settle it. Noise is drawn for all.
+    acceptance, and an automaton state from which no acceptance can be reached settle it. Draws are made for all.
     """
-    size, rngs = loop.chunk, [_generator(loop, number) for number in numbers]
-    worlds = core.begin(dynamics, _beside([_starts(loop, dynamics, *one) for one in zip(numbers, rngs, strict=True)]))
+    size = loop.chunk
+    noise, auxiliary = (Streams([_seed(loop, n, *key) for n in numbers], size) for key in ((), (1,)))
+    starts = [_starts(loop, dynamics, *one) for one in zip(numbers, noise.rngs, strict=True)]
+    worlds = core.begin(dynamics, _beside(starts))
     success, inadmissible = np.zeros((2, len(numbers) * size), dtype=bool)
-    memory = policy.begin(worlds, _generator(loop, numbers[0], 1))
+    memory = policy.begin(worlds, auxiliary)
     settling = np.asarray(dynamics.accepting | dynamics.problem.automaton.dead)
     which = np.arange(len(success))
     for _ in range(dynamics.problem.horizon):
@@ -133,11 +136,11 @@ def _leaving_settled(loop: Loop, dynamics: Dynamics, policy: BatchPolicy, number
             which, worlds, settled = which[going], core.selected(worlds, going), settled[going]
             if len(which) == 0:
                 break
+            memory = policy.selected(memory, going)
+            for streams in (noise, auxiliary):
+                streams.keep(which)
         inputs, memory = policy.act(worlds, memory)
-        normals = _beside([core.noise(dynamics, rng, size) for rng in rngs])
-        if len(which) < len(success):
-            normals = tuple(z.take(which, axis=-1) for z in normals)
-        following, beyond = step(loop, dynamics, worlds, inputs, normals)
+        following, beyond = step(loop, dynamics, worlds, inputs, core.noise(dynamics, noise, len(which)))
         if beyond is not None:
             inadmissible[which] |= beyond & ~settled
         worlds = following
@@ -163,8 +166,12 @@ def _is_degraded(loop: Loop) -> bool:
     return loop.mismatch is not None and (loop.mismatch.delay > 0 or loop.mismatch.dropout > 0.0)
 
 
+def _seed(loop: Loop, *key: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(loop.seed, spawn_key=key)
+
+
 def _generator(loop: Loop, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(loop.seed, spawn_key=key))
+    return np.random.default_rng(_seed(loop, *key))
 
 
 def paths(loop: Loop, episodes: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:

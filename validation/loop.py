@@ -21,9 +21,11 @@ CHUNK = 2000
 class BatchPolicy(Protocol):
     """Anything that chooses the inputs of all worlds at once; what it remembers is handed to it and handed back.
 
-    A policy with a true attribute ``is_memoryless`` remembers nothing, and its inputs in one world are, to the last
-    bit, the same whatever worlds are beside: its worlds are simulated no further than they have to be, and inadmissible
-    inputs are not looked for where no acceptance can be reached any more.
+    A policy may have a method ``selected(memory, which)``, which returns what it remembers of the worlds ``which``
+    alone, (k,) whole numbers in increasing order. With it the policy says that its inputs in one world are, to the last
+    bit, the same whatever worlds are beside, that its draws are arrays whose last axis is that of the worlds, and that
+    ``rng`` may be any ``envs.dynamics.Draws``. Its worlds are then simulated no further than they have to be, and
+    inadmissible inputs are not looked for where no acceptance can be reached any more.
     """
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> Any:

@@ -27,7 +27,7 @@ from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import CHUNK, Batchable, Loop
 from .mismatch import Mismatch
 
-TOGETHER = 32768
+TOGETHER = 65536
 """Numbers that the states of chunks simulated side by side may have, if one chunk alone has fewer."""
 
 

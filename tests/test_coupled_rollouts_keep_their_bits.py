@@ -1,0 +1,231 @@
+"""Agents that remember act by the definition, side by side as alone, and worlds that leave change no other world."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs import dynamics as core
+from certigym.envs.dynamics import Dynamics
+from certigym.synthesis.abstract_state import Memory
+from certigym.synthesis.batch_controller import BatchMemory
+from certigym.synthesis.controller import Controller
+from certigym.synthesis.relation_coupled import CoupledRelation, couple
+from certigym.synthesis.rows import product, rows_of
+from certigym.validation.chunks import chunk_results, frames
+from certigym.validation.loop import Loop, arranged
+from certigym.validation.rollout import TOGETHER, rollout, stream
+from certigym.validation.streams import Streams
+from problems import cart, cart_reach, two_agents
+
+
+def turned() -> cg.Problem:
+    """A cart with correlated noise, and two scalar agents that share grid and relation."""
+    lines = [agent.replace(initial_state=[0.2]) for agent in two_agents(noise_covariance=[[0.4]]).agents]
+    return cg.Problem(
+        name="turned", horizon=6, agents=[cart(noise_covariance=[[0.4, 0.2], [0.2, 0.5]]), *lines],
+        propositions={"goal": cg.Proposition("cart", [-2.0, -3.0], [5.0, 3.0]),
+                      "one": cg.Proposition("one", [0.0], [3.0]), "two": cg.Proposition("two", [-3.0], [0.0])},
+        specification=cg.Specification("F (goal & one & F two)", "co-safe"),
+    )  # fmt: skip
+
+
+LOUD = two_agents(horizon=5, noise_covariance=[[0.6]])
+CASES: dict[str, tuple[cg.Problem, Any, dict[str, Any]]] = {
+    "tube, one input": (cart_reach(cart()), [24, 24], {"relation": "tube"}),
+    "tube, three agents": (turned(), {"cart": [24, 24], "one": 24, "two": 24}, {"relation": "tube"}),
+    "paper, F = 0": (
+        two_agents(horizon=5, noise_covariance=[[0.6]]),
+        48,
+        {"relation": "paper", "epsilon": 0.3, "feedback": -0.4},
+    ),
+    "paper": (two_agents(horizon=5, noise_covariance=[[0.6]]), 64, {"relation": "paper", "epsilon": 0.1}),
+    "ellipsoid": (cart_reach(cart()), [32, 32], {"relation": "ellipsoid", "delta": 0.01}),
+}
+DRAWING = {"paper", "ellipsoid"}
+
+
+@cache
+def case(name: str) -> tuple[cg.Problem, Controller]:
+    if name == "ellipsoid":
+        pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
+    problem, cells, settings = CASES[name]
+    controller = cg.synthesize(problem, cells, max_sweeps=0, **settings).controller
+    assert isinstance(controller, Controller)
+    return problem, controller
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
+    """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
+    problem, controller = case(name)
+    loop = Loop(problem, controller, seed=4, chunk=150)
+    dynamics, policy = arranged(loop)
+    parts, settled = list(stream(loop, 1000)), []
+    for number, part in enumerate(parts):
+        *_, last = frames(loop, dynamics, policy, number)
+        count = len(part.success)
+        np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds)[:count])
+        assert part.inadmissible == 0
+        settled.append(np.mean(last.worlds.failed | last.worlds.accepted))
+    assert 0.3 < np.mean(settled) and 0 < sum(part.success.sum() for part in parts) < 1000
+    (alone,) = chunk_results(loop, [(3, 150)])
+    np.testing.assert_array_equal(alone.success, parts[3].success)
+    assert TOGETHER // (150 * problem.n_states) > 3  # they were side by side
+
+
+class Defined:
+    """Memory and inputs of one agent in one world, number by number, as THEORY section 6 has them."""
+
+    def __init__(self, controller: Controller, i: int) -> None:
+        self.agent = controller.agents[i]
+        assert isinstance(self.agent.relation, CoupledRelation)
+        self.relation, self.centres, self.lost = self.agent.relation, self.agent.grid.centres, False
+        self.last: tuple[np.ndarray, ...] | None = None
+        self.cell = 0
+
+    def nearest(self, point: np.ndarray) -> int:
+        edges = self.agent.grid.edges
+        held = np.array([min(max(x, e[0]), e[-1]) for x, e in zip(point, edges)])
+        return int(self.agent.grid.cell_of(held[:, None])[0])
+
+    def act(self, state: np.ndarray, q: int, time: int, uniform: float) -> np.ndarray:
+        r, edges = self.relation, self.agent.grid.edges
+        point = np.linalg.solve(r.coordinates, state)
+        if self.last is None:
+            self.cell = self.nearest(point)
+            self.lost = not all(e[0] <= x <= e[-1] for x, e in zip(point, edges))
+        else:
+            before, u, mean = self.last
+            noise = point - (r.A @ before + r.B @ u + r.drift)
+            if np.any(r.coupling):
+                scale = np.sqrt(r.covariance)
+                w, move = noise / scale, r.coupling @ (before - self.centres[self.cell]) / scale
+                ratio = np.exp(0.5 * (w @ w - (w + move) @ (w + move)))
+                noise = scale * (w + move if uniform <= ratio else w - 2 * move * (w @ move) / (move @ move))
+            landed = mean + noise
+            cell = self.nearest(landed)
+            inside = all(e[0] <= x <= e[-1] for x, e in zip(landed, edges))
+            kept = inside and bool(r.related((point - self.centres[cell])[:, None])[0])
+            self.lost = self.lost or not kept
+            self.cell = cell if kept else self.nearest(point)
+        law = self.agent.law
+        choice = max(int(law[min(time, len(law) - 1), q, self.cell]), 0)
+        error = np.clip(point - self.centres[self.cell], -r.reach, r.reach)
+        u = np.clip(r.inputs[choice] + r.feedback @ error, r.input_low, r.input_high)
+        assert self.agent.menu is not None
+        index = np.unravel_index(self.agent.menu[self.cell, choice], tuple(len(own) for own in self.agent.lattice))
+        mean = np.array([own[k] for own, k in zip(self.agent.lattice, index)])
+        self.last = point, u, mean
+        return u
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_batches_do_what_the_definition_says(name: str) -> None:
+    problem, controller = case(name)
+    dynamics, n_worlds = Dynamics.of(problem), 60
+    policy, rng = controller.batch(dynamics), np.random.default_rng(8)
+    low, high = (np.concatenate([getattr(a, side) for a in problem.agents]) for side in ("state_low", "state_high"))
+    worlds = core.initial_at(dynamics, rng.uniform(1.1 * low, 1.1 * high, size=(n_worlds, problem.n_states)))
+    memory, draws = policy.begin(worlds, np.random.default_rng(9)), np.random.default_rng(9)
+    alone = [[Defined(controller, i) for _ in range(n_worlds)] for i in range(problem.n_agents)]
+    for time in range(problem.horizon):
+        inputs, memory = policy.act(worlds, memory)
+        for block, groups, memories, x, u in zip(
+            dynamics.blocks, policy.blocks, memory.groups, worlds.states, inputs, strict=True
+        ):
+            for group, own in zip(groups, memories, strict=True):
+                assert own is not None
+                uniform = draws.random((len(group.members), n_worlds)) if name in DRAWING else None
+                for k, place in enumerate(group.members):
+                    for w, agent in enumerate(alone[block.agents[place]]):
+                        chance = 0.0 if uniform is None else uniform[k, w]
+                        expected = agent.act(x[:, place, w], int(worlds.q[w]), time, chance)
+                        np.testing.assert_allclose(u[:, place, w], expected, rtol=1e-9, atol=1e-9)
+                        assert own.cells[k, w] == agent.cell and own.lost[k, w] == agent.lost
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, n_worlds))
+    lost = memory.lost
+    assert lost is not None and lost.any() and not lost.all()
+    assert draws.bit_generator.state == memory.rng.bit_generator.state  # type: ignore[attr-defined]
+
+
+def test_nothing_is_drawn_without_a_coupling() -> None:
+    """Neither in batches nor in environments, where a seed of the controller then changes nothing."""
+    for name in CASES.keys() - DRAWING:
+        problem, controller = case(name)
+        assert not any(agent.draws for agent in controller.agents)
+        dynamics, rng = Dynamics.of(problem), np.random.default_rng(1)
+        policy, before = controller.batch(dynamics), np.random.default_rng(5)
+        worlds = core.initial(dynamics, rng, 40)
+        memory = policy.begin(worlds, before)
+        for _ in range(2):
+            inputs, memory = policy.act(worlds, memory)
+            worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 40))
+        assert before.bit_generator.state == np.random.default_rng(5).bit_generator.state
+
+
+def test_selected_memory_is_the_same_memory() -> None:
+    problem, controller = case("tube, three agents")
+    dynamics, rng = Dynamics.of(problem), np.random.default_rng(1)
+    policy, which = controller.batch(dynamics), np.array([1, 5, 6, 28])
+    worlds = core.initial(dynamics, rng, 30)
+    memory = policy.begin(worlds, rng)
+    for step in range(3):
+        few: BatchMemory = policy.selected(memory, which)
+        some = core.selected(worlds, which)
+        (inputs, memory), (of_few, few) = policy.act(worlds, memory), policy.act(some, few)
+        for all_of_them, own in zip(inputs, of_few, strict=True):
+            np.testing.assert_array_equal(own, all_of_them[..., which])
+        for block, own_block in zip(memory.groups, few.groups, strict=True):
+            for group, own_group in zip(block, own_block, strict=True):
+                assert group is not None and own_group is not None
+                for field in Memory.__dataclass_fields__:
+                    mine, theirs = getattr(own_group, field), getattr(group, field)
+                    np.testing.assert_array_equal(mine, theirs[..., which], err_msg=f"{field} at {step}")
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 30))
+
+
+def test_streams_draw_what_their_chunks_would_draw_alone() -> None:
+    seeds, size = [np.random.SeedSequence(7, spawn_key=(k,)) for k in range(4)], 5
+    streams, alone = Streams(seeds, size), [np.random.default_rng(seed) for seed in seeds]
+    which = np.arange(20)
+    for left in (which, np.array([0, 3, 5, 6, 7, 8, 9, 19]), np.array([3, 6, 19]), np.array([19])):
+        if len(left) < 20:
+            streams.keep(left)
+        for name, lead in (("standard_normal", (2, 3)), ("random", (3,))):
+            whole = np.concatenate([getattr(rng, name)((*lead, size)) for rng in alone], axis=-1)
+            np.testing.assert_array_equal(getattr(streams, name)((*lead, len(left))), whole[..., left])
+
+
+def test_mirrored_noise_is_that_of_the_definition() -> None:
+    rng = np.random.default_rng(2)
+    w, move = rng.standard_normal((2, 3, 4000)), rng.normal(scale=0.7, size=(2, 3, 4000))
+    move[:, 0, :9], uniform = 0.0, rng.random((3, 4000))
+    accepted = uniform <= np.exp(-((w * move).sum(axis=0) + 0.5 * (move**2).sum(axis=0)))
+    length = np.where((move**2).sum(axis=0) > 0, (move**2).sum(axis=0), 1.0)
+    expected = np.where(accepted, w + move, w - 2 * move * (w * move).sum(axis=0) / length)
+    np.testing.assert_allclose(couple(w, move, uniform), expected, rtol=1e-12, atol=1e-12)
+    assert 0.1 < np.mean(~accepted) < 0.5
+
+
+def test_rows_leave_out_zeros_only() -> None:
+    rng = np.random.default_rng(3)
+    matrix, vectors = rng.normal(size=(4, 3)), rng.normal(size=(3, 2, 50))
+    matrix[rng.random(matrix.shape) < 0.4] = 0.0
+    matrix[2] = 0.0
+    np.testing.assert_allclose(product(rows_of(matrix), vectors), np.einsum("ij,jkl->ikl", matrix, vectors), atol=1e-14)
+    assert [len(row) for row in rows_of(matrix)] == np.count_nonzero(matrix, axis=1).tolist()
+
+
+def test_coupled_rollouts_depend_on_seed_and_chunk_only() -> None:
+    for name in ("paper", "tube, three agents"):
+        problem, controller = case(name)
+        first = rollout(problem, controller, 900, seed=2, chunk=100)
+        again = rollout(problem, controller, 400, seed=2, chunk=100)
+        other = rollout(problem, controller, 900, seed=3, chunk=100)
+        np.testing.assert_array_equal(first.success[:400], again.success)
+        assert not np.array_equal(first.success, other.success)
