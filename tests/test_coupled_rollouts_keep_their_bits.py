@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -25,9 +26,9 @@ from problems import cart, cart_reach, two_agents
 
 def turned() -> cg.Problem:
     """A cart with correlated noise, and two scalar agents that share grid and relation."""
-    lines = [agent.replace(initial_state=[0.2]) for agent in two_agents(noise_covariance=[[0.4]]).agents]
+    lines = [agent.replace(initial_state=[0.2]) for agent in two_agents(noise_covariance=[[0.4]], offset=[0.15]).agents]
     return cg.Problem(
-        name="turned", horizon=6, agents=[cart(noise_covariance=[[0.4, 0.2], [0.2, 0.5]]), *lines],
+        name="turned", horizon=6, agents=[cart(noise_covariance=[[0.4, 0.2], [0.2, 0.5]], offset=[0.1, -0.05]), *lines],
         propositions={"goal": cg.Proposition("cart", [-2.0, -3.0], [5.0, 3.0]),
                       "one": cg.Proposition("one", [0.0], [3.0]), "two": cg.Proposition("two", [-3.0], [0.0])},
         specification=cg.Specification("F (goal & one & F two)", "co-safe"),
@@ -76,6 +77,13 @@ def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
     (alone,) = chunk_results(loop, [(3, 150)])
     np.testing.assert_array_equal(alone.success, parts[3].success)
     assert TOGETHER // (150 * problem.n_states) > 3  # they were side by side
+
+
+def anywhere(problem: cg.Problem, rng: np.random.Generator, n_worlds: int) -> core.Worlds:
+    """Worlds that start in the workspace, or a little outside."""
+    low, high = (np.concatenate([getattr(a, side) for a in problem.agents]) for side in ("state_low", "state_high"))
+    states = rng.uniform(1.1 * low, 1.1 * high, size=(n_worlds, problem.n_states))
+    return core.initial_at(Dynamics.of(problem), states)
 
 
 class Defined:
@@ -127,10 +135,11 @@ class Defined:
 @pytest.mark.parametrize("name", CASES)
 def test_batches_do_what_the_definition_says(name: str) -> None:
     problem, controller = case(name)
-    dynamics, n_worlds = Dynamics.of(problem), 60
-    policy, rng = controller.batch(dynamics), np.random.default_rng(8)
-    low, high = (np.concatenate([getattr(a, side) for a in problem.agents]) for side in ("state_low", "state_high"))
-    worlds = core.initial_at(dynamics, rng.uniform(1.1 * low, 1.1 * high, size=(n_worlds, problem.n_states)))
+    dynamics, n_worlds, rng = Dynamics.of(problem), 60, np.random.default_rng(8)
+    gaps = [np.where(rng.random(agent.law.shape) < 0.1, -1, agent.law) for agent in controller.agents]
+    agents = (replace(agent, law=law.astype(np.int32)) for agent, law in zip(controller.agents, gaps))
+    controller = Controller(problem, tuple(agents))
+    policy, worlds = controller.batch(dynamics), anywhere(problem, rng, n_worlds)
     memory, draws = policy.begin(worlds, np.random.default_rng(9)), np.random.default_rng(9)
     alone = [[Defined(controller, i) for _ in range(n_worlds)] for i in range(problem.n_agents)]
     for time in range(problem.horizon):
@@ -172,8 +181,9 @@ def test_selected_memory_is_the_same_memory() -> None:
     problem, controller = case("tube, three agents")
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(1)
     policy, which = controller.batch(dynamics), np.array([1, 5, 6, 28])
-    worlds = core.initial(dynamics, rng, 30)
+    worlds = anywhere(problem, rng, 30)
     memory = policy.begin(worlds, rng)
+    assert memory.lost is not None and 0 < memory.lost[which].sum() < 4
     for step in range(3):
         few: BatchMemory = policy.selected(memory, which)
         some = core.selected(worlds, which)
@@ -199,6 +209,47 @@ def test_streams_draw_what_their_chunks_would_draw_alone() -> None:
         for name, lead in (("standard_normal", (2, 3)), ("random", (3,))):
             whole = np.concatenate([getattr(rng, name)((*lead, size)) for rng in alone], axis=-1)
             np.testing.assert_array_equal(getattr(streams, name)((*lead, len(left))), whole[..., left])
+
+
+class Restless:
+    """Inputs drawn by lot, from the auxiliary stream."""
+
+    def batch(self, dynamics: Dynamics) -> Restless:
+        return self
+
+    def begin(self, worlds: core.Worlds, rng: core.Draws) -> core.Draws:
+        return rng
+
+    def selected(self, memory: core.Draws, which: np.ndarray) -> core.Draws:
+        return memory
+
+    def act(self, worlds: core.Worlds, memory: core.Draws) -> tuple[tuple[np.ndarray, ...], core.Draws]:
+        return tuple(4.0 * memory.random((1, *x.shape[1:])) - 2.0 for x in worlds.states), memory
+
+
+def test_every_chunk_has_auxiliary_draws_of_its_own() -> None:
+    loop = Loop(LOUD.replace(horizon=9), Restless(), seed=1, chunk=200)
+    dynamics, policy = arranged(loop)
+    for number, part in enumerate(stream(loop, 1000)):
+        *_, last = frames(loop, dynamics, policy, number)
+        np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds))
+        assert 0 < part.success.sum() < 200
+
+
+def test_agents_of_a_block_move_by_their_own_matrices() -> None:
+    """Entries are left out only where they are 0 for all of them."""
+    other = cart(name="other", A=[[0.9, 0.0], [-0.2, 1.1]], B=[[0.3], [0.0]], offset=[0.0, 0.4],
+                 noise_covariance=[[0.4, 0.2], [0.2, 0.5]])  # fmt: skip
+    problem = cg.Problem(
+        name="unlike", horizon=3, agents=[cart(), other], propositions={"p": cg.Proposition("cart", [0, 0], [1, 1])},
+        specification=cg.Specification("F p", "co-safe"),
+    )  # fmt: skip
+    ((block,), rng) = Dynamics.of(problem).blocks, np.random.default_rng(4)
+    x, u, z = rng.normal(size=(2, 2, 50)), rng.normal(size=(1, 2, 50)), rng.normal(size=(2, 2, 50))
+    following = core.successor(block, x, u, z)
+    for k, agent in enumerate(problem.agents):
+        expected = agent.A @ x[:, k] + agent.B @ u[:, k] + agent.offset[:, None] + agent.noise_factor @ z[:, k]
+        np.testing.assert_allclose(following[:, k], expected, rtol=1e-12, atol=1e-12)
 
 
 def test_mirrored_noise_is_that_of_the_definition() -> None:
