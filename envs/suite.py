@@ -94,10 +94,10 @@ def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Calla
     Each takes `render_mode` and the arguments of the problem; `env` and `raw_env` give the agent-environment-cycle
     form, with and without PettingZoo's check of the call order.
     """
-    from .parallel_env import ProblemEnv, aec_env
+    from .parallel_env import aec_env
     from .parallel_env import parallel_env as make
 
-    def parallel_env(render_mode: str | None = None, **arguments: Any) -> ProblemEnv:
+    def parallel_env(render_mode: str | None = None, **arguments: Any) -> Any:
         """Return the parallel environment."""
         return make(id, render_mode, **arguments)
 

@@ -21,8 +21,8 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from .parallel_env import Infos, Observations, ProblemEnv
 from .problem import Problem
+from .problem_env import Infos, Observations, ProblemEnv
 
 
 class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]

@@ -17,7 +17,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.envs import reach_avoid_v0
-from certigym.envs.parallel_env import ProblemEnv
+from certigym.envs.problem_env import ProblemEnv
 from sample_problems import mixed_problem, scalar
 
 PROBLEMS: dict[str, Any] = {**{id: id for id in cg.problem_ids()}, "mixed": mixed_problem()}

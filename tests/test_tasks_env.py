@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from certigym.envs import independent
-from certigym.envs.parallel_env import ProblemEnv
+from certigym.envs.problem_env import ProblemEnv
 from certigym.envs.tasks_env import TasksEnv
 from test_products_of_independent_tasks import pairs
 

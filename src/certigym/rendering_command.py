@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .envs.parallel_env import ProblemEnv
+from .envs.problem_env import ProblemEnv
 from .synthesis.certificate import Certificate
 from .validation.validate import shown_bound
 
