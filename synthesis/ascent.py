@@ -234,7 +234,10 @@ class Stage:
                 unmet = ~namespace(weights).any(weights > 0, axis=1)
                 if bool(unmet.any()):
                     usual = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
-                    weights[unmet] = beside(usual, weights)
+                    if bool(unmet.all()):  # one objective for all cells: cheap, where windows slide
+                        weights = beside(usual[None], weights)
+                    else:
+                        weights[unmet] = beside(usual, weights)
                 self.laws[i] = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
             self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
             met.replace(self._inner_by_terms(i, chosen))

@@ -42,9 +42,9 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     table : (n, Z) array
         Value of every lattice point under each objective.
     incumbent : (S,) int32 array
-        Current choices; -1 where a cell has none. Kept where nothing is better.
+        Current choices; -1 where a cell has none. Kept where nothing is better, and where nothing weighs.
     """
-    n_cells = len(incumbent)
+    n_cells, points = len(incumbent), choices.points(incumbent)
     if len(weights) == 1:
         weights, table = np.ones((n_cells, 1)), weights @ table
     if len(table) == 1:  # too little for a device
@@ -55,12 +55,12 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     else:
         size = BLOCK if isinstance(table, np.ndarray) else max(BLOCK, ROOM // table.shape[1])
         in_block = _best_on_menu if isinstance(choices, InputMenu) else _best_in_window
-        blocks = choices.blocks(size)
+        idle = to_host(~namespace(weights).any(weights != 0, axis=1)) & (points >= 0)
+        blocks = [block for block in choices.blocks(size) if not idle[block].all()]
         found = [in_block(choices, block, take(weights, block, axis=0), table) for block in blocks]  # type: ignore[arg-type]
-        best, score = np.empty(n_cells, dtype=np.int64), np.empty(n_cells)
+        best, score = np.full(n_cells, -1, dtype=np.int64), np.zeros(n_cells)
         for block, (chosen, value) in zip(blocks, found, strict=True):
             best[block], score[block] = chosen, value
-    points = choices.points(incumbent)
     aims = take(table, np.maximum(points, 0), axis=1)
     current = to_host(namespace(table).einsum("sn,ns->s", weights, aims))
     better = (best >= 0) & ((points < 0) | (score > current * (1 + TIE)))

@@ -4,11 +4,12 @@ Starts: *naive* (every cell and every team-mate counts alike), *relaxed* (each a
 ``relaxation``), *staged* (jumps over region edges at the same time, see ``seeds``), and on request *perturbed* ones
 (the best plans advanced or delayed, agent by agent) or policies from elsewhere, such as those of another horizon. Where
 the value tree grows more than ``MANY_TERMS`` terms, the value function is held as tensor trains instead, and the ascent
-goes on with them.
+goes on with them; so it does where the tree of large agents would not fit into memory.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -27,6 +28,12 @@ FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
 
 MANY_TERMS = 64
 """Terms of a naive value tree from which tensor trains are used instead, unless the caller decides."""
+
+TREE_BYTES = 3 * 2**30
+"""Memory of a value tree from which tensor trains are used instead, unless the caller decides."""
+
+FINAL_TERMS = 16
+"""Arrays that a tree holds at its peak, in the last pass, per term of the naive one (an estimate)."""
 
 SOLVED = 0.9
 """Share of the upper bound from which a start is good enough and no further ones are tried."""
@@ -137,15 +144,15 @@ def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str
     relaxations = relax(problem, joint)
     most = upper_bound(joint, start, relaxations)
     trees, given = _Trees(joint, start, search, most), dict(given or {})
-    first = search.limits
+    first, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
-        first = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, MANY_TERMS)})
+        first = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, many_terms)})
     naive, many = None, search.value == "train"
     if not given:
         naive = sweep(joint, resting_laws(joint), None, first, improve=True)
-        many = many or (naive.rank >= MANY_TERMS and search.value == "auto")
+        many = many or (naive.rank >= many_terms and search.value == "auto")
     elif not many:
-        many = max(own.rank for own in trees.each(given)) >= MANY_TERMS and search.value == "auto"
+        many = max(own.rank for own in trees.each(given)) >= many_terms and search.value == "auto"
     if many:
         starts = given | {"relaxed start": relaxed_laws(relaxations)}
         if naive is not None:
@@ -166,6 +173,12 @@ def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str
             break
         frozen, gain = polished, less
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
+
+
+def most_terms(joint: JointModel) -> int:
+    """Terms of a naive tree from which trains are used: ``MANY_TERMS``, or fewer where trees would be too large."""
+    points = sum(model.n_cells + math.prod(len(axis) for axis in model.lattice) for model in joint.models)
+    return int(np.clip(TREE_BYTES / (8.0 * FINAL_TERMS * points), 2, MANY_TERMS))
 
 
 def _frozen(joint: JointModel, laws: Laws, start: Occupancy) -> tuple[Sweep, float]:

@@ -77,3 +77,25 @@ def test_the_incumbent_stays_where_nothing_is_better() -> None:
     law = choices.resting_law
     np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat, law), law)
     np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat * (1 + 1e-14), law), law)
+
+
+@pytest.mark.parametrize("relation", ["exact", "tube"])
+def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation: str) -> None:
+    agent = AGENTS["diagonal"]
+    problem = cg.Problem(
+        name="p", horizon=1, agents=[agent], propositions={"g": cg.Proposition("one", [0.5, 0.5], [1.5, 1.5])},
+        specification=cg.Specification("F g", "co-safe"),
+    )  # fmt: skip
+    choices = abstract(problem, [40, 30], relation=relation).models[0].choices
+    points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
+    rng = np.random.default_rng(1)
+    table, law = rng.random((3, points)), choices.resting_law.copy()
+    weights = rng.random((1200, 3))
+    everywhere = best_choices(choices, weights, table, law)
+    weights[100:] = 0.0
+    without = law.copy()
+    without[500] = -1
+    found = best_choices(choices, weights, table, without)
+    np.testing.assert_array_equal(found[:100], everywhere[:100])
+    np.testing.assert_array_equal(np.delete(found, 500)[100:], np.delete(law, 500)[100:])
+    assert found[500] >= 0

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
+from certigym.synthesis import search
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Laws
 from certigym.synthesis.joint import JointModel, join, start_of
@@ -256,3 +257,12 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
 def test_no_sweeps_leave_the_first_start() -> None:
     result = cg.synthesize(cg.make_problem("meeting-v0"), 12, value="train", max_sweeps=0, restarts=1)
     assert cg.check(result.certificate) and result.stats["sweeps"] == []
+
+
+def test_trees_too_large_for_memory_become_trains(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = cg.make_problem("reach-avoid-v0", horizon=6)
+    tree = cg.synthesize(problem, 60).certificate
+    monkeypatch.setattr(search, "TREE_BYTES", 8 * search.FINAL_TERMS * 1000)
+    train = cg.synthesize(problem, 60).certificate
+    assert tree.terms is not None and train.terms is None and cg.check(train)
+    assert tree.lower_bound * (1 - 1e-4) <= train.lower_bound <= tree.lower_bound * (1 + 1e-4)
