@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -197,3 +198,20 @@ def test_delta_is_for_the_ellipsoids_that_are_tried() -> None:
     outcome = tried_of(found)["ellipsoid"]
     assert outcome == alone.certificate.lower_bound or isinstance(outcome, str)
     assert np.isclose(found.certificate.lower_bound, max(v for v in tried_of(found).values() if isinstance(v, float)))
+
+
+def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Next to a bound below what a combination may reach it is searched; next to one above, or far ahead, it is not."""
+    problem = team()
+    groups = groups_of(problem, {"car": 40, "cart_0": 24}, ["best", "tube"], Settings())
+    tries, chosen, other = Tries(problem, groups, Settings(), "numpy"), ("exact", "tube"), ("tube", "tube")
+
+    def passed_over(lower: float) -> str | None:
+        best: Any = SimpleNamespace(certificate=SimpleNamespace(lower_bound=lower))
+        return tries._passed_over(other, chosen, best)
+
+    most, value = tries.most(other), tries.value(other)
+    assert 0.0 < value <= most and passed_over(0.9 * most - 2 * relation_choice.WORTHWHILE) is None
+    assert str(passed_over(most)).startswith("at most ")
+    monkeypatch.setattr(relation_choice, "PROMISING", 1.2)
+    assert str(passed_over(0.9 * most - 2 * relation_choice.WORTHWHILE)).endswith("after one sweep, not gone on with")
