@@ -27,8 +27,8 @@ from .choices import TargetWindows
 from .decentralised import Decentralised, Policy, decentralised
 from .grid import FloatArray
 from .joint import JointModel, join, start_of
-from .synthesize import FINAL, Synthesis
-from .synthesize import certify as certificate_of
+from .result import Synthesis, certificate_of
+from .search import FINAL
 
 
 def certify(

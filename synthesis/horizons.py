@@ -1,27 +1,23 @@
-"""Horizons one after the other, each beginning with what the last one found.
+"""One problem at several horizons, each search beginning with what the last one found, and without any deadline.
 
-Policies of horizon T are read at another horizon in two ways: *by the time left* (the last steps are the same, the
-first one is repeated before them, or left out) and *by the time gone* (the first steps are the same, the last one is
-repeated). For a co-safe task the second is worth at least as much at a longer horizon as it was, so that bounds rise
-with the horizon, up to what is pruned.
+For co-safe tasks the value of T steps is a lower bound of the value without a deadline, and rises with T.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from typing import Any
 
-import numpy as np
-
-from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
-from .abstraction import Abstraction, Cells
-from .ascent import Laws
-from .certificate import Certificate, checked_certificate
-from .choices import InputMenu
+from .abstraction import Cells
+from .result import Synthesis
+from .synthesize import synthesize
 
-if TYPE_CHECKING:
-    from .synthesize import Synthesis
+TOLERANCE = 1e-6
+"""What a doubled horizon may add before ``without_deadline`` stops."""
+
+LONGEST = 1000
+"""Longest horizon that ``without_deadline`` tries."""
 
 
 def synthesize_horizons(
@@ -43,61 +39,69 @@ def synthesize_horizons(
     list of Synthesis
         In the order of ``horizons``.
     """
-    from .synthesize import synthesize
-
     asked = list(horizons)
-    found: dict[int, Synthesis] = {}
-    reusable = not checked_problem(problem).groups and not {"memory", "accuracy"} & {*settings}
-    reusable &= settings.get("relation") != "best"
-    last: Certificate | None = None
-    for horizon in sorted(set(asked)):
-        found[horizon] = synthesize(
-            problem.replace(horizon=horizon), cells, start=last if reusable else None, **settings
-        )
-        last = found[horizon].certificate
+    found = {one.certificate.problem.horizon: one for one in each_horizon(problem, asked, cells, **settings)}
     return [found[horizon] for horizon in asked]
 
 
-def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Laws]:
-    """The policies of a certificate at the horizon of ``problem``, by what is kept of their times.
+def each_horizon(
+    problem: Problem, horizons: Iterable[int], cells: Cells = None, **settings: Any
+) -> Iterator[Synthesis]:  # fmt: skip
+    """``synthesize_horizons`` one by one, in increasing order."""
+    last: Synthesis | None = None
+    for horizon in sorted(set(horizons)):
+        last = _from(last, problem.replace(horizon=horizon), cells, settings)
+        yield last
+
+
+def _from(last: Synthesis | None, problem: Problem, cells: Cells, settings: dict[str, Any]) -> Synthesis:
+    """Synthesis that begins with the last one, unless cells or relation are to be chosen anew."""
+    chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
+    if last is None or checked_problem(problem).groups or chosen_anew:
+        return synthesize(problem, cells, **settings)
+    return synthesize(problem, cells, start=last.certificate, **settings)
+
+
+def without_deadline(
+    problem: Problem, cells: Cells = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
+) -> Synthesis:
+    """Stationary policies for a co-safe task, and a lower bound on satisfying it at any time.
+
+    The horizon is doubled, from the problem's own, until the bound gains less than ``tolerance``.
+
+    Parameters
+    ----------
+    problem : Problem
+    cells, **settings
+        As for ``synthesize``.
+    tolerance : float
+        Gain at which to stop: an observation, no bound on what still longer horizons would add.
+    longest : int
+        Longest horizon.
+
+    Returns
+    -------
+    Synthesis
+        With the largest bound of all horizons tried; its certificate is about that horizon (``certificate.problem``)
+        and, by ``certificate.unbounded``, about all longer ones.
 
     Raises
     ------
     ValueError
-        If it was made for other agents, another automaton, other cells or another relation.
+        If the task is not co-safe: then more time may do harm.
     """
-    agents = checked_certificate(certificate).agents
-    fits: bool = (
-        len(agents) == problem.n_agents and certificate.problem.automaton.n_states == problem.automaton.n_states
-    )
-    members = zip(certificate.problem.agents, problem.agents, strict=False)
-    for part, model, (given, asked) in zip(agents, abstraction.models, members, strict=False):
-        same = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
-        fits = fits and _moves(given) == _moves(asked)
-        fits = fits and part.law.shape[-1] == model.n_cells and all(np.array_equal(a, b) for a, b in same)
-        if isinstance(model.choices, InputMenu):
-            fits = fits and part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
-        else:
-            fits = fits and part.menu is None
-    if not fits:
+    if checked_problem(problem).specification.semantics != "co-safe":
         raise ValueError(
-            "`start`: expected a certificate of the same agents, task, cells and relation, got one of "
-            f"{certificate.problem.name!r} with other ones; leave it out"
+            '`problem`: expected a task of semantics "co-safe", which is satisfied at some time, got '
+            f"{problem.specification.semantics!r}; give it a horizon"
         )
-    times = np.arange(problem.horizon)
-    kept = {}
-    for name, shift in (("time left", certificate.problem.horizon - problem.horizon), ("time gone", 0)):
-        laws = [part.law[np.clip(times + shift, 0, len(part.law) - 1)] for part in agents]
-        kept[f"given start by {name}"] = tuple(_admissible(law, m.choices.resting_law) for law, m in
-                                               zip(laws, abstraction.models, strict=True))  # fmt: skip
-    return kept if certificate.problem.horizon != problem.horizon else dict([kept.popitem()])
-
-
-def _moves(agent: LinearAgent) -> dict[str, Any]:
-    """All of an agent but its name and its start: what its choices are admissible for."""
-    return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
-
-
-def _admissible(law: Any, resting: Any) -> Any:
-    """The law, with a choice wherever there is one."""
-    return np.where((law < 0) & (resting >= 0), resting, law).astype(np.int32)
+    if problem.groups:
+        raise ValueError("`problem`: expected one task, got independent ones; take the problems of `problem.tasks`")
+    settings = {**settings, "stationary": True}
+    best = _from(None, problem, cells, settings)
+    while 2 * best.certificate.problem.horizon <= longest:
+        found = _from(best, problem.replace(horizon=2 * best.certificate.problem.horizon), cells, settings)
+        if found.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
+            return max(best, found, key=lambda one: one.certificate.lower_bound)
+        best = found
+    return best

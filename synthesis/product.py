@@ -25,7 +25,7 @@ from .kernel import UNIT
 from .product_controller import ProductController
 
 if TYPE_CHECKING:
-    from .synthesize import Synthesis
+    from .result import Synthesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ def nameless(problem: Problem) -> str:
 
 def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, one: Callable[..., Synthesis]) -> Synthesis:
     """Synthesize every part with ``one(task, cells, relation=)``, those that differ in names alone once."""
-    from .synthesize import Synthesis
+    from .result import Synthesis
 
     check_names("cells", cells, problem)
     found: dict[tuple[str, str], Synthesis] = {}

@@ -22,7 +22,7 @@ from .abstraction import Relations
 from .cells import MOST, AgentCells, base_bytes, cells_at, snapping_loss
 
 if TYPE_CHECKING:
-    from .synthesize import Synthesis
+    from .result import Synthesis
 
 Run = Callable[[Mapping[str, tuple[int, ...]]], "Synthesis"]
 

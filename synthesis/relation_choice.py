@@ -43,7 +43,7 @@ from .relaxation import relax, relaxed_laws, upper_bound
 from .search import MANY_TERMS
 
 if TYPE_CHECKING:
-    from .synthesize import Synthesis
+    from .result import Synthesis
 
 SETTLED = 0.1
 """Share of the inputs, per cell, that the ``exact`` relation may keep in reserve where nothing else is tried."""

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.problem import Problem, checked_problem
-from .abstraction import Cells
+from ..envs.problem import Problem
 from .arrays import to_host
 from .ascent import Laws, Limits, Stage, Sweep, forward, sweep
 from .best_response import best_choices
@@ -29,69 +28,11 @@ from .occupancy import Occupancy
 from .search import FINAL, Found
 from .train_ascent import TrainSweep, sweep_trains
 
-if TYPE_CHECKING:
-    from .synthesize import Synthesis
-
 ROUNDS = 8
 """Most rounds of answers."""
 
 LARGEST = 60_000_000
 """Most numbers that the answers of a round may hold; rounds that need more are left out."""
-
-TOLERANCE = 1e-6
-"""What a doubled horizon may add before ``without_deadline`` stops."""
-
-LONGEST = 1000
-"""Longest horizon that ``without_deadline`` tries."""
-
-
-def without_deadline(
-    problem: Problem, cells: Cells = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
-) -> Synthesis:
-    """Stationary policies for a co-safe task, and a lower bound on satisfying it at any time.
-
-    The horizon is doubled, from the problem's own, until the bound gains less than ``tolerance``.
-
-    Parameters
-    ----------
-    problem : Problem
-    cells, **settings
-        As for ``synthesize``.
-    tolerance : float
-        Gain at which to stop: an observation, no bound on what still longer horizons would add.
-    longest : int
-        Longest horizon.
-
-    Returns
-    -------
-    Synthesis
-        With the largest bound of all horizons tried; its certificate is about that horizon (``certificate.problem``)
-        and, by ``certificate.unbounded``, about all longer ones.
-
-    Raises
-    ------
-    ValueError
-        If the task is not co-safe: then more time may do harm.
-    """
-    from .synthesize import synthesize
-
-    if checked_problem(problem).specification.semantics != "co-safe":
-        raise ValueError(
-            '`problem`: expected a task of semantics "co-safe", which is satisfied at some time, got '
-            f"{problem.specification.semantics!r}; give it a horizon"
-        )
-    if problem.groups:
-        raise ValueError("`problem`: expected one task, got independent ones; take the problems of `problem.tasks`")
-    reusable = not {"memory", "accuracy"} & {*settings} and settings.get("relation") != "best"
-    best = synthesize(problem, cells, stationary=True, **settings)
-    while 2 * best.certificate.problem.horizon <= longest:
-        longer = problem.replace(horizon=2 * best.certificate.problem.horizon)
-        start = best.certificate if reusable else None
-        found = synthesize(longer, cells, stationary=True, start=start, **settings)
-        if found.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
-            return max(best, found, key=lambda one: one.certificate.lower_bound)
-        best = found
-    return best
 
 
 def stationary_best(problem: Problem, joint: JointModel, found: Found, limits: Limits) -> Sweep | TrainSweep:

@@ -1,14 +1,12 @@
-"""From a problem to a certificate and its controllers."""
+"""From a problem to a certificate and its controllers: finite models, search, result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
-
-import numpy as np
 
 from ..envs.problem import Problem, checked_problem
 from .abstraction import (
@@ -22,55 +20,16 @@ from .abstraction import (
     relations_of,
 )
 from .arrays import HOST, device_put
-from .ascent import Laws, Limits, Sweep, forward, sweep
-from .bounds import (
-    Bound,
-    a_posteriori_bound,
-    nominal_bound,
-    relative_rounding,
-    robust_bound,
-    robust_loss,
-    stranded_mass,
-    train_bound,
-    undecided_steps,
-)
-from .certificate import EXACT_GAP, AgentPart, Certificate, checked_certificate
-from .choices import InputMenu
-from .continuous_bound import continuous_upper_bound
-from .controller import Controller
-from .described_relation import describe_relation
-from .horizons import laws_from
-from .joint import JointModel, join, start_of
-from .optimum import abstract_bound
+from .ascent import Laws, Limits
+from .certificate import Certificate, checked_certificate
+from .given_start import laws_from
+from .joint import JointModel, join
 from .product import synthesize_parts
 from .refine import refine
 from .relation_choice import Tries, groups_of
+from .result import Synthesis, bounds_from_above, certificate_of
 from .search import FINAL, Search, improve
-from .stationary import stationary_best, time_invariant
-from .train_above import evaluate_above, start_above
-from .train_ascent import TrainSweep
-
-
-@dataclass(frozen=True, eq=False)
-class Synthesis:
-    """A certificate, the controllers it belongs to, and how they were found.
-
-    Parameters
-    ----------
-    certificate : Certificate
-    controller : Controller
-    stats : dict
-        ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),
-        ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
-        ``optimum``), ``continuous_upper_bound`` (no policy of the continuous system does better; None where there is
-        no bound), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
-        state; None for tensor trains and stationary policies), and, where relations were compared, what was
-        ``tried``: the lower bound of each, or why there is none.
-    """
-
-    certificate: Certificate
-    controller: Controller
-    stats: dict[str, object]
+from .stationary import stationary_best
 
 
 def synthesize(
@@ -213,21 +172,15 @@ def _on(
         best = stationary_best(problem, joint, found, search.limits)
     used = {**abstraction.settings, "max_sweeps": search.max_sweeps, "restarts": search.restarts,
             "stationary": stationary, "limits": vars(search.limits), "final_limits": vars(FINAL)}  # fmt: skip
-    how = "stationary policies from " if stationary else ""
-    certificate = certify(problem, abstraction, joint, best, used, f"{how}occupancy-weighted coordinate ascent")
-    start = start_of(problem, joint)
-    anywhere = continuous_upper_bound(problem, joint, start)
-    most = abstract_bound(problem, joint, start, found.relaxations, certificate.lower_bound)
-    if anywhere is not None and certificate.delta == 0.0:  # what abstract policies attain, continuous ones do
-        most = min(most, anywhere)
+    name = f"{'stationary policies from ' if stationary else ''}occupancy-weighted coordinate ascent"
+    certificate = certificate_of(problem, abstraction, joint, best, used, name)
     stats: dict[str, object] = {
         "sweeps": found.values,
         "starts": found.starts,
         "rank": certificate.rank,
         "dropped": best.dropped,
-        "abstract_upper_bound": most,
-        "continuous_upper_bound": anywhere,
         "unilateral_gain": None if stationary else found.unilateral_gain,
+        **bounds_from_above(problem, joint, found.relaxations, certificate),
     }
     return Synthesis(certificate, certificate.controller, stats)
 
@@ -257,77 +210,3 @@ def _within(
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
     return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
-
-
-def certify(
-    problem: Problem,
-    abstraction: Abstraction,
-    joint: JointModel,
-    best: Sweep | TrainSweep,
-    settings: dict[str, Any],
-    search: str,
-) -> Certificate:
-    """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
-    grown: Sweep | TrainSweep
-    if isinstance(best, TrainSweep):
-        above = None
-        if abstraction.is_exact:
-            above = start_above(start_of(problem, joint), evaluate_above(joint, best.laws, best.rounding))
-        grown, bound = best, train_bound(joint, best, above)
-        bounds = {bound.name: bound.lower}
-    else:
-        grown, bound, bounds = best_bound(problem, abstraction, joint, best)
-    parts = []
-    for i, model in enumerate(joint.models):
-        part = AgentPart(
-            grid=model.grid,
-            coordinates=model.relation.coordinates,
-            relation=describe_relation(model.relation),
-            lattice=model.lattice,
-            masks=joint.masks[i],
-            start_masks=joint.start_masks[i],
-            law=time_invariant(best.laws[i]),
-            menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
-        )
-        parts.append(part)
-    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)
-    return Certificate(
-        problem=problem,
-        method=f"{settings['relation']} relation, {search}",
-        bound=bound.name,
-        bounds=bounds,
-        start="point" if point else "mean",
-        lower_bound=bound.lower,
-        gap=bound.gap,
-        exact=bound.gap is not None and bound.gap <= EXACT_GAP,
-        relative_rounding=relative_rounding(joint, grown.rank),
-        agents=tuple(parts),
-        guard_source=joint.guards.source,
-        guard_target=joint.guards.target,
-        guard_mask=joint.guards.mask,
-        start_target=joint.start_guards.target,
-        start_mask=joint.start_guards.mask,
-        skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
-        terms=grown.terms if isinstance(grown, Sweep) else None,
-        rank=grown.rank,
-        settings=settings,
-        rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
-    )
-
-
-def best_bound(
-    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
-) -> tuple[Sweep, Bound, dict[str, float]]:
-    """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
-    if all(model.delta == 0.0 for model in joint.models):
-        stranded = 0.0
-        if abstraction.is_exact and any(np.any(model.choices.resting_law < 0) for model in joint.models):
-            stranded = stranded_mass(joint, best.laws, forward(joint, best.laws, start_of(problem, joint), FINAL))
-        bound = nominal_bound(joint, best, abstraction.is_exact, stranded)
-        return best, bound, {bound.name: bound.lower}
-    start = start_of(problem, joint)
-    undecided = undecided_steps(joint, forward(joint, best.laws, start, FINAL))
-    robust = sweep(joint, best.laws, start, FINAL, improve=False, loss=robust_loss)
-    found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
-    grown, bound = max(found, key=lambda pair: pair[1].lower)
-    return grown, bound, {other.name: other.lower for _, other in found}

@@ -14,8 +14,8 @@ from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.ascent import Laws, Limits, sweep
 from certigym.synthesis.best_response import TIE
+from certigym.synthesis.given_start import laws_from
 from certigym.synthesis.grid import start_share
-from certigym.synthesis.horizons import laws_from
 from certigym.synthesis.joint import JointModel, join, start_of
 from certigym.synthesis.kernel import UNIT
 from certigym.synthesis.oracle import dense_optimum, dense_value
@@ -220,7 +220,7 @@ def test_the_largest_bound_of_all_deadlines_is_kept(monkeypatch: pytest.MonkeyPa
         return replace(found, certificate=replace(found.certificate, problem=problem, lower_bound=lower))
 
     real = cg.synthesize
-    monkeypatch.setattr("certigym.synthesis.synthesize.synthesize", worse)
+    monkeypatch.setattr("certigym.synthesis.horizons.synthesize", worse)
     kept = cg.without_deadline(one_agent().replace(horizon=8), 40).certificate
     assert asked == [8, 16] and kept.problem.horizon == 8
 
@@ -229,7 +229,7 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Abstract policies may then attain more than any policy of the continuous system."""
-    monkeypatch.setattr("certigym.synthesis.synthesize.continuous_upper_bound", lambda *_: 1e-3)
+    monkeypatch.setattr("certigym.synthesis.result.continuous_upper_bound", lambda *_: 1e-3)
     problem = two_agents(horizon=3)
     exact, paper = (cg.synthesize(problem, 40, relation=relation).stats for relation in ("exact", "paper"))
     assert exact["abstract_upper_bound"] == exact["continuous_upper_bound"] == 1e-3

@@ -24,7 +24,7 @@ from ..spread import Executor
 from ..synthesis.certificate import Certificate
 from ..synthesis.controller import Controller
 from ..synthesis.decentralised import LOCAL
-from ..synthesis.synthesize import Synthesis
+from ..synthesis.result import Synthesis
 from .loop import CHUNK, Batchable
 from .policies import as_controller
 from .rollout import Rollouts, rollout

@@ -16,7 +16,7 @@ from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import EXACT_GAP, Certificate, checked_certificate
 from ..synthesis.product import ProductCertificate, relations_tried
-from ..synthesis.synthesize import Synthesis
+from ..synthesis.result import Synthesis
 from .loop import CHUNK, Loop
 from .mismatch import Mismatch
 from .rollout import stream

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from .synthesis.decentralised import vectorized as vectorized
     from .synthesis.grid import Grid as Grid
     from .synthesis.horizons import synthesize_horizons as synthesize_horizons
+    from .synthesis.horizons import without_deadline as without_deadline
     from .synthesis.product import ProductCertificate as ProductCertificate
-    from .synthesis.stationary import without_deadline as without_deadline
-    from .synthesis.synthesize import Synthesis as Synthesis
+    from .synthesis.result import Synthesis as Synthesis
     from .synthesis.synthesize import synthesize as synthesize
     from .validation.actors import load_actor as load_actor
     from .validation.audit import audit as audit
@@ -103,7 +103,7 @@ _EXPORTS = {
     "Rollouts": "validation.rollout",
     "Specification": "envs.specification",
     "StressReport": "validation.stress",
-    "Synthesis": "synthesis.synthesize",
+    "Synthesis": "synthesis.result",
     "Training": "validation.train",
     "ValidationReport": "validation.validate",
     "abstract": "synthesis.abstraction",
@@ -138,7 +138,7 @@ _EXPORTS = {
     "validate_field": "validation.fields",
     "vector_env": "envs.vector_env",
     "vectorized": "synthesis.decentralised",
-    "without_deadline": "synthesis.stationary",
+    "without_deadline": "synthesis.horizons",
     "write_report": "validation.report",
 }
 

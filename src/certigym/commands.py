@@ -22,7 +22,7 @@ from .plot_command import plot as plot
 from .rendering_command import render_rollout
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.check import check as check_certificate
-from .synthesis.synthesize import Synthesis
+from .synthesis.result import Synthesis
 from .synthesis.synthesize import synthesize as synthesize_problem
 from .validation.validate import shown_bound
 from .validation_commands import audit as audit

@@ -14,7 +14,7 @@ from .envs.problem import Problem
 from .synthesis.certificate_file import load_certificate, save_certificate
 from .synthesis.certify import certify as certify_policy
 from .synthesis.certify import improve as improve_policy
-from .synthesis.synthesize import Synthesis
+from .synthesis.result import Synthesis
 from .synthesis.synthesize import synthesize as synthesize_problem
 from .validation.actors import load_actor
 from .validation.compare import compare as compare_policies
