@@ -5,6 +5,7 @@ from __future__ import annotations
 import html.parser
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from certigym.__main__ import main
 from certigym.synthesis.certificate import Certificate
 from certigym.validation.report import gather_report, write_report
 from certigym.validation.svg import ticks
+from certigym.validation.sweeps import each_report
+from certigym.validation.validate import ValidationReport
 from problems import scalar_agent, two_agents
 
 
@@ -69,6 +72,21 @@ def test_sweeps_run_over_horizons(tmp_path: Path) -> None:
     status, rows = run(*arguments, out=out)
     assert status == 0 and [row["horizon"] for row in rows] == [2, 4]
     assert rows[0]["lower_bound"] <= rows[1]["lower_bound"]
+
+
+def test_interrupted_sweeps_leave_what_is_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments: Any, **settings: Any) -> Iterator[ValidationReport]:
+        yield next(each_report(*arguments, **settings))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("certigym.validation_commands.each_report", interrupted)
+    path = tmp_path / "sweep.json"
+    arguments = ["sweep", "reach-avoid-v0", "--horizons", "4", "2", "--cells", "50", "--episodes", "500"]
+    assert main([*arguments, "--json", str(path)]) == 130
+    assert [own["horizon"] for own in json.loads(path.read_text())] == [2]
+    assert len(capsys.readouterr().out.splitlines()) == 2
 
 
 @pytest.mark.parametrize(

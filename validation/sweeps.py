@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ..envs.problem import Problem
 from ..spread import Executor, in_order
 from ..synthesis.certificate import Certificate
-from ..synthesis.horizons import synthesize_horizons
+from ..synthesis.horizons import each_horizon
 from ..synthesis.synthesize import synthesize
 from .validate import ValidationReport, validate
 
@@ -38,8 +38,18 @@ def sweep_horizons(
     **settings
         Arguments of ``synthesize``, such as ``cells``.
     """
-    found = synthesize_horizons(problem, horizons, **settings)
-    return [validate(one, episodes, seed, executor=executor) for one in found]
+    asked = list(horizons)
+    found = {own.horizon: own for own in each_report(problem, asked, episodes, seed, executor=executor, **settings)}
+    return [found[horizon] for horizon in asked]
+
+
+def each_report(
+    problem: Problem, horizons: Iterable[int], episodes: int, seed: int, *, executor: Executor | None = None,
+    **settings: Any,
+) -> Iterator[ValidationReport]:  # fmt: skip
+    """``sweep_horizons`` one by one, in increasing order of horizons."""
+    for found in each_horizon(problem, horizons, **settings):
+        yield validate(found, episodes, seed, executor=executor)
 
 
 def synthesize_best(

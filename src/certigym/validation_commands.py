@@ -9,11 +9,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from .arguments import cells_of, named_problem, show
+from .arguments import cells_of, named_problem, show, write_json
 from .spread import Executor
 from .synthesis.certificate import Certificate
 from .synthesis.certificate_file import load_certificate
-from .synthesis.synthesize import Synthesis
+from .synthesis.result import Synthesis
 from .validation.audit import audit as audit_certificate
 from .validation.cluster import executor_for
 from .validation.fields import FieldReport, find_weakest, validate_field
@@ -22,7 +22,7 @@ from .validation.report import gather_report, write_report
 from .validation.starts import corner_starts, random_starts, slice_starts, workspace_box
 from .validation.stress import LADDERS
 from .validation.stress import stress as stress_certificate
-from .validation.sweeps import sweep_horizons
+from .validation.sweeps import each_report
 from .validation.validate import ValidationInterrupted, ValidationReport
 from .validation.validate import validate as validate_certificate
 
@@ -91,16 +91,27 @@ def stress(options: Namespace) -> int:
 
 
 def sweep(options: Namespace) -> int:
-    """Synthesize and validate at several horizons."""
+    """Synthesize and validate at several horizons, a row as soon as it is found; Ctrl-C leaves those that are there."""
     problem = named_problem(options.problem)
     cells = cells_of(options)
+    shown = options.json != "-"
+    if shown:
+        print(problem.name, flush=True)
+    reports: list[ValidationReport] = []
+    interrupted = False
     with executor_for(options.dask, options.workers) as executor:
-        reports = sweep_horizons(
-            problem, options.horizons, options.episodes, options.seed, executor=executor, cells=cells
-        )
-    rows = [f"{r.horizon:>4}  P >= {r.lower_bound:.6f}  simulated {r.estimate:.6f}  {r.verdict}" for r in reports]
-    show(options, "\n".join([problem.name, *rows]), [r.to_dict() for r in reports])
-    return int(any(r.refuted for r in reports))
+        try:
+            for r in each_report(
+                problem, options.horizons, options.episodes, options.seed, executor=executor, cells=cells
+            ):
+                reports.append(r)
+                if shown:
+                    row = f"{r.horizon:>4}  P >= {r.lower_bound:.6f}  simulated {r.estimate:.6f}  {r.verdict}"
+                    print(row, flush=True)
+        except KeyboardInterrupt:  # of an unfinished validation, nothing is kept
+            interrupted = True
+    write_json(options, [r.to_dict() for r in reports])
+    return 130 if interrupted else int(any(r.refuted for r in reports))
 
 
 def report(options: Namespace) -> int:
