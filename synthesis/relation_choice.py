@@ -3,10 +3,10 @@
 Agents with the same dynamics, cells and wishes form a group and share a relation; groups may have different ones. Each
 group has finite models under every relation that applies to it. Of a combination of relations, one per group, a bound
 from above is known before any search: the product of what each agent could do if the team followed (``relaxation``).
-The search begins with the combination of the largest such bound, or with another one that after a single sweep is ahead
-of it; then one group after the other is changed. Combinations whose bound from above is not worth a search are passed
-over, and so are those that after one sweep are far behind. So the number of searches grows with the number of groups,
-not of combinations; that no other combination is better is not claimed.
+The search begins with the combination of the largest such bound, or (unless that is ``exact`` throughout) with another
+one that after a single sweep is ahead of it; then one group after the other is changed. Combinations whose bound from
+above is not worth a search are passed over, and so are those that after one sweep are far behind. So the number of
+searches grows with the number of groups, not of combinations; that no other combination is better is not claimed.
 
 An agent for which ``exact`` applies is *settled*, and nothing else is looked at, if no cell is without a target and the
 reserve takes at most ``SETTLED`` of its inputs. No theorem says that it is then the best on the same cells: a tube
@@ -211,6 +211,8 @@ class Tries:
             options = {relation: self.most(_changed(usual, g, relation)) for relation in group.models}
             enough = max(options.values()) - WORTHWHILE
             chosen = _changed(chosen, g, next(own for own in group.models if options[own] >= enough))
+        if {*chosen} == {"exact"}:
+            return chosen  # what it certifies may well leave nothing worth a sweep over the others
         value = self.value(chosen)
         for g, relation in self._options():
             combination = _changed(chosen, g, relation)
