@@ -71,6 +71,13 @@ def motor() -> cg.Problem:
     return cg.Problem(name="motor", horizon=10, agents=[cart], propositions={"goal": goal}, specification=task)
 
 
+def region(speed: float) -> cg.Problem:
+    """RA4 over 20 steps from the positions of the paper's RA2 region, at velocities up to ``speed``."""
+    starts = [agent.initial for agent in cg.make_problem("reach-avoid-v0").agents]
+    low, high = [[*start.low, -speed] for start in starts], [[*start.high, speed] for start in starts]
+    return cg.make_problem("reach-avoid-kinematic-v0", horizon=20).replace(initial_low=low, initial_high=high)
+
+
 Row = tuple[Callable[[], cg.Problem], Any]
 ROWS: dict[str, Row] = {
     "car park, whole, 400 x 400": (lambda: cg.make_problem("car-park-planar-v0"), 400),
@@ -88,6 +95,9 @@ ROWS: dict[str, Row] = {
     "RA4, 60 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), 60),
     "RA4, 150 x 60": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), [150, 60]),
     "RA4, 250 x 100": (lambda: cg.make_problem("reach-avoid-kinematic-v0"), [250, 100]),
+    "RA4, region at rest, 150 x 60": (lambda: region(0.0), [150, 60]),
+    "RA4, region at all velocities, 150 x 60": (lambda: region(5.0), [150, 60]),
+    "RA4, region at all velocities, 250 x 100": (lambda: region(5.0), [250, 100]),
 }
 
 
