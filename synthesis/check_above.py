@@ -51,7 +51,7 @@ def inexact(certificate: Certificate) -> list[str]:
         own = certificate.guard_source == q
         if not _is_final(problem, q):
             sets.append((q, arriving, certificate.guard_mask[own], certificate.guard_target[own]))
-    if certificate.start == "mean":
+    if certificate.start == "mean" and not _is_final(problem, problem.automaton.initial):
         sets.append((problem.automaton.initial, starting, certificate.start_mask, certificate.start_target))
     for q, sizes, mask, target in sets:
         for p, number in joint_cells_by_target(problem, q, classes).items():

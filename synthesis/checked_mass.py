@@ -90,8 +90,10 @@ def mass_at_start(certificate: Certificate) -> Mass:
     problem, agents = certificate.problem, certificate.agents
     pairs = zip(problem.agents, agents, strict=True)
     shares = [start_share(p.grid, p.coordinates, a.initial.low, a.initial.high)[None] for a, p in pairs]
-    if certificate.start == "point":
-        known = [] if problem.initial_q is None else [problem.initial_q]
+    automaton, point = problem.automaton, certificate.start == "point"
+    if point or (automaton.semantics == "co-safe" and automaton.accepting[automaton.initial]):  # no letter is asked
+        q = problem.initial_q if point else automaton.initial
+        known = [] if q is None else [q]
         return Mass(shares, np.zeros((len(known), len(agents)), dtype=np.int64), np.array(known, dtype=np.int64))
     factors = [part.start_masks * own for part, own in zip(agents, shares, strict=True)]
     return Mass(factors, certificate.start_mask.astype(np.int64), certificate.start_target.astype(np.int64))

@@ -124,6 +124,17 @@ def test_what_rounding_may_have_taken_is_counted() -> None:
     assert start_above(start, coarse) == pytest.approx(start_value(start, value) + 0.01, abs=1e-8)
 
 
+@pytest.mark.parametrize("value", ["tree", "train"])
+def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: str) -> None:
+    """Half of the start box lies outside the workspace of each agent."""
+    box = {"initial_state": None, "initial_low": [-5.0], "initial_high": [-3.0]}
+    certificate = cg.synthesize(two_agents("true", horizon=2, **box), 16, value=value).certificate
+    report = cg.check(certificate)
+    assert report, report
+    assert report.above == pytest.approx(0.25, abs=1e-7)
+    assert not cg.check(replace(certificate, lower_bound=0.2, bounds={"nominal": 0.2}))
+
+
 def test_the_start_may_lie_outside_of_what_trains_cover() -> None:
     problem, joint, laws = a_team()
     away = tuple(np.arange(3) for _ in joint.models)
