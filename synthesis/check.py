@@ -167,6 +167,8 @@ def _check_grids(certificate: Certificate) -> list[str]:
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
         if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
             failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
+        if not identity and not np.array_equal(agent.initial.low, agent.initial.high):
+            failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
         if not identity and not _covers(agent.workspace, part.coordinates, low, high):
             failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
         noise = grid_noise(agent.noise_covariance, part.coordinates)

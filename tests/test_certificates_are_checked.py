@@ -214,6 +214,14 @@ def test_correlated_noise_is_not_hidden_by_the_scale_of_an_axis() -> None:
     assert "cannot be inverted" in str(cg.check(flat))
 
 
+def test_other_coordinates_are_refused_where_the_start_is_a_box() -> None:
+    problem = two_agents(initial_state=None, initial_low=[-3.0], initial_high=[-1.0])
+    certificate = cg.synthesize(problem, 16).certificate
+    edges = certificate.agents[0].grid.edges[0]
+    moved = with_agent(certificate, 0, coordinates=np.array([[2.0]]), grid=cg.Grid((edges / 2.0,)))
+    assert "start box" in str(cg.check(moved))
+
+
 def test_a_certificate_for_another_noise_is_refused(certificate: Certificate) -> None:
     agents = [agent.replace(noise_covariance=[[0.3]]) for agent in certificate.problem.agents]
     other = two_agents(horizon=5)
