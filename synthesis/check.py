@@ -32,6 +32,7 @@ from .check_above import MOST, attained, inexact
 from .check_guards import wrong_guards
 from .checked_kernel import grid_noise
 from .checked_mass import TooManyProducts, masses
+from .kernel import UNIT
 from .product import ProductCertificate
 from .regrow import BrokenTreeError, regrow
 from .regrow_trains import BrokenTrainError, regrow_trains
@@ -127,14 +128,17 @@ def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport
     if product.fingerprint != problem.fingerprint:
         failures = ["it was made for another problem (the fingerprints differ)"]
         return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
-    failures, recomputed = [], 1.0
+    failures, recomputed, above = [], 1.0, 1.0
     if [part.fingerprint for part in product.parts] != [task.fingerprint for task in problem.tasks]:
         failures.append("its parts are not the independent tasks of its problem")
     for same in product.alike:
         report = check(part := product.parts[same[0]])
         recomputed *= report.recomputed ** len(same)
+        above *= (np.nan if report.above is None else report.above) ** len(same)
         failures += [f"{part.problem.name}: {failure}" for failure in report.failures]
-    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures))
+    known = not failures and product.gap is not None and above >= 0.0
+    most = min(1.0, above * (1.0 + 4.0 * len(product.parts) * UNIT)) if known else None
+    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures), most)
 
 
 def _check_form(certificate: Certificate) -> list[str]:
