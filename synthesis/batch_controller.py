@@ -1,9 +1,10 @@
-"""Controllers of all agents in many worlds at once: agents that share grid and relation act in one call."""
+"""Controllers of all agents in many worlds at once: agents that share grid, relation and menu act in one call."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -94,8 +95,10 @@ def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[i
 
 
 def _signature(agent: AgentController) -> object:
+    """What agents that act in one call have in common: all but their names and what their laws hold."""
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
-    return (agent.relation.kind, *(a.tobytes() for a in arrays))
+    menu = b"" if agent.menu is None else sha256(np.ascontiguousarray(agent.menu)).digest()
+    return (agent.relation.kind, len(agent.law), menu, *(a.tobytes() for a in arrays))
 
 
 def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> Group:

@@ -162,6 +162,29 @@ def test_batches_do_what_the_definition_says(name: str) -> None:
     assert draws.bit_generator.state == memory.rng.bit_generator.state  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("once", [True, False])
+def test_agents_that_share_a_relation_keep_menus_and_laws_of_their_own(once: bool) -> None:
+    """Alike agents, but one has other successors and, where ``once``, does not look at the time."""
+    problem, controller = case("tube, three agents")
+    first, second = controller.agents[1:]
+    assert second.menu is not None
+    dynamics, rng = Dynamics.of(problem), np.random.default_rng(6)
+    law = rng.integers(second.menu.shape[1], size=second.law.shape, dtype=np.int32)
+    other = replace(second, menu=np.roll(second.menu, 1, axis=1), law=law[:1] if once else law)
+    mixed = Controller(problem, (controller.agents[0], first, other))
+    worlds = core.initial(dynamics, rng, 30)
+    policy, alone = mixed.batch(dynamics), other.begin(core.joint(dynamics, worlds).T[-1:, None])
+    memory, block = policy.begin(worlds, rng), int(dynamics.position[2][0])
+    place = int(np.flatnonzero(dynamics.blocks[block].agents == 2)[0])
+    for time in range(problem.horizon):
+        inputs, memory = policy.act(worlds, memory)
+        expected, alone = other.act(core.joint(dynamics, worlds).T[-1:, None], worlds.q, time, alone)
+        np.testing.assert_array_equal(inputs[block][:, place], expected[:, 0])
+        assert memory.lost is not None and alone is not None
+        assert np.all(memory.lost[alone.lost[0]]) and (time == 0 or alone.lost.mean() > 0.9)
+        worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 30))
+
+
 def test_nothing_is_drawn_without_a_coupling() -> None:
     """Neither in batches nor in environments, where a seed of the controller then changes nothing."""
     for name in CASES.keys() - DRAWING:
