@@ -97,7 +97,7 @@ def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[i
 def _signature(agent: AgentController) -> object:
     """What agents that act in one call have in common: all but their names and what their laws hold."""
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
-    menu = b"" if agent.menu is None else sha256(np.ascontiguousarray(agent.menu)).digest()
+    menu = b"" if agent.menu is None else sha256(agent.menu.tobytes()).digest()
     return (agent.relation.kind, len(agent.law), menu, *(a.tobytes() for a in arrays))
 
 

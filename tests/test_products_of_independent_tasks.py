@@ -140,7 +140,7 @@ def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.Monkey
 def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate: Any = cg.synthesize(apart(monkeypatch, 2, starts=(-2.0, 1.0)), 24).certificate
     report = cg.check(certificate)
-    parts = [cg.check(part).above for part in certificate.parts]
+    parts: Any = [cg.check(part).above for part in certificate.parts]
     assert report and len({*parts}) == 2 and None not in parts
     assert math.prod(parts) <= report.above <= certificate.lower_bound + certificate.gap
     assert report.above == pytest.approx(math.prod(parts), rel=1e-12)

@@ -127,7 +127,7 @@ def test_what_rounding_may_have_taken_is_counted() -> None:
 @pytest.mark.parametrize("value", ["tree", "train"])
 def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: str) -> None:
     """Half of the start box lies outside the workspace of each agent."""
-    box = {"initial_state": None, "initial_low": [-5.0], "initial_high": [-3.0]}
+    box: dict[str, Any] = {"initial_state": None, "initial_low": [-5.0], "initial_high": [-3.0]}
     certificate = cg.synthesize(two_agents("true", horizon=2, **box), 16, value=value).certificate
     report = cg.check(certificate)
     assert report, report
