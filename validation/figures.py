@@ -78,6 +78,8 @@ def value_figure(
     problem = certificate.problem
     names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
     title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
+    if certificate.rounding is not None:
+        title += ", 0 where runs from its start do not come"
     if len(shown) == 1:
         figure, (plot,) = _new(6.4, 3.8)
         x = states[:, shown[0]]
