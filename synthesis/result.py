@@ -52,7 +52,7 @@ class Synthesis:
         ``rank``, ``dropped``, ``abstract_upper_bound`` (no policy of any kind does better on this abstraction; see
         ``optimum``), ``continuous_upper_bound`` (no policy of the continuous system does better; None where there is
         no bound), ``unilateral_gain`` (what one agent alone could gain by other choices at one time and automaton
-        state; None for tensor trains and stationary policies), and, where relations were compared, what was
+        state; None for stationary policies), and, where relations were compared, what was
         ``tried``: the lower bound of each, or why there is none.
     """
 

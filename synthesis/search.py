@@ -128,14 +128,14 @@ class Found:
     relaxations : tuple of Relaxation
     unilateral_gain : float or None
         What one agent alone could gain by other choices at one time and automaton state, the largest of all (0: the
-        policies are person-by-person optimal in this sense). None for tensor trains.
+        policies are person-by-person optimal in this sense); for tensor trains as exact as the mass they are cut from.
     """
 
     best: Sweep | TrainSweep
     values: list[float]
     starts: dict[str, float]
     relaxations: tuple[Relaxation, ...]
-    unilateral_gain: float | None
+    unilateral_gain: float
 
 
 def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str, Laws] | None = None) -> Found:
@@ -159,7 +159,7 @@ def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str
             starts["naive start"] = naive.laws
         trains = _Trains(joint, start, search, most)
         best = trains.search(starts, resting_laws(joint) if naive is None else naive.laws)
-        return Found(best, trains.values, trains.starts, relaxations, None)
+        return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     laws = trees.search(naive, relaxations)
     frozen, gain = _frozen(joint, laws, start)
     for _ in range(POLISHING if search.max_sweeps else 0):
@@ -262,6 +262,7 @@ class _Trains:
         self.joint, self.start, self.how, self.most = joint, start, search, most
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
+        self.gain = 0.0
         self.best: TrainSweep | None = None
 
     def search(self, starts: dict[str, Laws], naive: Laws) -> TrainSweep:
@@ -283,7 +284,10 @@ class _Trains:
         value = self.most if self.best is None else max(self.best.value, 1e-6)
         tolerance = _tolerance(min(self.fine * value, max(FAILURE * (1.0 - value), 1e-3 * self.fine)))
         share = VISITED * min(self.fine, tolerance / value)  # the tolerance may be more, where the value is next to 0
-        return sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=share)
+        gains = [0.0]
+        found = sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=share, watch=gains.append)
+        self.gain = max(gains)
+        return found
 
     def run(self, name: str, laws: Laws, sweeps: int) -> TrainSweep:
         """Sweep from ``laws`` until nothing improves; the last sweep."""

@@ -12,7 +12,7 @@ reported comes from ``train_value.evaluate`` with the policies frozen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,6 +85,7 @@ def sweep_trains(
     weighted: bool = True,
     share: float = 1e-6,
     margin: int = 0,
+    watch: Callable[[float], None] | None = None,
 ) -> TrainSweep:
     """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
 
@@ -99,6 +100,12 @@ def sweep_trains(
         Whether the agents answer; otherwise the policies stay as they are.
     weighted : bool
         Whether answers are weighed by the alive mass; otherwise all joint cells count alike.
+    share : float
+        Share of the mass of each step that may lie on cells which are left out.
+    margin : int
+        Cells around the others that are not left out either.
+    watch : callable, optional
+        Told, for every time and automaton state, what one agent alone could gain there (``gain``).
     """
     ways = routes(joint.guards, joint.masks, joint.n_states)
     masses: list[Masses] = [(None,) * joint.n_states] * joint.horizon
@@ -115,6 +122,9 @@ def sweep_trains(
             own = answers(joint.models, arriving, masses[t][q], own)
             for law, one in zip(better, own, strict=True):
                 law[t, q] = one
+        here = masses[t][q]
+        if watch is not None and here is not None:
+            watch(gain(joint.models, arriving, here, own))
         return own
 
     value = backward(joint, ways, choose, tolerance, lambda t, each: ranks.append(each.rank), visited)
@@ -223,6 +233,26 @@ def answers(models: Sequence[AgentModel], arriving: Train, mass: Train | None, l
             onward = np.tensordot(before, _read_at(mass, i, cores[i]), axes=(1, 0))
             before = np.tensordot(mass.cores[i], onward, axes=((0, 1), (0, 1)))
     return laws
+
+
+def gain(models: Sequence[AgentModel], arriving: Train, mass: Train, laws: Sequence[Law]) -> float:
+    """Most that one agent alone could add to the value at the start by other choices at one time and automaton state.
+
+    As exact as the mass is, which is cut at ``MASS``.
+    """
+    cores = [expected(arriving, i, model, law) for i, (model, law) in enumerate(zip(models, laws, strict=True))]
+    after, _ = _after(cores, mass)
+    before, most = np.ones((1, 1)), 0.0
+    for i, (model, law) in enumerate(zip(models, laws, strict=True)):
+        met, seen = _seen(mass, i, before, after[i])
+        if len(met):
+            better = _answer(model, met, seen, core_rows(arriving, i, model.n_cells), law)
+            added = _read_at(mass, i, expected(arriving, i, model, better) - cores[i])
+            weights = np.tensordot(np.tensordot(before, mass.cores[i], axes=(0, 0)), after[i], axes=(2, 0))
+            most = max(most, float(np.sum(np.moveaxis(weights, 1, 0) * np.moveaxis(added, 1, 0))))
+        onward = np.tensordot(before, _read_at(mass, i, cores[i]), axes=(1, 0))
+        before = np.tensordot(mass.cores[i], onward, axes=((0, 1), (0, 1)))
+    return most
 
 
 def _after(cores: Sequence[Core], mass: Train | None) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -12,10 +12,11 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis import search
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws
+from certigym.synthesis.ascent import Laws, resting_laws, sweep
 from certigym.synthesis.joint import JointModel, join, start_of
 from certigym.synthesis.oracle import dense_optimum, dense_value
 from certigym.synthesis.relaxation import relax, relaxed_laws, upper_bound
+from certigym.synthesis.search import FINAL
 from certigym.synthesis.train import Diagram, Train, added, diagram, rounded
 from certigym.synthesis.train_ascent import sweep_trains
 from certigym.synthesis.train_value import Rounding, evaluate
@@ -252,6 +253,28 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     fine = sweep_trains(joint, laws, start, 1e-6, improve=False, share=0.0)
     assert abs(coarse.value - fine.value) <= coarse.terms.error + fine.terms.error
     assert coarse.rank <= fine.rank
+
+
+@pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
+@pytest.mark.parametrize("n_agents", [1, 2, 3])
+def test_what_one_agent_could_gain_is_what_it_is_on_trees(n_agents: int, formula: str, semantics: str) -> None:
+    problem, joint, laws = a_team(n_agents, formula, semantics)
+    compare_gains(problem, joint, laws)
+
+
+def test_on_cyclic_tasks_too() -> None:
+    problem = cyclic(2)
+    joint = join(problem, abstract(problem, 24))
+    assert compare_gains(problem, joint, resting_laws(joint)) > 1e-6
+
+
+def compare_gains(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
+    start = start_of(problem, joint)
+    on_trees, on_trains = [0.0], [0.0]
+    sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: on_trees.append(stage.gain()))
+    sweep_trains(joint, laws, start, 1e-9, improve=False, share=0.0, watch=on_trains.append)
+    assert max(on_trains) == pytest.approx(max(on_trees), rel=1e-2, abs=1e-9)
+    return max(on_trees)
 
 
 def test_no_sweeps_leave_the_first_start() -> None:
