@@ -122,8 +122,9 @@ def synthesize(
         if relation == "best":
             _refuse_start(start, "several relations")
         kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
-        if len(kinds) == len(asked):
+        if len(kinds) == len(asked) and "auto" in asked:
             asked = [kind if own == "auto" else own for own, kind in zip(asked, kinds, strict=True)]
+            settings = _taken(settings, asked)
     began = time.perf_counter()
     if {"auto", "best"} & {*asked} and start is None:
         return compare(cells)
@@ -185,6 +186,12 @@ def _on(
     return Synthesis(certificate, certificate.controller, stats)
 
 
+def _taken(settings: dict[str, Any], kinds: list[str]) -> dict[str, Any]:
+    """Settings without those that were for relations which are not among the chosen ones."""
+    foreign = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
+    return {name: value for name, value in settings.items() if foreign.get(name, {*kinds}) & {*kinds}}
+
+
 def _refuse_start(start: Certificate | None, what: str) -> None:
     if start is not None:
         raise ValueError(f"`start`: expected none for {what}, got a certificate; leave it out")
@@ -200,8 +207,7 @@ def _within(
     """
     quick = ["quick" if own in ("auto", "best") else own for own in asked]
     first = _one_or_each(problem, quick)
-    if not {"ellipsoid", "paper"} & {*quick}:
-        how = {name: value for name, value in how.items() if name not in ("delta", "share")}
+    how = _taken(how, quick)
     best, record = refine(problem, lambda own: synthesize(problem, own, relation=first, **how), first, memory, accuracy)
     if quick != asked:
         parts = zip(problem.agent_names, best.certificate.agents, strict=True)

@@ -20,7 +20,7 @@ from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.relation_choice import Tries, groups_of
 from certigym.synthesis.relaxation import relax, upper_bound
 from certigym.validation.verdict import REFUTED
-from problems import cart, cart_reach, scalar_agent
+from problems import cart, cart_reach, scalar_agent, two_agents
 
 NEEDS_SOLVER = "cvxpy"
 
@@ -182,6 +182,20 @@ def test_horizons_go_on_with_the_relation_of_the_first() -> None:
     assert kinds_of(short.certificate) == kinds_of(longer.certificate)
     assert "tried" in short.stats and "tried" not in longer.stats
     assert longer.certificate.lower_bound >= short.certificate.lower_bound > 0
+
+
+def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons() -> None:
+    problem = cart_reach(cart(), 4)
+    for setting in ({"delta": 0.01}, {"share": 0.5}):
+        found = cg.synthesize_horizons(problem, [3, 4], [16, 16], **setting)
+        assert [kinds_of(one.certificate) for one in found] == [["tube"], ["tube"]]
+        endless = cg.without_deadline(problem, [16, 16], longest=8, **setting)
+        assert kinds_of(endless.certificate) == ["tube"]
+    start = found[0].certificate
+    with pytest.raises(ValueError, match="`share`: expected none with relation `tube`"):
+        cg.synthesize(problem, [16, 16], relation="tube", share=0.5, start=start)
+    mixed: Any = {"relation": {"one": "paper"}, "epsilon": 0.3, "share": 0.5, "max_sweeps": 0}
+    assert kinds_of(cg.synthesize(two_agents(horizon=2), accuracy=0.5, **mixed).certificate)[0] == "paper"
 
 
 def test_stationary_policies_are_compared_too() -> None:
