@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
+from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.certificate import Certificate
 from certigym.synthesis.check_above import attained, inexact
@@ -237,6 +240,19 @@ def test_large_masses_are_left_unverified(certificate: Certificate, monkeypatch:
     monkeypatch.setattr("certigym.synthesis.check_above.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
+
+
+def test_the_command_line_tells_what_was_verified_from_above(
+    certificate: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, report = str(tmp_path / "c.npz"), cg.check(certificate)
+    cg.save_certificate(certificate, path)
+    assert main(["check", path, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["above"] == report.above
+    assert main(["check", path]) == 0 and "too large a computation" not in capsys.readouterr().out
+    if certificate.rounding is None:
+        monkeypatch.setattr("certigym.synthesis.check_above.MOST", 1)
+        assert main(["check", path]) == 0 and "too large a computation" in capsys.readouterr().out
 
 
 def test_a_single_agent_has_trains_too() -> None:

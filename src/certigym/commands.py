@@ -112,10 +112,15 @@ def check(options: Namespace) -> int:
         problem = named_problem(options.problem, options.horizon)
     report = check_certificate(certificate, problem)
     if options.json != "-":
-        print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}")
+        unverified = report and report.above is None and certificate.gap is not None
+        rest = "; the upper end of its claim was too large a computation" if unverified else ""
+        print(f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}")
     recomputed = None if np.isnan(report.recomputed) else report.recomputed
-    write_json(options, {"valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed,
-                              "failures": list(report.failures), "fingerprint": certificate.fingerprint})  # fmt: skip
+    said = {
+        "valid": report.valid, "lower_bound": report.claimed, "recomputed": recomputed, "above": report.above,
+        "failures": list(report.failures), "fingerprint": certificate.fingerprint,
+    }  # fmt: skip
+    write_json(options, said)
     return 0 if report else 1
 
 
