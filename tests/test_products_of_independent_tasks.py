@@ -138,14 +138,14 @@ def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.Monkey
 
 
 def test_upper_ends_of_the_parts_multiply_in_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    certificate: Any = cg.synthesize(apart(monkeypatch, 2, starts=(-2.0, 1.0)), 24).certificate
+    certificate: Any = cg.synthesize(apart(monkeypatch, 3, starts=(-2.0, 1.0)), 24).certificate
     report = cg.check(certificate)
     parts: Any = [cg.check(part).above for part in certificate.parts]
     assert report and len({*parts}) == 2 and None not in parts
     assert math.prod(parts) <= report.above <= certificate.lower_bound + certificate.gap
     assert report.above == pytest.approx(math.prod(parts), rel=1e-12)
-    first, second = certificate.parts
-    unknown = ProductCertificate(certificate.problem, (replace(first, gap=None, exact=False), second))
+    first, *others = certificate.parts
+    unknown = ProductCertificate(certificate.problem, (replace(first, gap=None, exact=False), *others))
     assert cg.check(unknown) and cg.check(unknown).above is None
     co_safe: Any = cg.synthesize(apart(monkeypatch, 2, semantics="co-safe"), 24).certificate
     assert cg.check(co_safe) and cg.check(co_safe).above is None

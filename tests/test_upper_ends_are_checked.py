@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,17 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.bounds import nominal_bound, stranded_mass, train_bound
 from certigym.synthesis.certificate import Certificate
-from certigym.synthesis.check_above import attained, inexact
+from certigym.synthesis.check_above import MOST, attained, inexact
+from certigym.synthesis.checked_kernel import lost_to_rounding
 from certigym.synthesis.checked_mass import TooManyProducts, masses
+from certigym.synthesis.grid import Grid
 from certigym.synthesis.joint import JointModel, join, start_of
+from certigym.synthesis.occupancy import Occupancy
 from certigym.synthesis.oracle import dense_value
+from certigym.synthesis.relaxation import upper_bound
+from certigym.synthesis.terms import Terms
 from certigym.synthesis.train_above import evaluate_above, start_above
 from certigym.synthesis.train_value import Rounding, Trains, evaluate, start_value
 from problems import scalar_agent, two_agents
@@ -145,6 +152,27 @@ def test_the_start_may_lie_outside_of_what_trains_cover() -> None:
     assert start_above(start_of(problem, joint), above) == pytest.approx(1.0)
 
 
+def a_lossy_team(loss: float) -> Any:
+    """What bounds take of two agents over 5 steps whose kernels may have lost ``loss`` per step."""
+    model = SimpleNamespace(kernel=SimpleNamespace(loss=loss), delta=0.0)
+    return SimpleNamespace(horizon=5, n_cells=[10, 10], models=[model, model], absorbing=[False])
+
+
+def test_upper_ends_count_everything_that_was_left_out() -> None:
+    tree: Any = SimpleNamespace(value=0.5, rank=3, dropped=0.02)
+    bound = nominal_bound(a_lossy_team(1e-3), tree, True, 0.05)
+    assert bound.gap is not None and bound.lower <= 0.5 and bound.lower + bound.gap >= 0.5 + 0.02 + 0.01 + 0.05
+    rounding = SimpleNamespace(tolerance=1e-6)
+    trains: Any = SimpleNamespace(value=0.5, rank=3, terms=SimpleNamespace(error=1e-4), rounding=rounding)
+    bound = train_bound(a_lossy_team(1e-3), trains, 0.52)
+    assert bound.gap is not None and bound.lower <= 0.5 - 1e-4 and bound.lower + bound.gap >= 0.52 + 0.01
+    none = Terms((np.zeros((0, 10)), np.zeros((0, 10))), (np.zeros((0, 2), dtype=np.int64),))
+    assert stranded_mass(a_lossy_team(1e-3), (), [Occupancy(none, 0.01)] * 3) >= 0.03 + 2e-3 * (0 + 1 + 2)
+    one = Terms((np.ones((1, 1)), np.ones((1, 1))), (np.zeros((1, 2), dtype=np.int64),))
+    half: Any = SimpleNamespace(values=np.full((1, 1), 0.5))
+    assert upper_bound(a_lossy_team(1e-3), Occupancy(one, 0.0), (half, half)) >= 0.25 + 0.01
+
+
 @pytest.fixture(scope="module", params=["tree", "train"])
 def certificate(request: pytest.FixtureRequest) -> Certificate:
     return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param).certificate
@@ -179,6 +207,36 @@ def test_upper_ends_that_are_too_low_are_refused(
 def test_guards_that_leave_something_out_have_no_upper_end(certificate: Certificate) -> None:
     assert inexact(certificate) == []
     assert "leave out" in inexact(forget_a_guard(certificate))[0]
+
+
+def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, problem = attained(certificate), certificate.problem
+    assert usual is not None
+    pairs = zip(problem.agents, certificate.agents, strict=True)
+    assert all(1e-15 < lost_to_rounding(agent.noise_covariance, part) < 1e-11 for agent, part in pairs)
+    if certificate.rounding is None:
+        *_, last = masses(certificate, 0.0, MOST)
+        accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()
+        assert usual >= accepted * (1.0 + 1e-11)
+    monkeypatch.setattr("certigym.synthesis.check_above.lost_to_rounding", lambda *_: 1e-4)
+    assert attained(certificate) == pytest.approx(usual + 1e-4 * problem.horizon * problem.n_agents, abs=1e-9)
+
+
+def test_start_guards_that_leave_something_out_have_no_upper_end() -> None:
+    box: dict[str, Any] = {"initial_state": None, "initial_low": [-3.5], "initial_high": [-1.5]}
+    whole = cg.synthesize(two_agents(horizon=3, **box), 16).certificate
+    assert inexact(whole) == [] and len(whole.start_target) > 0
+    for kept in np.delete(
+        ~np.eye(len(whole.start_target), dtype=bool), whole.problem.automaton.dead[whole.start_target], 0
+    ):
+        less = replace(whole, start_target=whole.start_target[kept], start_mask=whole.start_mask[kept])
+        assert "leave out" in inexact(less)[0]
+
+
+def test_cells_in_other_coordinates_have_no_upper_end(certificate: Certificate) -> None:
+    first, *others = certificate.agents
+    moved = replace(first, coordinates=np.array([[2.0]]), grid=Grid((first.grid.edges[0] / 2.0,)))
+    assert "does not follow" in inexact(replace(certificate, agents=(moved, *others)))[0]
 
 
 def test_a_pruned_tree_is_found_out() -> None:
