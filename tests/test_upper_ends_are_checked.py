@@ -29,6 +29,7 @@ from certigym.synthesis.relaxation import upper_bound
 from certigym.synthesis.terms import Terms
 from certigym.synthesis.train_above import evaluate_above, start_above
 from certigym.synthesis.train_value import Rounding, Trains, evaluate, start_value
+from certigym.validation.validate import shown_bound
 from problems import scalar_agent, two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
@@ -327,3 +328,8 @@ def test_a_single_agent_has_trains_too() -> None:
     assert (
         certificate.lower_bound <= truth(certificate, 16) <= report.above <= certificate.lower_bound + certificate.gap
     )
+
+
+def test_printed_claims_are_rounded_away_from_what_is_claimed() -> None:
+    assert shown_bound(1.2399e-13, None) == "P >= 1.23e-13" and shown_bound(0.0, None) == "P >= 0"
+    assert shown_bound(0.2499999, 0.01) == "P >= 0.249999, P <= 0.260000"

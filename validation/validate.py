@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from decimal import ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,8 @@ def shown_bound(lower: float, gap: float | None) -> str:
     """A claim in words, its digits rounded away from what is claimed so that what is printed holds too."""
     digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
     shown = math.floor(lower * 10**digits) / 10**digits
-    claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {lower:.3g}"
+    tiny = float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal_from_float(float(lower)))
+    claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {tiny:.3g}"
     if gap is None or (gap > EXACT_GAP and lower + gap >= 1.0):
         return claim
     return f"{claim} (exact to {gap:.1e})" if gap <= EXACT_GAP else f"{claim}, P <= {_rounded_up(lower + gap)}"
