@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -176,6 +177,16 @@ def _imported(node: ast.AST, folder: str) -> list[str]:
         return []
     parts = [name.split(".") for name in names]
     return [part[1] if part[0] == "certigym" and len(part) > 1 else part[0] for part in parts]
+
+
+def test_the_design_lists_every_file_once() -> None:
+    """By step; the files of suite problems and of packages themselves are not listed."""
+    text = (ROOT / "docs" / "design.md").read_text(encoding="utf-8").split("## Files by step", 1)[1]
+    for folder in FOLDERS:
+        listed = re.findall(r"`(\w+)`", text.split(f"**`{folder}/`**", 1)[1].split("**", 1)[0].split("\n## ", 1)[0])
+        files = {path.stem for path in (ROOT / folder).glob("*.py")} - {"__init__"}
+        expected = {name for name in files if not re.search(r"_v\d+$", name)}
+        assert sorted(listed) == sorted(expected)
 
 
 def test_the_import_check_sees_every_form() -> None:
