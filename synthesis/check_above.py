@@ -90,4 +90,4 @@ def attained(certificate: Certificate) -> float | None:
         return None
     accepted = last.accepted + float(last.totals[problem.automaton.accepting[last.states]].sum())
     n = problem.horizon * sum(part.grid.n_cells + 1 for part in agents) + len(agents) + MOST
-    return min(1.0, accepted * (1.0 + 2.0 * n * 2.0**-53) + last.dropped + last.stranded + lost)
+    return min(1.0, (accepted + last.dropped + last.stranded) * (1.0 + 2.0 * n * 2.0**-53) + lost)
