@@ -10,6 +10,7 @@ synchronised by construction and make good seeds (THEORY section 5).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,9 @@ from .grid import FloatArray
 from .joint import JointModel
 from .occupancy import Occupancy
 from .value import gather
+
+POINTS, NARROWEST = 8_000_000, 4
+"""Lattice points, of all agents times vertices of a beam, to which a beam is narrowed, and its least width."""
 
 REACHED = 1e-3
 """Mass above which a cell counts as reached."""
@@ -56,7 +60,12 @@ class _Beam:
 
 
 def best_paths(joint: JointModel, start: Occupancy, width: int = 64, count: int = 4) -> list[Path]:
-    """The most promising paths from the start to acceptance, best first (heuristic: a beam of ``width``)."""
+    """The most promising paths from the start to acceptance, best first.
+
+    A heuristic: a beam of ``width``, or less where agents have so many lattice points that it would take too long.
+    """
+    points = sum(math.prod(model.kernel.lattice_shape) for model in joint.models)
+    width = int(np.clip(POINTS // points, NARROWEST, width))
     reached = _reached(joint, start)
     beam = _terminal(joint)
     for t in reversed(range(joint.horizon)):
@@ -118,15 +127,13 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
     guard, child = (np.array(column, dtype=np.int64) for column in (zip(*pairs, strict=True) if pairs else ((), ())))
     rows = np.zeros((len(pairs), len(models)), dtype=np.int64)
     values, promise = [], np.ones(len(pairs))
+    known: dict[tuple[int, int], dict[bytes, FloatArray]] = {}
     for i, model in enumerate(models):
         key = guards.mask[guard, i].astype(np.int64) * len(beam.factors[i]) + beam.rows[child, i]
         distinct, rows[:, i] = np.unique(key, return_inverse=True)
         mask, factor = np.divmod(distinct, len(beam.factors[i]))
-        smoothed = model.kernel.smooth(joint.masks[i][mask] * beam.factors[i][factor])
-        own = np.empty((len(distinct), model.n_cells))
-        for k in range(len(distinct)):
-            law = _best(model, smoothed[[k]], model.choices.resting_law)
-            own[k] = gather(smoothed[[k]], model.choices.points(law))[0]
+        masked = joint.masks[i][mask] * beam.factors[i][factor]
+        own = _best_values(model, masked, known.setdefault((id(model.kernel), id(model.choices)), {}))
         values.append(own)
         promise *= own[:, reached[i]].max(axis=1, initial=0.0)[rows[:, i]]
     chosen = _most_promising(guards.source[guard], promise, width)
@@ -140,6 +147,17 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
         values[i] = np.concatenate([values[i], np.ones((1, model.n_cells))])
     ends = np.array([[len(own) - 1 for own in values]] * len(goals), dtype=np.int64).reshape(-1, len(models))
     return _Beam(np.concatenate([state, goals]), paths + [()] * len(goals), np.concatenate([rows, ends]), values)
+
+
+def _best_values(model: AgentModel, masked: FloatArray, known: dict[bytes, FloatArray]) -> FloatArray:
+    """(n, S) value of each masked factor (n, S) under the best choices for it; agents alike share what is ``known``."""
+    names = [row.tobytes() for row in masked]
+    new = {name: k for k, name in enumerate(names) if name not in known}
+    smoothed = model.kernel.smooth(masked[list(new.values())])
+    for k, name in enumerate(new):
+        law = _best(model, smoothed[[k]], model.choices.resting_law)
+        known[name] = gather(smoothed[[k]], model.choices.points(law))[0]
+    return np.array([known[name] for name in names]).reshape(len(names), model.n_cells)
 
 
 def _most_promising(state: NDArray[Any], promise: FloatArray, width: int) -> NDArray[np.int64]:
