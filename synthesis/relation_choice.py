@@ -18,7 +18,7 @@ by more than 1e-6.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +53,9 @@ WORTHWHILE = 1e-3
 
 PROMISING = 0.5
 """Share of the best bound that one sweep must reach for the search to go on."""
+
+DOUBLINGS, MOST_CELLS = 2, 200_000
+"""How often default cells are doubled where no relation applies to them, and to how many of one agent."""
 
 ALL = ("exact", "tube", "ellipsoid", "paper")
 """Relations in the order in which they are preferred among equals."""
@@ -99,7 +102,24 @@ def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Se
     for i, agent in enumerate(problem.agents):
         key = (asked[i], cells_of_agent(agent, cells), *alike_arrays(agent))
         alike.setdefault(key, []).append(i)
-    return [_group(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
+    return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
+
+
+def _on_cells(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
+    """The group on the cells that are asked for; default ones are doubled where no relation applies to them."""
+    first, names = problem.agents[members[0]], [problem.agents[i].name for i in members]
+    own = cells_of_agent(first, cells)
+    chosen = cells is not None and (not isinstance(cells, Mapping) or first.name in cells)
+    refused: list[ValueError] = []
+    for k in range(1 if chosen else 1 + DOUBLINGS):
+        finer = tuple(n << k for n in own)
+        if refused and math.prod(finer) > MOST_CELLS:
+            break
+        try:
+            return _group(problem, dict.fromkeys(names, finer), asked, members, settings)
+        except ValueError as error:
+            refused.append(error)
+    raise refused[0]
 
 
 def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:

@@ -57,7 +57,8 @@ def synthesize(
         Agents with positive definite noise, to whom the relation applies. A task that falls apart into independent ones
         (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
-        Cells per axis; more of them cost time and raise the bound.
+        Cells per axis; more of them cost time and raise the bound. Default: by dimension (see ``abstract``), doubled
+        where relations are compared and none applies.
     relation : str, or mapping from agent name to str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
         choice), ``"paper"`` (scalar agents). ``"auto"``, also for agents that a mapping leaves out: ``exact`` where it
@@ -122,6 +123,8 @@ def synthesize(
         if relation == "best":
             _refuse_start(start, "several relations")
         kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
+        if cells is None and len(kinds) == problem.n_agents:
+            cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
         if len(kinds) == len(asked) and "auto" in asked:
             asked = [kind if own == "auto" else own for own, kind in zip(asked, kinds, strict=True)]
             settings = _taken(settings, asked)

@@ -16,6 +16,7 @@ from certigym.__main__ import main
 from certigym.envs import independent
 from certigym.synthesis import relation_choice
 from certigym.synthesis.abstraction import Settings, abstract
+from certigym.synthesis.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.relation_choice import Tries, groups_of
 from certigym.synthesis.relaxation import relax, upper_bound
@@ -229,3 +230,21 @@ def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.Monk
     assert str(passed_over(most)).startswith("at most ")
     monkeypatch.setattr(relation_choice, "PROMISING", 1.2)
     assert str(passed_over(0.9 * most - 2 * relation_choice.WORTHWHILE)).endswith("after one sweep, not gone on with")
+
+
+def test_default_cells_are_doubled_where_no_relation_applies() -> None:
+    problem = cg.make_problem("integrator-chain-v0", horizon=2)
+    first, second = cg.synthesize_horizons(problem, [1, 2])
+    shapes = {part.grid.shape for part in first.certificate.agents}
+    assert len(shapes) == 1 and min(next(iter(shapes))) > DEFAULT_CELLS[2]
+    assert {part.grid.shape for part in second.certificate.agents} == shapes
+    with pytest.raises(ValueError, match="ask for more `cells`"):
+        cg.synthesize(problem, DEFAULT_CELLS[2])
+    with pytest.raises(ValueError, match="ask for more `cells`"):
+        cg.synthesize(problem, dict.fromkeys(problem.agent_names, DEFAULT_CELLS[2]))
+
+
+def test_agents_that_nothing_fits_are_refused_with_the_first_reason() -> None:
+    runaway = cart(A=[[1.3, 0.0], [0.0, 0.5]], B=[[0.0], [1.0]], initial_state=[0.0, 0.0])
+    with pytest.raises(ValueError, match="no feedback stabilises"):
+        cg.synthesize(cart_reach(runaway, horizon=2))
