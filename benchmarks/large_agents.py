@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
+from certigym.synthesis.digits import rounded_down, rounded_up
 from measuring import once, save, show
 
 EPISODES = 20_000
@@ -113,8 +114,8 @@ def measured(name: str) -> dict[str, Any]:
         "cpu seconds": round(seconds, 2),
         "MiB": memory,
         "rank": found.certificate.rank,
-        "certified": f"{np.floor(found.certificate.lower_bound * 1e6) / 1e6:.6f}",
-        "optimum at most": f"{found.stats['abstract_upper_bound']:.6f}",
+        "certified": rounded_down(found.certificate.lower_bound),
+        "optimum at most": rounded_up(found.stats["abstract_upper_bound"]),
         "rollouts": report.estimate,
         "verdict": str(report.verdict),
     }

@@ -98,15 +98,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     def step(
         self, actions: dict[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Advance one control step; actions are clipped to the action spaces.
-
-        Raises
-        ------
-        RuntimeError
-            Before `reset`.
-        ValueError
-            If an action is missing, of the wrong shape or not finite.
-        """
+        """Advance one control step of all tasks; see `ProblemEnv.step`."""
         if self._seeds is None:
             raise RuntimeError("call `reset` before `step`")
         if not self.agents:

@@ -31,7 +31,7 @@ save_figure(automaton_figure(problem), "automaton.png")
 # %%
 result = cg.synthesize(problem, cells=400)
 certificate = result.certificate
-print(f"P >= {certificate.lower_bound:.6f} on average over the start box; exact: {certificate.exact}")
+print(f"P >= {certificate.lower_bound} on average over the start box; exact: {certificate.exact}")
 
 # %% [markdown]
 # The bound at every start. Near -20 six steps are hardly enough.

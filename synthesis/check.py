@@ -32,6 +32,7 @@ from .check_above import MOST, attained, inexact
 from .check_guards import wrong_guards
 from .checked_kernel import grid_noise
 from .checked_mass import TooManyProducts, masses
+from .digits import significant_down, significant_up
 from .kernel import UNIT
 from .product import ProductCertificate
 from .regrow import BrokenTreeError, regrow
@@ -78,8 +79,9 @@ class CheckReport:
 
     def __str__(self) -> str:
         if self.valid:
-            above = "" if self.above is None else f", at most {self.above:.9g}"
-            return f"valid: lower bound {self.claimed:.9g}, recomputed {self.recomputed:.9g}{above}"
+            above = "" if self.above is None else f", at most {significant_up(self.above, 9)}"
+            lower, again = (significant_down(number, 9) for number in (self.claimed, self.recomputed))
+            return f"valid: lower bound {lower}, recomputed {again}{above}"
         return "NOT valid: " + "; ".join(self.failures)
 
 

@@ -38,6 +38,7 @@ from .abstraction import (
 from .agent_grids import cells_of_agent
 from .ascent import Limits, sweep
 from .choices import InputMenu, TargetWindows
+from .digits import rounded_up
 from .joint import JointModel, join, start_of
 from .relaxation import relax, relaxed_laws, upper_bound
 from .search import MANY_TERMS
@@ -280,7 +281,7 @@ class Tries:
         """Why a combination is not worth a search next to the best so far, which is ``chosen``; None if it may be."""
         lower, most = best.certificate.lower_bound, self.most(combination)
         if 0.0 <= most <= lower + WORTHWHILE:
-            return f"at most {math.ceil(most * 1e6) / 1e6:.6f}, not computed"
+            return f"at most {rounded_up(most)}, not computed"
         these, others = self.models(combination), self.models(chosen)
         if not isinstance(these, str) and not isinstance(others, str) and _same_models(these[0], others[0]):
             return f"the same finite models as {self.name(chosen)}"

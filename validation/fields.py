@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import Certificate, checked_certificate
+from ..synthesis.digits import rounded_down
 from .loop import CHUNK, Loop
 from .mismatch import Mismatch
 from .rollout import stream
@@ -133,8 +134,9 @@ class FieldReport:
                 f"field        {len(self.states)} initial states, {int(self.episodes.sum())} episodes",
                 f"refuted      at {int(self.refuted.sum())} of them ({100 * self.fraction_refuted:.1f} %)",
                 f"confirmed    at {int(self.confirmed.sum())} of them",
-                f"weakest      ({state}): claimed {self.lower_bounds[w]:.6f}, simulated {self.estimates[w]:.6f} "
-                f"[{self.ci_low[w]:.6f}, {self.ci_high[w]:.6f}], adjusted p {self.p_refuted[w]:.2g}",
+                f"weakest      ({state}): claimed {rounded_down(self.lower_bounds[w])}, "
+                f"simulated {self.estimates[w]:.6f} [{self.ci_low[w]:.6f}, {self.ci_high[w]:.6f}], "
+                f"adjusted p {self.p_refuted[w]:.2g}",
                 f"verdict      {self.verdict}",
             ]
         )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..envs.automaton import Automaton
 from ..envs.guards import letter_text
 from ..envs.scene import panels
+from ..synthesis.digits import rounded_down
 from .page_style import STYLE
 from .pictures import automaton_picture, bound_curve, coordinate_name, margin_pictures, rollouts_picture
 from .validate import shown_bound, tried_lines
@@ -93,7 +94,7 @@ def _map(content: ReportContent) -> list[str]:
     note = (
         f"{len(field.states)} starts that differ in {names}, {int(field.episodes.min())} episodes each, tested "
         f"together: refuted at {int(field.refuted.sum())}, confirmed at {int(field.confirmed.sum())}. Weakest at "
-        f"({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {field.lower_bounds[w]:.4f}, "
+        f"({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {rounded_down(field.lower_bounds[w], 4)}, "
         f"rollouts {field.estimates[w]:.4f}."
     )
     drawings = margin_pictures(problem, field, content.axes)

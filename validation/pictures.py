@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..envs.automaton import Automaton
 from ..envs.problem import Problem
 from ..envs.scene import Panel
+from ..synthesis.digits import rounded_down
 from . import svg
 from .fields import FieldReport
 from .svg import Axes
@@ -78,8 +79,9 @@ def _map(
     for k, state in enumerate(field.states):
         a, b, bad = state[shown[0]], state[shown[1]], field.refuted[k]
         hint = (
-            f"({svg.number(a)}, {svg.number(b)}): bound {field.lower_bounds[k]:.4f}, rollouts {field.estimates[k]:.4f} "
-            f"[{field.ci_low[k]:.4f}, {field.ci_high[k]:.4f}]{', refuted' if bad else ''}"
+            f"({svg.number(a)}, {svg.number(b)}): bound {rounded_down(field.lower_bounds[k], 4)}, "
+            f"rollouts {field.estimates[k]:.4f} [{field.ci_low[k]:.4f}, {field.ci_high[k]:.4f}]"
+            f"{', refuted' if bad else ''}"
         )
         corner, other = axes.at(a - half[0], b - half[1]), axes.at(a + half[0], b + half[1])
         role = "bad-cell" if bad else "cell" if roles is None else roles[k]

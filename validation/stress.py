@@ -14,6 +14,7 @@ from typing import Any
 
 from ..spread import Executor
 from ..synthesis.certificate import Certificate, checked_certificate
+from ..synthesis.digits import rounded_down
 from .loop import CHUNK
 from .mismatch import FAMILIES, Mismatch
 from .rollout import rollout
@@ -106,7 +107,8 @@ class StressReport:
     def __str__(self) -> str:
         lines = [
             f"stress       {self.problem}, horizon {self.horizon}, {self.episodes} episodes per mismatch",
-            f"certified    P >= {self.lower_bound:.6f} for the model; simulated without mismatch {self.nominal:.6f}",
+            f"certified    P >= {rounded_down(self.lower_bound)} for the model; "
+            f"simulated without mismatch {self.nominal:.6f}",
         ]
         for rung in self.rungs:
             limits = f"[{rung.ci_low:.6f}, {rung.ci_high:.6f}]"

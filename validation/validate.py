@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from decimal import ROUND_FLOOR, Context
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from ..envs.problem import Problem
 from ..spread import Executor, interrupts_at_checkpoints
 from ..synthesis.certificate import EXACT_GAP, Certificate, checked_certificate
+from ..synthesis.digits import rounded_down, rounded_up, significant_down, significant_up
 from ..synthesis.product import ProductCertificate, relations_tried
 from ..synthesis.result import Synthesis
 from .loop import CHUNK, Loop
@@ -94,14 +94,15 @@ class ValidationReport:
         start = {"point": "from the initial state", "mean": "mean over the initial box"}[self.details["start"]]
         above, notes = [], []
         if "abstract_upper_bound" in self.details:
-            text = f"optimum      <= {_rounded_up(self.details['abstract_upper_bound'])} for any policy on these cells"
+            best = rounded_up(self.details["abstract_upper_bound"])
+            text = f"optimum      <= {best} for any policy of these finite models"
             most = self.details.get("continuous_upper_bound")
-            above.append(f"{text}, <= {_rounded_up(most)} for any whatever" if most is not None and most < 1 else text)
+            above.append(f"{text}, <= {rounded_up(most)} for any whatever" if most is not None and most < 1 else text)
         above += [f"tried        {line}" for line in tried_lines(self.details)]
         if self.details.get("unilateral_gain") is not None:
             gain = self.details["unilateral_gain"]
             above.append(
-                f"alone        no agent gains more than {gain:.1e} by other choices at one step and task state"
+                f"alone        an agent gains about {gain:.1e} at most by other choices at one step and task state"
             )
         if "mismatch" in self.details:
             notes.append(f"mismatch     {self.details['mismatch']}")
@@ -124,11 +125,6 @@ class ValidationReport:
         )
 
 
-def _rounded_up(most: float) -> str:
-    """An upper bound, its digits rounded up so that what is printed holds too."""
-    return f"{math.ceil(most * 1e6) / 1e6:.6f}"
-
-
 def tried_lines(details: dict[str, Any]) -> list[str]:
     """What each relation that was tried gave, in words."""
     tried = details.get("tried", {})
@@ -137,13 +133,18 @@ def tried_lines(details: dict[str, Any]) -> list[str]:
 
 def shown_bound(lower: float, gap: float | None) -> str:
     """A claim in words, its digits rounded away from what is claimed so that what is printed holds too."""
-    digits = max(6, 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if 1e-12 < lower < 1.0 - 1e-12 else 12)
-    shown = math.floor(lower * 10**digits) / 10**digits
-    tiny = float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal_from_float(float(lower)))
-    claim = f"P >= {shown:.{digits}f}" if lower > 1e-12 else f"P >= {tiny:.3g}"
+    if lower <= 1e-12:
+        claim = significant_down(lower, 3)
+    else:
+        digits = 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if lower < 1.0 - 1e-12 else 12
+        if gap is not None and gap <= EXACT_GAP:  # what is exact is worth more digits
+            digits = max(digits, -math.floor(math.log10(max(gap, 1e-15))))
+        claim = rounded_down(lower, max(6, digits))
     if gap is None or (gap > EXACT_GAP and lower + gap >= 1.0):
-        return claim
-    return f"{claim} (exact to {gap:.1e})" if gap <= EXACT_GAP else f"{claim}, P <= {_rounded_up(lower + gap)}"
+        return f"P >= {claim}"
+    if gap > EXACT_GAP:
+        return f"P >= {claim}, P <= {rounded_up(lower + gap)}"
+    return f"P >= {claim} (exact to {significant_up(lower + gap - float(claim), 2)})"
 
 
 _ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain")

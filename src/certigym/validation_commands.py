@@ -13,6 +13,7 @@ from .arguments import cells_of, named_problem, show, write_json
 from .spread import Executor
 from .synthesis.certificate import Certificate
 from .synthesis.certificate_file import load_certificate
+from .synthesis.digits import rounded_down
 from .synthesis.result import Synthesis
 from .validation.audit import audit as audit_certificate
 from .validation.cluster import executor_for
@@ -106,7 +107,7 @@ def sweep(options: Namespace) -> int:
             ):
                 reports.append(r)
                 if shown:
-                    row = f"{r.horizon:>4}  P >= {r.lower_bound:.6f}  simulated {r.estimate:.6f}  {r.verdict}"
+                    row = f"{r.horizon:>4}  P >= {rounded_down(r.lower_bound)}  simulated {r.estimate:.6f}  {r.verdict}"
                     print(row, flush=True)
         except KeyboardInterrupt:  # of an unfinished validation, nothing is kept
             interrupted = True
