@@ -18,8 +18,9 @@ from typing import Any
 
 import certigym as cg
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Limits, Sweep, resting_laws, sweep
+from certigym.synthesis.ascent import Sweep, resting_laws, sweep
 from certigym.synthesis.joint import join, start_of
+from certigym.synthesis.stage import Limits
 from measuring import Rows, save, show
 from targets import DELIVERY_START
 

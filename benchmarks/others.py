@@ -20,10 +20,11 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, Limits, resting_laws, sweep
+from certigym.synthesis.ascent import Laws, resting_laws, sweep
 from certigym.synthesis.heuristics import paper_steps
 from certigym.synthesis.joint import JointModel, join, start_of
 from certigym.synthesis.oracle import MAX_ENTRIES, dense_value
+from certigym.synthesis.stage import Limits
 from certigym.synthesis.terms import Terms
 from explicit_product import Explicit, chain_under, decision_process
 from measuring import Row, Rows, cpu, once, options, save, show

@@ -18,8 +18,9 @@ import numpy as np
 
 import certigym as cg
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.ascent import resting_laws, sweep
 from certigym.synthesis.joint import join, start_of
+from certigym.synthesis.stage import Limits
 from certigym.synthesis.terms import Terms
 from certigym.synthesis.value import candidates, gather
 from certigym.validation.figure_style import MARKS, SERIES, new_figure

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.ascent import resting_laws, sweep
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.kernel import UNIT, AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.stage import Limits
 from measuring import Row, Rows, cpu, options, save, show
 
 Array = NDArray[np.float64]

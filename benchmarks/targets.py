@@ -23,10 +23,11 @@ import numpy as np
 import certigym as cg
 from certigym.envs import dynamics as core
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.ascent import resting_laws, sweep
 from certigym.synthesis.controller import Controller
 from certigym.synthesis.guards import compile_guards
 from certigym.synthesis.joint import join, start_of
+from certigym.synthesis.stage import Limits
 from certigym.validation.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 

@@ -42,7 +42,7 @@ class Counts:
 
     @classmethod
     def of(cls, block: Any, labeling: Labeling) -> Counts:
-        """Edges of a `dynamics.Block` whose outputs are its states."""
+        """Edges of a `blocks.Block` whose outputs are its states."""
         result = []
         for axis in range(len(block.state_low)):
             lists = []
@@ -138,7 +138,7 @@ def reader(
 
     Parameters
     ----------
-    blocks : sequence of `dynamics.Block`
+    blocks : sequence of `blocks.Block`
     labeling : Labeling
     automaton : Automaton
         Its propositions are those of the labelling, in the same order.

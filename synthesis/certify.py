@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from ..envs.agent import LinearAgent
 from ..envs.problem import Problem, checked_problem
 from .abstraction import Abstraction, AgentModel, Cells, Relations, abstract, check_settings
-from .ascent import Laws, Limits, Sweep, sweep
+from .ascent import Laws, Sweep, sweep
 from .choices import TargetWindows
 from .decentralised import Decentralised, Policy, decentralised
 from .grid import FloatArray
 from .joint import JointModel, join, start_of
 from .result import Synthesis, certificate_of
 from .search import FINAL
+from .stage import Limits
 
 
 def certify(

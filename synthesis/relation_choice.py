@@ -36,12 +36,13 @@ from .abstraction import (
     models_of,
 )
 from .agent_grids import cells_of_agent
-from .ascent import Limits, sweep
+from .ascent import sweep
 from .choices import InputMenu, TargetWindows
 from .digits import rounded_up
 from .joint import JointModel, join, start_of
 from .relaxation import relax, relaxed_laws, upper_bound
 from .search import MANY_TERMS
+from .stage import Limits
 
 if TYPE_CHECKING:
     from .result import Synthesis

@@ -16,11 +16,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..envs.problem import Problem
-from .ascent import Laws, Limits, Sweep, resting_laws, sweep
+from .ascent import Laws, Sweep, resting_laws, sweep
 from .joint import JointModel, start_of
 from .occupancy import Occupancy
 from .relaxation import Relaxation, relax, relaxed_laws, upper_bound
 from .seeds import best_paths, path_laws, staged_paths
+from .stage import Limits
 from .train_ascent import TrainSweep, sweep_trains
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)

@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .arrays import to_host
-from .ascent import Laws, Limits, Stage, Sweep, forward, sweep
+from .ascent import Laws, Sweep, forward, sweep
 from .best_response import best_choices
 from .joint import JointModel, start_of
 from .occupancy import Occupancy
 from .search import FINAL, Found
+from .stage import Limits, Stage
 from .train_ascent import TrainSweep, sweep_trains
 
 ROUNDS = 8

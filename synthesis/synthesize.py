@@ -20,7 +20,7 @@ from .abstraction import (
     relations_of,
 )
 from .arrays import HOST, device_put
-from .ascent import Laws, Limits
+from .ascent import Laws
 from .certificate import Certificate, checked_certificate
 from .given_start import laws_from
 from .joint import JointModel, join
@@ -29,6 +29,7 @@ from .refine import refine
 from .relation_choice import Tries, groups_of
 from .result import Synthesis, bounds_from_above, certificate_of
 from .search import FINAL, Search, improve
+from .stage import Limits
 from .stationary import stationary_best
 
 

@@ -15,10 +15,11 @@ from certigym.__main__ import main
 from certigym.synthesis import arrays
 from certigym.synthesis.abstraction import abstract
 from certigym.synthesis.arrays import add_rows, add_runs, beside, concatenate, device_put, resident, take, to_host
-from certigym.synthesis.ascent import Laws, Limits, Sweep, forward, resting_laws, sweep
+from certigym.synthesis.ascent import Laws, Sweep, forward, resting_laws, sweep
 from certigym.synthesis.bounds import robust_loss
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.kernel import AxisTable, Kernel, gaussian_table
+from certigym.synthesis.stage import Limits
 
 DEVICE = "torch:cpu"
 CLOSE = 1e-11

@@ -7,10 +7,11 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.abstraction import AgentModel, abstract
-from certigym.synthesis.ascent import Laws, Limits, resting_laws, sweep
+from certigym.synthesis.ascent import Laws, resting_laws, sweep
 from certigym.synthesis.heuristics import paper_steps
 from certigym.synthesis.joint import join
 from certigym.synthesis.oracle import dense_optimum, dense_value
+from certigym.synthesis.stage import Limits
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at
 from storm_check import storm_model, storm_reach_within

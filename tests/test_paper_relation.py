@@ -15,13 +15,14 @@ from certigym.envs import dynamics as core
 from certigym.envs.dynamics import Dynamics
 from certigym.synthesis.abstract_state import Memory, Tracker
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Limits, forward, resting_laws, start_value, sweep
+from certigym.synthesis.ascent import forward, resting_laws, start_value, sweep
 from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
 from certigym.synthesis.choices import InputMenu
 from certigym.synthesis.heuristics import paper_laws, paper_steps
 from certigym.synthesis.joint import join, start_of
 from certigym.synthesis.relation_coupled import CoupledRelation, couple, coupling_failure
 from certigym.synthesis.relation_paper import paper_relation
+from certigym.synthesis.stage import Limits
 from certigym.validation.verdict import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 

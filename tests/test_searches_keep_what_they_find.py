@@ -12,7 +12,7 @@ import pytest
 import certigym as cg
 from certigym.__main__ import main
 from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, Limits, sweep
+from certigym.synthesis.ascent import Laws, sweep
 from certigym.synthesis.best_response import TIE
 from certigym.synthesis.given_start import laws_from
 from certigym.synthesis.grid import start_share
@@ -21,6 +21,7 @@ from certigym.synthesis.kernel import UNIT
 from certigym.synthesis.oracle import dense_optimum, dense_value
 from certigym.synthesis.relaxation import relax
 from certigym.synthesis.search import FINAL, Search, improve, perturbed
+from certigym.synthesis.stage import Limits
 from certigym.validation.verdict import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
