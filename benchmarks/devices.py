@@ -17,10 +17,9 @@ from collections.abc import Callable
 from typing import Any
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Sweep, resting_laws, sweep
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.stage import Limits
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.search.ascent import Limits, Sweep, resting_laws, sweep
 from measuring import Rows, save, show
 from targets import DELIVERY_START
 

@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 
 import certigym as cg
-from certigym.envs import dynamics as core
+from certigym.envs.dynamics import worlds as core
 
 CHUNK = 2000
 

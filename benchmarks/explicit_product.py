@@ -16,10 +16,9 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from certigym import Problem
-from certigym.synthesis.abstraction import AgentModel
-from certigym.synthesis.ascent import Laws
-from certigym.synthesis.choices import TargetWindows
-from certigym.synthesis.oracle import joint_outcomes
+from certigym.synthesis.bounds.dense import joint_outcomes
+from certigym.synthesis.models.abstraction import AgentModel
+from certigym.synthesis.models.choices import Laws, TargetWindows
 
 
 @dataclass(frozen=True, eq=False)

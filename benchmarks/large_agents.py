@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.digits import rounded_down, rounded_up
+from certigym.synthesis.certificates.digits import rounded_down, rounded_up
 from measuring import once, save, show
 
 EPISODES = 20_000

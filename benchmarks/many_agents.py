@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 import certigym as cg
-from certigym.validation.figure_style import MARKS, SERIES, new_figure
+from certigym.validation.figures.figure_style import MARKS, SERIES, new_figure
 from measuring import Rows, once, save, show
 from scaling import exponent
 

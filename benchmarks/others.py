@@ -19,13 +19,13 @@ from typing import TypeVar
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, resting_laws, sweep
-from certigym.synthesis.heuristics import paper_steps
-from certigym.synthesis.joint import JointModel, join, start_of
-from certigym.synthesis.oracle import MAX_ENTRIES, dense_value
-from certigym.synthesis.stage import Limits
-from certigym.synthesis.terms import Terms
+from certigym.synthesis.bounds.dense import MAX_ENTRIES, dense_value
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.joint import JointModel, join, start_of
+from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.values.terms import Terms
+from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import Explicit, chain_under, decision_process
 from measuring import Row, Rows, cpu, once, options, save, show
 from per_vertex import per_vertex_steps, value_at

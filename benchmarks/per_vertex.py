@@ -1,7 +1,7 @@
 """The paper's algorithm as its text reads: one vertex of the tree after the other, nothing shared, nothing batched.
 
-Only a yardstick: `certigym.synthesis.heuristics` computes the same, and a test compares the two. Tables are dense,
-every vertex smooths its own factors, and policies weigh vertices by the 1-norms of the other agents' factors.
+Only a yardstick: `validation.paper.heuristics` computes the same, and a test compares the two. Tables are dense, every
+vertex smooths its own factors, and policies weigh vertices by the 1-norms of the other agents' factors.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from certigym.synthesis.bounds import plain_loss
-from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.heuristics import ALIVE
-from certigym.synthesis.joint import JointModel
+from certigym.synthesis.bounds.certified import plain_loss
+from certigym.synthesis.models.choices import InputMenu
+from certigym.synthesis.models.joint import JointModel
+from certigym.validation.paper.heuristics import ALIVE
 
 Array = NDArray[np.float64]
 Vertex = tuple[Array, ...]

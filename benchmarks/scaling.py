@@ -17,13 +17,12 @@ from collections.abc import Callable
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import resting_laws, sweep
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.stage import Limits
-from certigym.synthesis.terms import Terms
-from certigym.synthesis.value import candidates, gather
-from certigym.validation.figure_style import MARKS, SERIES, new_figure
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.tree import candidates, gather
+from certigym.synthesis.values.terms import Terms
+from certigym.validation.figures.figure_style import MARKS, SERIES, new_figure
 from measuring import Row, Rows, cpu, save, show
 
 Curve = list[tuple[int, float]]

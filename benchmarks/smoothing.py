@@ -21,11 +21,11 @@ import scipy.fft
 from numpy.typing import NDArray
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import resting_laws, sweep
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.kernel import UNIT, AxisTable, Kernel, gaussian_masses, gaussian_table
-from certigym.synthesis.stage import Limits
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.values.devices import UNIT
 from measuring import Row, Rows, cpu, options, save, show
 
 Array = NDArray[np.float64]

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.heuristics import paper_steps
-from certigym.synthesis.joint import join
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join
+from certigym.validation.paper.heuristics import paper_steps
 
 
 def measured(work: Callable[[], Any]) -> tuple[float, Any]:

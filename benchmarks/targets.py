@@ -21,14 +21,13 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import resting_laws, sweep
-from certigym.synthesis.controller import Controller
-from certigym.synthesis.guards import compile_guards
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.stage import Limits
-from certigym.validation.loop import CHUNK, BatchPolicy
+from certigym.envs.dynamics import worlds as core
+from certigym.synthesis.controllers.controller import Controller
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.guards import compile_guards
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.validation.simulation.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
 DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875]

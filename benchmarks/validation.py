@@ -16,12 +16,12 @@ import numpy as np
 from scipy.special import betaln
 
 import certigym as cg
-from certigym.synthesis.certificate import Certificate
-from certigym.validation.audit import audit
-from certigym.validation.claims import claimed_values
-from certigym.validation.cluster import executor_for
-from certigym.validation.sequential import log_e_at_least, log_e_at_most
-from certigym.validation.verdict import REFUTED
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.validation.audits.step_tests import audit
+from certigym.validation.audits.value_at import claimed_values
+from certigym.validation.simulation.cluster import executor_for
+from certigym.validation.statistics.binomial import REFUTED
+from certigym.validation.statistics.sequential import log_e_at_least, log_e_at_most
 
 LEVEL = 0.05
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import certigym as cg
-from certigym.validation import figure_scenes, figures
+from certigym.validation.figures import certificate_figures as figures
+from certigym.validation.figures import figure_scenes
 
 FOLDER = Path(__file__).parent / "figures"
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agent import LinearAgent
-from certigym.envs.suite_ids import MODULES, gymnasium_id
-from certigym.validation.automaton_drawing import edges, svg
-from certigym.validation.validate import shown_bound
+from certigym.envs.agents.agent import LinearAgent
+from certigym.envs.pictures.automaton_drawing import edges, svg
+from certigym.envs.suite.ids import MODULES, gymnasium_id
+from certigym.synthesis.certificates.digits import shown_bound
 
 FOLDER = Path(__file__).parent / "environments"
 MEASURED = FOLDER / "measured.json"
@@ -96,7 +96,7 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
 
 def _docstring(id: str) -> tuple[str, str, str]:
     """Title, story and versions in the docstring of a suite module."""
-    text = getdoc(import_module(f"certigym.envs.{MODULES[id]}")) or ""
+    text = getdoc(import_module(f"certigym.envs.suite.{MODULES[id]}")) or ""
     title, _, rest = text.partition("\n")
     story, _, versions = rest.partition("**Versions**:")
     return title.strip().rstrip("."), story.strip(), versions.strip()
@@ -247,7 +247,7 @@ def _ends(problem: cg.Problem) -> str:
 
 
 def _arguments(id: str) -> str:
-    make = import_module(f"certigym.envs.{MODULES[id]}").problem
+    make = import_module(f"certigym.envs.suite.{MODULES[id]}").problem
     rows = [(name, json.dumps(p.default), "of the problem") for name, p in signature(make).parameters.items()]
     lines = ["| argument | default | |", "|---|---|---|"]
     return "\n".join([*lines, *(f"| `{name}` | {default} | {text} |" for name, default, text in [*rows, *OPTIONS])])

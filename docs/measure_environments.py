@@ -16,9 +16,9 @@ import time
 from typing import Any
 
 import certigym as cg
-from certigym.validation.policies import RandomController
-from certigym.validation.rollout import rollout
-from certigym.validation.verdict import clopper_pearson
+from certigym.validation.policies.rollout_policies import RandomController
+from certigym.validation.simulation.rollouts import rollout
+from certigym.validation.statistics.binomial import clopper_pearson
 from environment_pages import FOLDER, MEASURED
 
 EPISODES, SEED, CONFIDENCE = 100_000, 0, 0.999

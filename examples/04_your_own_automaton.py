@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import certigym as cg
+from certigym.envs.pictures import automaton_to_dot
 
-automaton = cg.translate("F (load & F goal)", ["load", "goal"], "co-safe")
+automaton: cg.Automaton = cg.translate("F (load & F goal)", ["load", "goal"], "co-safe")
 print(automaton)
 assert automaton.accepts([["load"], [], ["goal"]]) and not automaton.accepts([["goal"], ["load"]])
 
 # by hand: whoever falls into the hole has to fetch another load
-by_hand = cg.Automaton.from_transitions(
+by_hand = cg.automaton_from_transitions(
     ["load", "hole", "goal"],
     ["empty", "loaded", "done"],
     "empty",
@@ -51,4 +52,4 @@ State: 1 {0}
 [t] 1
 --END--
 """
-print(cg.automaton_from_hoa(hoa, ["goal"]).to_dot())
+print(automaton_to_dot(cg.automaton_from_hoa(hoa, ["goal"])))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.validation.figure_scenes import automaton_figure, rollouts_figure, tree_figure
-from certigym.validation.figure_style import save_figure
-from certigym.validation.figures import horizon_figure, rank_figure, relation_figure, value_figure
+from certigym.validation.figures.certificate_figures import horizon_figure, rank_figure, relation_figure, value_figure
+from certigym.validation.figures.figure_scenes import automaton_figure, rollouts_figure, tree_figure
+from certigym.validation.figures.figure_style import save_figure
 
 problem = cg.make_problem("reach-avoid-v0", horizon=4)
 certificate = cg.synthesize(problem, cells=100).certificate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.synthesis.decentralised import Decentralised
+from certigym.synthesis.controllers.given_policies import Decentralised
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 training: cg.Training = cg.train(problem, "ppo", steps=10_000, seed=0)

@@ -10,9 +10,9 @@
 import numpy as np
 
 import certigym as cg
-from certigym.validation.figure_scenes import automaton_figure, rollouts_figure
-from certigym.validation.figure_style import save_figure
-from certigym.validation.figures import value_figure
+from certigym.validation.figures.certificate_figures import value_figure
+from certigym.validation.figures.figure_scenes import automaton_figure, rollouts_figure
+from certigym.validation.figures.figure_style import save_figure
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 print(problem.specification.formula)

@@ -19,17 +19,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.agent import LinearAgent
+from ..envs.agents import LinearAgent
 from ..envs.problem import Problem, checked_problem
-from .abstraction import Abstraction, AgentModel, Cells, Relations, abstract, check_settings
-from .ascent import Laws, Sweep, sweep
-from .choices import TargetWindows
-from .decentralised import Decentralised, Policy, decentralised
-from .grid import FloatArray
-from .joint import JointModel, join, start_of
-from .result import Synthesis, certificate_of
-from .search import FINAL
-from .stage import Limits
+from .cells import FloatArray
+from .certificates import Synthesis
+from .certification import certificate_of
+from .controllers import Decentralised, Policy, decentralised
+from .models import (
+    Abstraction,
+    AgentModel,
+    Cells,
+    JointModel,
+    Laws,
+    Relations,
+    TargetWindows,
+    abstract,
+    check_settings,
+    join,
+    start_of,
+)
+from .search import FINAL, Limits, Sweep, sweep
 
 
 def certify(

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ..envs.problem import Problem, checked_problem
-from .abstraction import Cells
-from .result import Synthesis
+from .certificates import Synthesis
+from .models import Cells
 from .synthesize import synthesize
 
 TOLERANCE = 1e-6
@@ -90,7 +90,7 @@ def without_deadline(
     ValueError
         If the task is not co-safe: then more time may do harm.
     """
-    if checked_problem(problem).specification.semantics != "co-safe":
+    if not checked_problem(problem).specification.is_co_safe:
         raise ValueError(
             '`problem`: expected a task of semantics "co-safe", which is satisfied at some time, got '
             f"{problem.specification.semantics!r}; give it a horizon"

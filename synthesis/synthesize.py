@@ -9,28 +9,25 @@ from functools import partial
 from typing import Any
 
 from ..envs.problem import Problem, checked_problem
-from .abstraction import (
+from .certificates import Certificate, Synthesis, checked_certificate
+from .certification import bounds_from_above, certificate_of
+from .choosing import Tries, groups_of, laws_from, refine
+from .models import (
     Abstraction,
     Cells,
+    JointModel,
+    Laws,
     Relations,
     Settings,
     abstract,
     check_names,
     check_settings,
+    join,
     relations_of,
 )
-from .arrays import HOST, device_put
-from .ascent import Laws
-from .certificate import Certificate, checked_certificate
-from .given_start import laws_from
-from .joint import JointModel, join
-from .product import synthesize_parts
-from .refine import refine
-from .relation_choice import Tries, groups_of
-from .result import Synthesis, bounds_from_above, certificate_of
-from .search import FINAL, Search, improve
-from .stage import Limits
-from .stationary import stationary_best
+from .parts import synthesize_parts
+from .search import FINAL, Limits, Search, improve, stationary_best
+from .values import HOST, device_put
 
 
 def synthesize(

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from certigym import LinearAgent, Problem, Proposition, Specification
-from certigym.synthesis.abstraction import AgentModel
-from certigym.synthesis.choices import TargetWindows
-from certigym.synthesis.grid import Grid
-from certigym.synthesis.kernel import AxisTable, Kernel
-from certigym.synthesis.labels import CellLabels
-from certigym.synthesis.relation_exact import exact_relation
+from certigym.synthesis.cells.grid import Grid
+from certigym.synthesis.cells.labels import CellLabels
+from certigym.synthesis.models.abstraction import AgentModel
+from certigym.synthesis.models.choices import TargetWindows
+from certigym.synthesis.models.kernel import AxisTable, Kernel
+from certigym.synthesis.relations.exact import exact_relation
 
 
 def scalar_agent(name: str, **changes: Any) -> LinearAgent:

@@ -12,11 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.automaton import Automaton
-from certigym.envs.automaton_minimal import minimise
-from certigym.envs.decision_diagram import DecisionDiagrams, DiagramSizeError
-from certigym.envs.formula import FormulaError
-from certigym.envs.translate import translate
+from certigym.envs.logic.automaton import Automaton
+from certigym.envs.logic.by_hand import automaton_from_transitions
+from certigym.envs.logic.decision_diagram import DecisionDiagrams, DiagramSizeError
+from certigym.envs.logic.minimal import minimise
+from certigym.envs.logic.parser import FormulaError
+from certigym.envs.logic.rebuilt import over_propositions
+from certigym.envs.logic.translation import translate
+from certigym.envs.pictures import automaton_to_dot
 from temporal_oracle import all_words, random_formula, text
 
 ABC = ("a", "b", "c")
@@ -33,13 +36,13 @@ def by_hand(transitions: Any, otherwise: str | None = None, semantics: str = "co
         "semantics": semantics,
         "otherwise": otherwise,
     }
-    return Automaton.from_transitions(**(arguments | changes))
+    return automaton_from_transitions(**(arguments | changes))
 
 
 # --- stepping ---------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("n_unused", [0, 12])  # 3 propositions: the dense table; 15: the walk through the diagrams
 def test_batched_stepping_equals_scalar_stepping(n_unused: int) -> None:
-    automaton = REACH.with_propositions((*ABC, *(f"unused_{i}" for i in range(n_unused))))
+    automaton = over_propositions(REACH, (*ABC, *(f"unused_{i}" for i in range(n_unused))))
     rng = np.random.default_rng(0)
     q = rng.integers(automaton.n_states, size=(4, 5))
     letters = rng.random((3 + n_unused, 4, 5)) < 0.5
@@ -96,17 +99,17 @@ def test_other_proposition_orders_keep_the_language() -> None:
         names = ["a", "b", "c", "d"]
         automaton = translate(text(random_formula(rng, ABC, 3)), names, "finite-trace")
         order = rng.sample([*names, "e"], 5)
-        moved = automaton.with_propositions(order)
+        moved = over_propositions(automaton, order)
         words = all_words(5, 1)[:, 0, :]
         columns = [order.index(name) for name in names]
         for q in range(automaton.n_states):
             here = automaton.next_state(np.full(32, q), words[:, columns].T)
             assert np.array_equal(here, moved.next_state(np.full(32, q), words.T))
-        assert moved.with_propositions(names).to_dict() == automaton.to_dict()
-    assert REACH.with_propositions(ABC) is REACH
+        assert over_propositions(moved, names).to_dict() == automaton.to_dict()
+    assert over_propositions(REACH, ABC) is REACH
     with pytest.raises(ValueError, match=r"`order`: expected all propositions .* 'c' is missing"):
-        REACH.with_propositions(["a", "b"])
-    assert translate("F a", ABC, "co-safe").with_propositions(["a"]).propositions == ("a",)
+        over_propositions(REACH, ["a", "b"])
+    assert over_propositions(translate("F a", ABC, "co-safe"), ["a"]).propositions == ("a",)
 
 
 # --- given by hand --------------------------------------------------------------------------------------------------
@@ -134,7 +137,7 @@ def test_random_automata_by_hand_equal_the_translation() -> None:
         ]
         rng.shuffle(rows)
         accepting = [f"q{q}" for q in np.flatnonzero(automaton.accepting)]
-        again = Automaton.from_transitions(ABC, automaton.state_names, "q0", accepting, rows, "finite-trace")
+        again = automaton_from_transitions(ABC, automaton.state_names, "q0", accepting, rows, "finite-trace")
         assert again.to_dict() == automaton.to_dict()
 
 
@@ -258,10 +261,10 @@ def test_inconsistent_fields_are_named(changes: dict[str, Any], message: str | N
 
 
 def test_pictures_name_states_and_guards() -> None:
-    picture = REACH.to_dot()
+    picture = automaton_to_dot(REACH)
     assert '0 -> 2 [label="a"];' in picture and "doublecircle" in picture and picture.startswith("digraph")
     parity = " <-> ".join(f"a{i}" for i in range(12))
-    assert "..." in translate(f"F ({parity})", [f"a{i}" for i in range(12)], "co-safe").to_dot()
+    assert "..." in automaton_to_dot(translate(f"F ({parity})", [f"a{i}" for i in range(12)], "co-safe"))
 
 
 # --- decision diagrams ------------------------------------------------------------------------------------------------

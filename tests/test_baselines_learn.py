@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.validation.actors import Network, SharedActor, load_actor, save_actor
-from certigym.validation.views import CentralView, SharedView, inputs_of
+from certigym.validation.policies.actors import Network, SharedActor, load_actor, save_actor
+from certigym.validation.policies.views import CentralView, SharedView, inputs_of
 from problems import two_agents
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
@@ -20,7 +20,7 @@ pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
-from certigym.validation.learners import WorldsVecEnv, central_vec_env, shared_vec_env
+from certigym.validation.policies.learners import WorldsVecEnv, central_vec_env, shared_vec_env
 
 RA2 = cg.make_problem("reach-avoid-v0")
 MAKERS: list[Callable[..., WorldsVecEnv]] = [shared_vec_env, central_vec_env]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.best_response import best_choices
-from certigym.synthesis.choices import InputMenu, TargetWindows
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import InputMenu, TargetWindows
+from certigym.synthesis.search.best_response import best_choices
 from problems import scalar_agent
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.cells import cells_at, snapping_loss
-from certigym.synthesis.refine import refine
+from certigym.cli.main import main
+from certigym.synthesis.choosing.cell_budget import cells_at, snapping_loss
+from certigym.synthesis.choosing.cell_choice import refine
+from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.synthesis.grid import Grid, aligned_edges
-from certigym.synthesis.lookup import FINEST, buckets, cell_finder
+from certigym.synthesis.cells.grid import Grid, aligned_edges
+from certigym.synthesis.cells.lookup import FINEST, buckets, cell_finder
 
 AXES = {
     "uniform": np.linspace(-20.0, 5.0, 1001),

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.certificate import Certificate
-from certigym.synthesis.terms import Terms
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.values.terms import Terms
 from problems import scalar_agent, two_agents
 
 
@@ -55,8 +55,8 @@ def test_certificates_check_and_survive_the_disk(problem: cg.Problem, tmp_path: 
 
 
 def test_the_bound_elsewhere_is_that_of_the_dense_value(certificate: Certificate) -> None:
-    from certigym.synthesis.abstraction import abstract
-    from certigym.synthesis.oracle import dense_value
+    from certigym.synthesis.bounds.dense import dense_value
+    from certigym.synthesis.models.abstraction import abstract
 
     problem = certificate.problem
     models = abstract(problem, 64).models

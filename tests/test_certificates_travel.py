@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis.certificate import Certificate
-from certigym.synthesis.certificate_file import _digest
-from certigym.synthesis.regrow import regrow
+from certigym.cli.main import main
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates.certificate_file import _digest
+from certigym.synthesis.checking.regrown_tree import regrow
 from problems import two_agents
 from test_rollouts_agree_with_certificates import correlated
 

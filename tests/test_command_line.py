@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from certigym.__main__ import main
+from certigym.cli.main import main
 
 TASK = """
 name = "hop"
@@ -76,8 +76,8 @@ def test_synthesize_check_and_validate_hand_a_certificate_over(
 def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cert = str(tmp_path / "c.npz")
     assert main(["synthesize", task, "--cells", "40", "--out", cert]) == 0
-    import certigym.commands as commands
-    from certigym.synthesis.certificate_file import load_certificate
+    import certigym.cli.synthesis_commands as commands
+    from certigym.synthesis.certificates.certificate_file import load_certificate
 
     def boastful(path: str) -> object:
         from dataclasses import replace
@@ -125,9 +125,7 @@ def test_bad_input_is_one_line_and_status_2(arguments: list[str], capsys: pytest
 
 
 def test_help_imports_no_numpy_and_unknown_options_exit_with_2() -> None:
-    code = (
-        "import sys; from certigym.__main__ import build_parser as b; b().format_help(); print('scipy' in sys.modules)"
-    )
+    code = "import sys; from certigym.cli.parser import build_parser as b; b().format_help(); print('scipy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
     done = subprocess.run([sys.executable, "-m", "certigym", "run"], capture_output=True, text=True, check=False)

@@ -11,8 +11,9 @@ import pytest
 from scipy.stats import binomtest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.validation.compare import mcnemar
+from certigym.cli.main import main
+from certigym.validation.figures import draw_comparison
+from certigym.validation.policies.comparison import mcnemar
 from problems import two_agents
 
 PROBLEM = two_agents(horizon=4, noise_covariance=[[0.8]])
@@ -101,10 +102,10 @@ def test_comparisons_are_saved_and_drawn(tmp_path: Path) -> None:
     result = cg.compare(PROBLEM, {"ours": cg.synthesize(PROBLEM, 20, max_sweeps=0), "head": head}, 200)
     result.save(tmp_path / "c.json")
     assert json.loads((tmp_path / "c.json").read_text()) == json.loads(json.dumps(result.to_dict()))
-    result.plot(tmp_path / "c.png")
+    draw_comparison(result, tmp_path / "c.png")
     assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(ValueError, match="file name that ends in"):
-        result.plot(tmp_path / "c.xyz")
+        draw_comparison(result, tmp_path / "c.xyz")
 
 
 def test_wrong_comparisons_are_refused() -> None:

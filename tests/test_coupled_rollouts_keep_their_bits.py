@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis.abstract_state import Memory
-from certigym.synthesis.batch_controller import BatchMemory
-from certigym.synthesis.controller import Controller
-from certigym.synthesis.relation_coupled import CoupledRelation, couple
-from certigym.synthesis.rows import product, rows_of
-from certigym.validation.chunks import chunk_results, frames
-from certigym.validation.loop import Loop, arranged
-from certigym.validation.rollout import TOGETHER, rollout, stream
-from certigym.validation.streams import Streams
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.controllers.abstract_state import Memory
+from certigym.synthesis.controllers.controller import BatchMemory, Controller
+from certigym.synthesis.relations.coupled import CoupledRelation, couple
+from certigym.synthesis.relations.rows import product, rows_of
+from certigym.validation.simulation.chunks import chunk_results, frames
+from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.rollouts import TOGETHER, rollout, stream
+from certigym.validation.simulation.streams import Streams
 from problems import cart, cart_reach, two_agents
 
 

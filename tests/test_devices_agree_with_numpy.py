@@ -11,15 +11,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis import arrays
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.arrays import add_rows, add_runs, beside, concatenate, device_put, resident, take, to_host
-from certigym.synthesis.ascent import Laws, Sweep, forward, resting_laws, sweep
-from certigym.synthesis.bounds import robust_loss
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.kernel import AxisTable, Kernel, gaussian_table
-from certigym.synthesis.stage import Limits
+from certigym.cli.main import main
+from certigym.synthesis.bounds.certified import robust_loss
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_table
+from certigym.synthesis.search.ascent import Limits, Sweep, forward, resting_laws, sweep
+from certigym.synthesis.values import devices as arrays
+from certigym.synthesis.values.devices import (
+    add_rows,
+    add_runs,
+    beside,
+    concatenate,
+    device_put,
+    resident,
+    take,
+    to_host,
+)
 
 DEVICE = "torch:cpu"
 CLOSE = 1e-11

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
+from certigym.envs.dynamics import worlds as core
 from sample_problems import mixed_problem, planar, scalar
 
 FALSE_ALARM = 1e-6

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.envs import dynamics as core
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis import abstraction
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.batch_controller import BatchMemory
-from certigym.synthesis.labels import cell_labels
-from certigym.synthesis.relation_coupled import CoupledRelation
-from certigym.validation.verdict import REFUTED
+from certigym.cli.main import main
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.cells.labels import cell_labels
+from certigym.synthesis.controllers.controller import BatchMemory
+from certigym.synthesis.models import abstraction
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.relations.coupled import CoupledRelation
+from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach
 
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")

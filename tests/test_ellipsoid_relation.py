@@ -15,20 +15,20 @@ from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
 import problems
-from certigym.synthesis import relation_ellipsoid
-from certigym.synthesis.abstract_state import Memory, Tracker
-from certigym.synthesis.agent_models import ellipsoid_model
-from certigym.synthesis.certificate import AgentPart
-from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.described_relation import check_description, describe_relation, relation_from
-from certigym.synthesis.ellipsoid_search import find_ellipsoid
-from certigym.synthesis.grid import Grid
-from certigym.synthesis.relation_coupled import CoupledRelation, couple
-from certigym.synthesis.relation_ellipsoid import Ellipsoid, ellipsoid_relation
-from certigym.synthesis.relation_tube import disturbance_of
-from certigym.synthesis.verify_ellipsoid import ellipsoid_failure, ellipsoid_is_invariant
-from certigym.synthesis.verify_relation import verify_relation
-from certigym.validation.verdict import clopper_pearson
+from certigym.synthesis.cells.grid import Grid
+from certigym.synthesis.certificates.part import AgentPart
+from certigym.synthesis.checking.relation_check import verify_relation
+from certigym.synthesis.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.models.agent_models import ellipsoid_model
+from certigym.synthesis.models.choices import InputMenu
+from certigym.synthesis.models.ellipsoid_search import find_ellipsoid
+from certigym.synthesis.relations import ellipsoid as relation_ellipsoid
+from certigym.synthesis.relations.coupled import CoupledRelation, couple
+from certigym.synthesis.relations.description import check_description, describe_relation, relation_from
+from certigym.synthesis.relations.ellipsoid import Ellipsoid, ellipsoid_relation
+from certigym.synthesis.relations.ellipsoid_facts import ellipsoid_failure, ellipsoid_is_invariant
+from certigym.synthesis.relations.tube import disturbance_of
+from certigym.validation.statistics.binomial import clopper_pearson
 from problems import scalar_agent
 
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")

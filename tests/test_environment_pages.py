@@ -10,8 +10,8 @@ import pytest
 
 import certigym as cg
 import environment_pages
-from certigym.envs import dynamics as core
-from certigym.validation.automaton_drawing import edges
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.pictures.automaton_drawing import edges
 
 
 @pytest.fixture(scope="module")

@@ -13,17 +13,17 @@ from scipy.integrate import quad
 from scipy.stats import beta, binom
 
 import certigym as cg
-from certigym.synthesis.certificate import Certificate
-from certigym.synthesis.terms import Terms
-from certigym.validation.fields import FieldReport, find_weakest, validate_field
-from certigym.validation.sequential import (
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.values.terms import Terms
+from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, holm, p_at_least, p_at_most
+from certigym.validation.statistics.sequential import (
     SequentialState,
     confidence_sequence,
     log_e_at_least,
     log_e_at_most,
 )
-from certigym.validation.starts import corner_starts, neighbours, random_starts, slice_starts, workspace_box
-from certigym.validation.verdict import CONFIRMED, CONSISTENT, REFUTED, holm, p_at_least, p_at_most
+from certigym.validation.verdicts.fields import FieldReport, find_weakest, validate_field
+from certigym.validation.verdicts.starts import corner_starts, neighbours, random_starts, slice_starts, workspace_box
 from problems import two_agents
 
 CONFIDENCE = 1 - 1e-6

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction import abstract
+from certigym.synthesis.cells.grid import aligned_edges
 from certigym.synthesis.certify import nearest_choices, wrap
-from certigym.synthesis.choices import TargetWindows
-from certigym.synthesis.decentralised import decentralised
-from certigym.synthesis.grid import aligned_edges
+from certigym.synthesis.controllers.given_policies import decentralised
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import TargetWindows
 from problems import scalar_agent, two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

@@ -20,10 +20,10 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import certigym as cg
 import fake_pygame
-from certigym.envs import dynamics as core
-from certigym.envs.central_env import CentralEnv
-from certigym.envs.suite_ids import gymnasium_id
-from certigym.envs.vector_env import ProblemVectorEnv
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.central_env import CentralEnv
+from certigym.envs.interfaces.vector_env import ProblemVectorEnv
+from certigym.envs.suite.ids import gymnasium_id
 from sample_problems import mixed_problem
 
 FALSE_ALARM = 1e-6
@@ -72,7 +72,9 @@ def test_two_processes_tell_the_same_story() -> None:
 def test_make_takes_arguments_and_matches_the_class() -> None:
     made = gymnasium.make("certigym/ReachAvoid-v0", horizon=5, initial_state=[-10.0, -4.0])
     assert made.unwrapped.problem.horizon == 5  # type: ignore[attr-defined]
-    check_environments_match(made.unwrapped, CentralEnv("reach-avoid-v0", horizon=5, initial_state=[-10.0, -4.0]), 40)
+    check_environments_match(
+        made.unwrapped, cg.central_env("reach-avoid-v0", horizon=5, initial_state=[-10.0, -4.0]), 40
+    )
 
 
 @each
@@ -80,7 +82,7 @@ def test_make_takes_arguments_and_matches_the_class() -> None:
 def test_one_world_of_the_batch_is_the_scalar_environment_across_resets(id: str, mode: AutoresetMode) -> None:
     ours = gymnasium.make_vec(gymnasium_id(id), num_envs=1, autoreset_mode=mode, horizon=6)
     assert isinstance(ours, ProblemVectorEnv) and ours.metadata["autoreset_mode"] is mode
-    scalar = SyncVectorEnv([lambda: CentralEnv(id, horizon=6)], autoreset_mode=mode)
+    scalar = SyncVectorEnv([lambda: cg.central_env(id, horizon=6)], autoreset_mode=mode)
     rng = np.random.default_rng(4)
     assert data_equivalence(ours.reset(seed=0)[0], scalar.reset(seed=0)[0], exact=True)
     ends = 0
@@ -281,7 +283,7 @@ def test_observations_are_local_or_full_in_either_precision() -> None:
 
 
 def test_start_and_disturbance_are_options_of_every_problem(tmp_path: Path) -> None:
-    box = {"initial_low": [-9.0, -4.0], "initial_high": [-8.0, -4.0]}
+    box: dict[str, Any] = {"initial_low": [-9.0, -4.0], "initial_high": [-8.0, -4.0]}
     _, infos = cg.vector_env("reach-avoid-v0", 500, **box).reset(seed=0)
     assert ((-9.0 <= infos["state"][:, 0]) & (infos["state"][:, 0] < -8.0)).all()
     assert (infos["state"][:, 1] == -4.0).all() and infos["state"][:, 0].std() > 0.2

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from certigym.envs.hoa import automaton_from_hoa, automaton_to_hoa
-from certigym.envs.translate import translate
+from certigym.envs.logic.hoa import automaton_from_hoa, automaton_to_hoa
+from certigym.envs.logic.translation import translate
 from temporal_oracle import random_co_safe, text
 
 AB = ("a", "b")

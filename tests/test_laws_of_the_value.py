@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis import kernel as kernel_module
-from certigym.synthesis import relation_exact
-from certigym.synthesis.guards import Guards, compile_guards
+from certigym.synthesis.models import kernel as kernel_module
+from certigym.synthesis.models.guards import compile_guards
+from certigym.synthesis.relations import exact as relation_exact
+from certigym.synthesis.values.terms import Guards
 from problems import scalar_agent, two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
@@ -38,7 +39,7 @@ def test_the_order_of_the_agents_does_not_matter(problem: cg.Problem) -> None:
 
 
 def test_splitting_guards_and_renaming_states_does_not_matter(problem: cg.Problem) -> None:
-    by_hand = cg.Automaton.from_transitions(
+    by_hand = cg.automaton_from_transitions(
         propositions=["a", "b", "c", "d"],
         states=["idle", "half", "done"],
         initial="idle",
@@ -110,7 +111,7 @@ def test_overlapping_guards_are_noticed(problem: cg.Problem, monkeypatch: pytest
         twice = (np.concatenate([own, own]) for own in (guards.source, guards.target, guards.mask))
         return Guards(guards.masks, *twice)
 
-    monkeypatch.setattr("certigym.synthesis.joint.compile_guards", doubled)
+    monkeypatch.setattr("certigym.synthesis.models.joint.compile_guards", doubled)
     result = cg.synthesize(problem, 60)
     assert not cg.check(result.certificate)
     assert "overlap" in str(cg.check(result.certificate))

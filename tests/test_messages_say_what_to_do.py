@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
+from certigym.cli.main import main
 
 PROBLEM = cg.make_problem("reach-avoid-v0", horizon=3)
 RESULT = cg.synthesize(PROBLEM, cells=20)
@@ -227,7 +227,7 @@ def test_missing_extras_are_named(
 ) -> None:
     for name in [name for name in sys.modules if name == module or name.startswith(f"{module}.")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "certigym.validation.learners", raising=False)
+    monkeypatch.delitem(sys.modules, "certigym.validation.policies.learners", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises((ValueError, ImportError), match=rf"certigym\[{extra}\]"):
         use()

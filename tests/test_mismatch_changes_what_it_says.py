@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis.certificate import Certificate
-from certigym.validation.chunks import frames
-from certigym.validation.loop import Loop
-from certigym.validation.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
-from certigym.validation.stress import stress
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.validation.simulation.chunks import frames
+from certigym.validation.simulation.loop import Loop
+from certigym.validation.simulation.mismatch import FAMILIES, Mismatch, as_family, degraded, disturbed
+from certigym.validation.verdicts.stress_test import stress
 from problems import two_agents
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from certigym.envs import mona
-from certigym.envs.formula import FormulaError
-from certigym.envs.translate import translate
+from certigym.envs.logic import mona
+from certigym.envs.logic.parser import FormulaError
+from certigym.envs.logic.translation import translate
 from temporal_oracle import random_co_safe, random_formula, text
 
 ABC = ("a", "b", "c")

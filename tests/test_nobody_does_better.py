@@ -9,11 +9,11 @@ import pytest
 from scipy.stats import norm
 
 import certigym as cg
-from certigym.synthesis import continuous_bound
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.continuous_bound import Optimist, continuous_upper_bound
-from certigym.synthesis.joint import join, start_of
-from certigym.validation.verdict import clopper_pearson
+from certigym.synthesis.bounds import continuous as continuous_bound
+from certigym.synthesis.bounds.continuous import Optimist, continuous_upper_bound
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join, start_of
+from certigym.validation.statistics.binomial import clopper_pearson
 from problems import scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6

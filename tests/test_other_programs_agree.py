@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.abstraction import AgentModel, abstract
-from certigym.synthesis.ascent import Laws, resting_laws, sweep
-from certigym.synthesis.heuristics import paper_steps
-from certigym.synthesis.joint import join
-from certigym.synthesis.oracle import dense_optimum, dense_value
-from certigym.synthesis.stage import Limits
+from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.models.abstraction import AgentModel, abstract
+from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.joint import join
+from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at
 from storm_check import storm_model, storm_reach_within

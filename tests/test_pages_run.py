@@ -17,9 +17,10 @@ import pytest
 
 import certigym as cg
 import draw_figures
-from certigym.__main__ import build_parser, main
-from certigym.envs.problem_file import problem_from_toml
-from certigym.validation import figure_scenes, figures
+from certigym.cli.main import build_parser, main
+from certigym.envs.problem.problem_file import problem_from_toml
+from certigym.validation.figures import certificate_figures as figures
+from certigym.validation.figures import figure_scenes
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

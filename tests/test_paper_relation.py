@@ -11,19 +11,18 @@ import pytest
 from scipy.stats import binomtest, kstest, norm
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis.abstract_state import Memory, Tracker
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import forward, resting_laws, start_value, sweep
-from certigym.synthesis.bounds import joint_delta, plain_loss, robust_loss, undecided_steps
-from certigym.synthesis.choices import InputMenu
-from certigym.synthesis.heuristics import paper_laws, paper_steps
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.relation_coupled import CoupledRelation, couple, coupling_failure
-from certigym.synthesis.relation_paper import paper_relation
-from certigym.synthesis.stage import Limits
-from certigym.validation.verdict import CONFIRMED, REFUTED, clopper_pearson
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.bounds.certified import plain_loss, robust_loss, undecided_steps
+from certigym.synthesis.controllers.abstract_state import Memory, Tracker
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import InputMenu
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.relations.coupled import CoupledRelation, couple, coupling_failure, joint_delta
+from certigym.synthesis.relations.scalar import paper_relation
+from certigym.synthesis.search.ascent import Limits, forward, resting_laws, start_value, sweep
+from certigym.validation.paper.heuristics import paper_laws, paper_steps
+from certigym.validation.statistics.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6

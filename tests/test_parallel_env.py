@@ -15,9 +15,9 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs import reach_avoid_v0
-from certigym.envs.problem_env import ProblemEnv
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.problem_env import ProblemEnv
+from certigym.envs.suite import reach_avoid_v0
 from sample_problems import mixed_problem, scalar
 
 PROBLEMS: dict[str, Any] = {**{id: id for id in cg.problem_ids()}, "mixed": mixed_problem()}

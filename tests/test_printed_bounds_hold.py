@@ -10,8 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from certigym.synthesis.digits import rounded_down, rounded_up, significant_down, significant_up
-from certigym.validation.validate import shown_bound
+from certigym.synthesis.certificates.digits import (
+    rounded_down,
+    rounded_up,
+    shown_bound,
+    significant_down,
+    significant_up,
+)
 
 probability = st.floats(0.0, 1.0)
 

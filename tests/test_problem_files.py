@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.envs.problem_file import problem_from_dict, problem_from_toml
+from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
 from sample_problems import TOML, mixed_problem
 
 HOA = """HOA: v1
@@ -236,7 +236,7 @@ def problem_of(name: str) -> cg.Problem:
 @pytest.mark.parametrize("name", ROUND_TRIPS)
 def test_problems_round_trip_through_json_and_pickle(name: str) -> None:
     problem = problem_of(name)
-    for twin in (cg.Problem.from_dict(json.loads(json.dumps(problem.to_dict()))), pickle.loads(pickle.dumps(problem))):
+    for twin in (problem_from_dict(json.loads(json.dumps(problem.to_dict()))), pickle.loads(pickle.dumps(problem))):
         assert twin.fingerprint == problem.fingerprint and twin.name == problem.name
         assert twin.to_dict() == problem.to_dict()
         assert (twin.automaton.root == problem.automaton.root).all()

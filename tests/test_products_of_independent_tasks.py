@@ -15,20 +15,21 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.envs import dynamics as core
-from certigym.envs import independent
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis import product
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.oracle import dense_optimum
-from certigym.synthesis.product import ProductCertificate
-from certigym.synthesis.product_controller import ProductController
-from certigym.validation.chunks import chunk_results, frames
-from certigym.validation.cluster import executor_for
-from certigym.validation.loop import Loop, arranged
-from certigym.validation.rollout import rollout
-from certigym.validation.verdict import REFUTED
+from certigym.cli.main import main
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.envs.problem import groups as independent
+from certigym.envs.problem import problem_from_dict
+from certigym.synthesis.bounds.dense import dense_optimum
+from certigym.synthesis.certificates import product
+from certigym.synthesis.certificates.product import ProductCertificate
+from certigym.synthesis.controllers.product_controller import ProductController
+from certigym.synthesis.models.abstraction import abstract
+from certigym.validation.simulation.chunks import chunk_results, frames
+from certigym.validation.simulation.cluster import executor_for
+from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.rollouts import rollout
+from certigym.validation.statistics.binomial import REFUTED
 
 FALSE_ALARM = 1e-6
 
@@ -281,7 +282,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(bytes(arrays["header"]).decode())
     assert sorted(set(header["parts"])) == [0, 1]
-    from certigym.synthesis.certificate_file import _digest
+    from certigym.synthesis.certificates.certificate_file import _digest
 
     def written(**changes: object) -> Path:
         new = {**header, **changes}
@@ -323,7 +324,7 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
     assert problem.replace(horizon=4).tasks[3].horizon == 4
     assert problem.replace(horizon=4).fingerprint != problem.fingerprint == pairs(12, 3).fingerprint
     assert pairs(12, 3, "co-safe").fingerprint != problem.fingerprint
-    assert cg.Problem.from_dict(problem.to_dict()).fingerprint == problem.fingerprint
+    assert problem_from_dict(problem.to_dict()).fingerprint == problem.fingerprint
     assert cg.synthesize(problem.tasks[0], 20).certificate.lower_bound ** 12 == pytest.approx(
         certificate.lower_bound, rel=1e-9
     )

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from certigym.__main__ import main
-from certigym.validation.published import published_curve
-from certigym.validation.refutation import refute_published
-from certigym.validation.reproduce import FIGURE_3, fig4, table1
+from certigym.cli.main import main
+from certigym.validation.paper.published import published_curve
+from certigym.validation.paper.refutation import refute_published
+from certigym.validation.paper.reproduce import FIGURE_3, fig4, table1
 
 RIGHT_NOISE = (0.127645, 0.271779, 0.436494, 0.616145, 0.811906, 0.933270, 0.934675)
 """Independent recomputation of the robust tree at the stated noise, T = 1 .. 7."""

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.envs import independent
-from certigym.synthesis import relation_choice
-from certigym.synthesis.abstraction import Settings, abstract
-from certigym.synthesis.agent_grids import DEFAULT_CELLS
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.relation_choice import Tries, groups_of
-from certigym.synthesis.relaxation import relax, upper_bound
-from certigym.validation.verdict import REFUTED
+from certigym.cli.main import main
+from certigym.envs.problem import groups as independent
+from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
+from certigym.synthesis.choosing import relation_choice
+from certigym.synthesis.choosing.relation_choice import Tries, groups_of
+from certigym.synthesis.models.abstraction import Settings, abstract
+from certigym.synthesis.models.joint import join, start_of
+from certigym.synthesis.search.relaxation import relax, upper_bound
+from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 NEEDS_SOLVER = "cvxpy"

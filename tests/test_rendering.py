@@ -13,8 +13,8 @@ import pytest
 
 import certigym as cg
 import fake_pygame
-from certigym.__main__ import main
-from certigym.envs.scene import panels
+from certigym.cli.main import main
+from certigym.envs.pictures.scene import panels
 from sample_problems import mixed_problem
 
 TASK = """
@@ -157,7 +157,7 @@ def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.Ca
 def test_the_command_says_what_it_cannot_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import certigym.rendering_command as command
+    import certigym.cli.render_command as command
 
     task = tmp_path / "task.toml"
     task.write_text(TASK)
@@ -174,7 +174,7 @@ def test_the_command_says_what_it_cannot_do(
 
 def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for ffmpeg counts the bytes it is given: whole pictures, the last one held."""
-    import certigym.rendering_command as command
+    import certigym.cli.render_command as command
 
     task, tool = tmp_path / "task.toml", tmp_path / "ffmpeg"
     task.write_text(TASK)

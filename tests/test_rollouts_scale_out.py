@@ -18,17 +18,17 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.spread import in_order
-from certigym.synthesis.certificate import Certificate
-from certigym.validation.audit import audit
-from certigym.validation.cluster import dask_cluster, executor_for, processes
-from certigym.validation.fields import find_weakest, validate_field
-from certigym.validation.loop import Loop
-from certigym.validation.report import gather_report
-from certigym.validation.rollout import TOGETHER, stream
-from certigym.validation.stress import stress
-from certigym.validation.sweeps import sweep_horizons, synthesize_best
-from certigym.validation.validate import ValidationInterrupted
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.validation.audits.step_tests import audit
+from certigym.validation.reports.report import gather_report
+from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
+from certigym.validation.simulation.loop import Loop
+from certigym.validation.simulation.rollouts import TOGETHER, stream
+from certigym.validation.simulation.spread import in_order
+from certigym.validation.verdicts.fields import find_weakest, validate_field
+from certigym.validation.verdicts.stress_test import stress
+from certigym.validation.verdicts.success_rate import ValidationInterrupted
+from certigym.validation.verdicts.sweeps import sweep_horizons, synthesize_best
 from problems import two_agents
 
 EPISODES, CHUNK = 21_300, 500
@@ -189,8 +189,8 @@ def _interrupt_at_once() -> Callable[[int], None]:
 
 DRIVER = """
 import sys
-import certigym.validation_commands as commands
-from certigym.__main__ import main
+import certigym.cli.validation_commands as commands
+from certigym.cli.main import main
 class Bar(commands.tqdm):
     def update(self, n=1):
         print("tick", flush=True)

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, sweep
-from certigym.synthesis.best_response import TIE
-from certigym.synthesis.given_start import laws_from
-from certigym.synthesis.grid import start_share
-from certigym.synthesis.joint import JointModel, join, start_of
-from certigym.synthesis.kernel import UNIT
-from certigym.synthesis.oracle import dense_optimum, dense_value
-from certigym.synthesis.relaxation import relax
-from certigym.synthesis.search import FINAL, Search, improve, perturbed
-from certigym.synthesis.stage import Limits
-from certigym.validation.verdict import REFUTED
+from certigym.cli.main import main
+from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.cells.grid import start_share
+from certigym.synthesis.choosing.given_start import laws_from
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.joint import JointModel, join, start_of
+from certigym.synthesis.search.ascent import Limits, sweep
+from certigym.synthesis.search.best_response import TIE
+from certigym.synthesis.search.policy_search import FINAL, Search, improve, perturbed
+from certigym.synthesis.search.relaxation import relax
+from certigym.synthesis.values.devices import UNIT
+from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6
@@ -230,7 +230,7 @@ def test_bounds_for_continuous_policies_say_nothing_where_relations_can_be_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Abstract policies may then attain more than any policy of the continuous system."""
-    monkeypatch.setattr("certigym.synthesis.result.continuous_upper_bound", lambda *_: 1e-3)
+    monkeypatch.setattr("certigym.synthesis.certification.continuous_upper_bound", lambda *_: 1e-3)
     problem = two_agents(horizon=3)
     exact, paper = (cg.synthesize(problem, 40, relation=relation).stats for relation in ("exact", "paper"))
     assert exact["abstract_upper_bound"] == exact["continuous_upper_bound"] == 1e-3

@@ -9,9 +9,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs.central_env import CentralEnv
-from certigym.envs.shaping import Potential
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.central_env import CentralEnv
+from certigym.envs.interfaces.shaping import Potential
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "invariance-4-v0"]
 

@@ -10,10 +10,10 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.envs import dynamics as core
-from certigym.envs.split import axis_order, split_axes
-from certigym.validation.verdict import REFUTED
+from certigym.cli.main import main
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.problem.split import axis_order, split_axes
+from certigym.validation.statistics.binomial import REFUTED
 
 FORMULAS = (
     ("!p U q", "co-safe"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
+from certigym.envs.dynamics import worlds as core
 
 
 def read(problem: cg.Problem, q: str, points: np.ndarray) -> list[str]:

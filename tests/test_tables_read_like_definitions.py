@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs import reading
-from certigym.envs.dynamics import Dynamics, Worlds
-from certigym.envs.suite import problem_ids
-from certigym.validation.chunks import frames
-from certigym.validation.loop import Loop, arranged
-from certigym.validation.mismatch import Mismatch
-from certigym.validation.rollout import stream
+from certigym.envs.dynamics import tables as reading
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics, Worlds
+from certigym.envs.suite.catalogue import problem_ids
+from certigym.validation.simulation.chunks import frames
+from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.mismatch import Mismatch
+from certigym.validation.simulation.rollouts import stream
 from problems import two_agents
 from sample_problems import mixed_problem, planar
 

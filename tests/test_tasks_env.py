@@ -11,9 +11,9 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.envs import independent
-from certigym.envs.problem_env import ProblemEnv
-from certigym.envs.tasks_env import TasksEnv
+from certigym.envs.interfaces.problem_env import ProblemEnv
+from certigym.envs.interfaces.tasks_env import TasksEnv
+from certigym.envs.problem import groups as independent
 from test_products_of_independent_tasks import pairs
 
 

@@ -10,16 +10,18 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis import search
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.ascent import Laws, resting_laws, sweep
-from certigym.synthesis.joint import JointModel, join, start_of
-from certigym.synthesis.oracle import dense_optimum, dense_value
-from certigym.synthesis.relaxation import relax, relaxed_laws, upper_bound
-from certigym.synthesis.search import FINAL
-from certigym.synthesis.train import Diagram, Train, added, diagram, rounded
-from certigym.synthesis.train_ascent import sweep_trains
-from certigym.synthesis.train_value import Rounding, evaluate
+from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.joint import JointModel, join, start_of
+from certigym.synthesis.search import policy_search
+from certigym.synthesis.search.ascent import resting_laws, sweep
+from certigym.synthesis.search.policy_search import FINAL
+from certigym.synthesis.search.relaxation import relax, relaxed_laws, upper_bound
+from certigym.synthesis.search.train_ascent import sweep_trains
+from certigym.synthesis.search.train_backward import evaluate
+from certigym.synthesis.values.tensor_train import Diagram, Train, added, diagram, rounded
+from certigym.synthesis.values.train_values import Rounding
 from test_tree_equals_dense_programming import FORMULAS, problem_of
 
 SHAPE = (5, 4, 6, 3)
@@ -160,7 +162,7 @@ def cyclic(n_robots: int = 3) -> cg.Problem:
     """Robots on a line that pick up together and deliver together; a robot that strays sends all back."""
     names = ("pickup", "loss", "delivery")
     members = {name: tuple(f"{name}_{robot}" for robot in range(n_robots)) for name in names}
-    automaton = cg.Automaton.from_transitions(
+    automaton = cg.automaton_from_transitions(
         [name for family in members.values() for name in family],
         ["empty", "carrying", "done"],
         "empty",
@@ -285,7 +287,7 @@ def test_no_sweeps_leave_the_first_start() -> None:
 def test_trees_too_large_for_memory_become_trains(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
     tree = cg.synthesize(problem, 60).certificate
-    monkeypatch.setattr(search, "TREE_BYTES", 8 * search.FINAL_TERMS * 1000)
+    monkeypatch.setattr(policy_search, "TREE_BYTES", 8 * policy_search.FINAL_TERMS * 1000)
     train = cg.synthesize(problem, 60).certificate
     assert tree.terms is not None and train.terms is None and cg.check(train)
     assert tree.lower_bound * (1 - 1e-4) <= train.lower_bound <= tree.lower_bound * (1 + 1e-4)

@@ -7,13 +7,14 @@ import random
 import numpy as np
 import pytest
 
-from certigym.envs import translate as translate_module
-from certigym.envs.automaton import Automaton
-from certigym.envs.decision_diagram import FALSE, TRUE
-from certigym.envs.formula import FormulaError
-from certigym.envs.normal_form import NormalForm, Term
-from certigym.envs.obligations import Obligations
-from certigym.envs.translate import translate
+from certigym.envs.logic import translation as translate_module
+from certigym.envs.logic.automaton import Automaton
+from certigym.envs.logic.decision_diagram import FALSE, TRUE
+from certigym.envs.logic.normal_form import NormalForm, Term
+from certigym.envs.logic.obligations import Obligations
+from certigym.envs.logic.parser import FormulaError
+from certigym.envs.logic.rebuilt import over_propositions
+from certigym.envs.logic.translation import translate
 from temporal_oracle import Tree, all_words, holds, random_co_safe, random_formula, text
 
 AB = ("a", "b")
@@ -282,7 +283,7 @@ def test_families_of_a_thousand_members() -> None:
     assert reach.accepts([everywhere, everywhere | {"target_999"}])
     assert not reach.accepts([everywhere, (everywhere - {"safe_500"}) | {"target_999"}])
     sorted_names = sorted(names)
-    moved = reach.with_propositions(sorted_names)
+    moved = over_propositions(reach, sorted_names)
     again = translate("all(safe) U (any(target) & all(safe))", sorted_names, "co-safe", families)
     assert moved.to_dict() == again.to_dict()
 

@@ -11,15 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from certigym import LinearAgent, Problem, Proposition, Specification
-from certigym.synthesis.abstraction import AgentModel, abstract
-from certigym.synthesis.ascent import forward, resting_laws, sweep
-from certigym.synthesis.choices import TargetWindows
-from certigym.synthesis.guards import compile_guards
-from certigym.synthesis.joint import join, start_of
-from certigym.synthesis.oracle import dense_optimum, dense_value
-from certigym.synthesis.stage import Limits
-from certigym.synthesis.terms import Terms
-from certigym.synthesis.value import assemble, candidates, cell_masks, gather, terminal_terms
+from certigym.synthesis.bounds.dense import dense_optimum, dense_value
+from certigym.synthesis.models.abstraction import AgentModel, abstract
+from certigym.synthesis.models.choices import TargetWindows
+from certigym.synthesis.models.guards import compile_guards
+from certigym.synthesis.models.joint import cell_masks, join, start_of
+from certigym.synthesis.search.ascent import Limits, forward, resting_laws, sweep
+from certigym.synthesis.search.tree import assemble, candidates, gather, terminal_terms
+from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent
 
 FORMULAS = [

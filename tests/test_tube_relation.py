@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.envs import dynamics as core
-from certigym.envs.dynamics import Dynamics
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.batch_controller import BatchMemory
-from certigym.synthesis.relation_coupled import CoupledRelation
-from certigym.synthesis.relation_tube import tube_generators, tube_relation
-from certigym.validation.verdict import REFUTED
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.dynamics.worlds import Dynamics
+from certigym.synthesis.controllers.controller import BatchMemory
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.relations.coupled import CoupledRelation
+from certigym.synthesis.relations.tube import tube_generators, tube_relation
+from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach
 
 FALSE_ALARM = 1e-6
@@ -130,8 +130,8 @@ def test_the_relation_of_every_agent_is_verified_even_if_agents_are_alike() -> N
 
 
 def test_labels_that_are_not_shrunk_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from certigym.synthesis import abstraction
-    from certigym.synthesis.labels import cell_labels
+    from certigym.synthesis.cells.labels import cell_labels
+    from certigym.synthesis.models import abstraction
 
     monkeypatch.setattr(abstraction, "error_labels", lambda p, i, g, c, reach: cell_labels(p, i, g, c))
     certificate = cg.synthesize(cart_reach(cart()), [40, 40], relation="tube", max_sweeps=1).certificate

@@ -14,22 +14,22 @@ import pytest
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis.abstraction import abstract
-from certigym.synthesis.bounds import nominal_bound, stranded_mass, train_bound
-from certigym.synthesis.certificate import Certificate
-from certigym.synthesis.check_above import MOST, attained, inexact
-from certigym.synthesis.checked_kernel import lost_to_rounding
-from certigym.synthesis.checked_mass import TooManyProducts, masses
-from certigym.synthesis.grid import Grid
-from certigym.synthesis.joint import JointModel, join, start_of
-from certigym.synthesis.occupancy import Occupancy
-from certigym.synthesis.oracle import dense_value
-from certigym.synthesis.relaxation import upper_bound
-from certigym.synthesis.terms import Terms
-from certigym.synthesis.train_above import evaluate_above, start_above
-from certigym.synthesis.train_value import Rounding, Trains, evaluate, start_value
-from certigym.validation.validate import shown_bound
+from certigym.cli.main import main
+from certigym.synthesis.bounds.above import evaluate_above
+from certigym.synthesis.bounds.certified import nominal_bound, stranded_mass, train_bound
+from certigym.synthesis.bounds.dense import dense_value
+from certigym.synthesis.cells.grid import Grid
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.certificates.checked_kernel import lost_to_rounding
+from certigym.synthesis.certificates.digits import shown_bound
+from certigym.synthesis.checking.forward_mass import TooManyProducts, masses
+from certigym.synthesis.checking.upper_end import MOST, attained, inexact
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import JointModel, join, start_of
+from certigym.synthesis.search.relaxation import upper_bound
+from certigym.synthesis.search.train_backward import evaluate
+from certigym.synthesis.values.terms import Occupancy, Terms
+from certigym.synthesis.values.train_values import Rounding, Trains, start_above, start_value
 from problems import scalar_agent, two_agents
 
 WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
@@ -219,7 +219,7 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, m
         *_, last = masses(certificate, 0.0, MOST)
         accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()
         assert usual >= accepted * (1.0 + 1e-11)
-    monkeypatch.setattr("certigym.synthesis.check_above.lost_to_rounding", lambda *_: 1e-4)
+    monkeypatch.setattr("certigym.synthesis.checking.upper_end.lost_to_rounding", lambda *_: 1e-4)
     assert attained(certificate) == pytest.approx(usual + 1e-4 * problem.horizon * problem.n_agents, abs=1e-9)
 
 
@@ -288,7 +288,7 @@ def test_uncertain_cells_have_no_upper_end() -> None:
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree").certificate
     exactly = attained(certificate)
-    monkeypatch.setattr("certigym.synthesis.check_above.SPARED", 1e9)
+    monkeypatch.setattr("certigym.synthesis.checking.upper_end.SPARED", 1e9)
     coarse = attained(certificate)
     assert exactly is not None and coarse is not None and coarse > exactly + 1e-4
 
@@ -296,7 +296,7 @@ def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_large_masses_are_left_unverified(certificate: Certificate, monkeypatch: pytest.MonkeyPatch) -> None:
     if certificate.rounding is not None:
         return
-    monkeypatch.setattr("certigym.synthesis.check_above.MOST", 1)
+    monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
     report = cg.check(certificate)
     assert report and report.above is None and "at most" not in str(report)
 
@@ -310,7 +310,7 @@ def test_the_command_line_tells_what_was_verified_from_above(
     assert json.loads(capsys.readouterr().out)["above"] == report.above
     assert main(["check", path]) == 0 and "too large a computation" not in capsys.readouterr().out
     if certificate.rounding is None:
-        monkeypatch.setattr("certigym.synthesis.check_above.MOST", 1)
+        monkeypatch.setattr("certigym.synthesis.checking.upper_end.MOST", 1)
         assert main(["check", path]) == 0 and "too large a computation" in capsys.readouterr().out
 
 

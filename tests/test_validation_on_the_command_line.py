@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.__main__ import main
-from certigym.synthesis.certificate import Certificate
-from certigym.validation.report import gather_report, write_report
-from certigym.validation.svg import ticks
-from certigym.validation.sweeps import each_report
-from certigym.validation.validate import ValidationReport
+from certigym.cli.main import main
+from certigym.synthesis.certificates.certificate import Certificate
+from certigym.validation.reports.report import gather_report, write_report
+from certigym.validation.reports.svg import ticks
+from certigym.validation.verdicts.success_rate import ValidationReport
+from certigym.validation.verdicts.sweeps import each_report
 from problems import scalar_agent, two_agents
 
 
@@ -81,7 +81,7 @@ def test_interrupted_sweeps_leave_what_is_finished(
         yield next(each_report(*arguments, **settings))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("certigym.validation_commands.each_report", interrupted)
+    monkeypatch.setattr("certigym.cli.validation_commands.each_report", interrupted)
     path = tmp_path / "sweep.json"
     arguments = ["sweep", "reach-avoid-v0", "--horizons", "4", "2", "--cells", "50", "--episodes", "500"]
     assert main([*arguments, "--json", str(path)]) == 130

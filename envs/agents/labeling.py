@@ -1,0 +1,272 @@
+"""Which propositions hold where: the one decision of membership, for simulator, first letter and synthesizer alike.
+
+A proposition is a box in the output space of one agent. A *class* of an agent is the set of its propositions that hold
+at a point; a *letter* is one class per agent. Rules:
+
+- the workspace is closed: `low <= x <= high`;
+- a region is half-open: `low <= y < high`, so that neighbours share no point;
+- with `C = I`, a region that reaches the upper edge of the workspace is closed there (its upper bound becomes
+  infinite: leaving the workspace is decided separately, and first).
+
+Reference: THEORY section 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from .agent import LinearAgent
+from .box import Box
+from .checks import read_only, shown
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Proposition:
+    """A box in the output space of one agent, half-open: `low <= y < high`.
+
+    Attributes
+    ----------
+    agent : str
+        Name of the agent. With one `*` in it the proposition is a family: one member per agent that matches.
+    low, high : np.ndarray, shape (p,)
+        Corners, finite, `low < high`. They may lie beyond the workspace.
+    """
+
+    agent: str
+    low: np.ndarray
+    high: np.ndarray
+
+    def __init__(self, agent: str, low: Any, high: Any) -> None:
+        if not isinstance(agent, str) or agent.count("*") > 1:
+            raise ValueError(f"`agent`: expected a name with at most one `*`, got {shown(agent)}")
+        box = Box(low, high)
+        object.__setattr__(self, "agent", agent)
+        object.__setattr__(self, "low", box.low)
+        object.__setattr__(self, "high", box.high)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the proposition as plain values, keyed as in problem files (exact)."""
+        return {"agent": self.agent, "low": self.low.tolist(), "high": self.high.tolist()}
+
+
+def inside(x: Any, low: Any, high: Any) -> Any:
+    """Whether points lie in a closed box (NaN lies nowhere).
+
+    Parameters
+    ----------
+    x, low, high : sequence of components
+        An array with the components on axis 0, or a tuple of numbers: the same rule for a batch and for one point.
+    """
+    result = (low[0] <= x[0]) & (x[0] <= high[0])
+    for k in range(1, len(x)):
+        result = result & (low[k] <= x[k]) & (x[k] <= high[k])
+    return result
+
+
+def contains(y: Any, low: Any, high: Any) -> Any:
+    """Whether points lie in a half-open box `low <= y < high`; components as in `inside`."""
+    result = (low[0] <= y[0]) & (y[0] < high[0])
+    for k in range(1, len(y)):
+        result = result & (low[k] <= y[k]) & (y[k] < high[k])
+    return result
+
+
+def row_times(row: Any, x: Any) -> Any:
+    """One row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
+
+    Parameters
+    ----------
+    row, x : sequence of components
+        Numbers, or arrays that broadcast.
+    """
+    total = row[0] * x[0]
+    for k in range(1, len(x)):
+        total += row[k] * x[k]
+    return total
+
+
+def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Matrix times vectors by `row_times`.
+
+    Parameters
+    ----------
+    matrix : np.ndarray, shape (p, d, ...)
+    x : np.ndarray, shape (d, ...)
+        Trailing axes broadcast against those of `matrix`.
+    """
+    return np.stack([row_times(row, x) for row in matrix])
+
+
+@dataclass(frozen=True, eq=False)
+class Labeling:
+    """The labelling of one problem.
+
+    Attributes
+    ----------
+    agents : tuple of LinearAgent
+    names : tuple of str
+        Propositions, agent by agent.
+    agent_propositions : tuple of np.ndarray of int
+        Per agent: positions of its propositions in `names`.
+    low, high : tuple of np.ndarray, shape (p_i, P_i)
+        Per agent: corners of its regions; the upper ones are infinite where a region is closed at the workspace edge.
+    """
+
+    agents: tuple[LinearAgent, ...]
+    names: tuple[str, ...]
+    agent_propositions: tuple[np.ndarray, ...]
+    low: tuple[np.ndarray, ...]
+    high: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, agents: Sequence[LinearAgent], propositions: Mapping[str, Proposition]) -> Labeling:
+        """Return the labelling for propositions without `*`, ordered agent by agent, then as declared."""
+        owned: dict[str, list[str]] = {agent.name: [] for agent in agents}
+        by_name = {agent.name: agent for agent in agents}
+        for name, proposition in propositions.items():
+            _check_region(name, proposition, by_name)
+            owned[proposition.agent].append(name)
+        names: list[str] = []
+        positions, lows, highs = [], [], []
+        for agent in agents:
+            mine = owned[agent.name]
+            positions.append(read_only(np.arange(len(names), len(names) + len(mine))))
+            names.extend(mine)
+            shape = (len(mine), agent.n_outputs)
+            low = np.array([propositions[name].low for name in mine]).reshape(shape).T
+            high = np.array([propositions[name].high for name in mine]).reshape(shape).T
+            if agent.has_identity_output:
+                high = np.where(high >= agent.state_high[:, None], np.inf, high)
+            lows.append(read_only(low))
+            highs.append(read_only(high))
+        return cls(tuple(agents), tuple(names), tuple(positions), tuple(lows), tuple(highs))
+
+    def class_at(self, agent: int, x: np.ndarray) -> np.ndarray:
+        """Which propositions of one agent hold at points: (d, *S) -> bool (P_i, *S) (exact up to rounding of C x)."""
+        model = self.agents[agent]
+        extra = (1,) * (x.ndim - 1)
+        c = model.output_matrix
+        y = x if model.has_identity_output else linear(c.reshape(c.shape + extra), x)
+        low, high = self.low[agent], self.high[agent]
+        return contains(y[:, None], low.reshape(low.shape + extra), high.reshape(high.shape + extra))
+
+    def letter(self, states: Sequence[Any]) -> np.ndarray:
+        """Which propositions hold at one joint state, a sequence of vectors (d_i,): bool (P,)."""
+        parts = [self.class_at(i, np.asarray(x, dtype=float)) for i, x in enumerate(states)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+
+    @cached_property
+    def classes(self) -> tuple[np.ndarray, ...]:
+        """Per agent: the classes that occur in its workspace, bool (n_classes_i, P_i), rows in lexicographic order.
+
+        Exact for `C = I`; a superset otherwise.
+        """
+        known: dict[bytes, np.ndarray] = {}
+        result = []
+        for i, agent in enumerate(self.agents):
+            key = self.low[i].tobytes() + self.high[i].tobytes() + agent.output_matrix.tobytes()
+            key += agent.state_low.tobytes() + agent.state_high.tobytes()
+            if key not in known:
+                whole = self._reachable(i, agent.state_low[None], agent.state_high[None])
+                known[key] = read_only(whole[0][whole[1][0]])
+            result.append(known[key])
+        return tuple(result)
+
+    def box_classes(self, agent: int, low: Any, high: Any) -> np.ndarray:
+        """Which classes the points `low <= x < high` of the workspace can have: bool (S, n_classes_i).
+
+        Exact for `C = I`; a superset otherwise. A flat axis (`low == high`) holds its single coordinate.
+
+        Parameters
+        ----------
+        agent : int
+        low, high : array_like, shape (S, d)
+            Boxes in the state space; the part beyond the workspace is ignored.
+        """
+        low, high = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
+        found, possible = self._reachable(agent, low, high)
+        position = {row.tobytes(): c for c, row in enumerate(self.classes[agent])}
+        result = np.zeros((len(low), len(position)), dtype=bool)
+        for c, row in enumerate(found):
+            if possible[:, c].any():
+                result[:, position[row.tobytes()]] = possible[:, c]
+        return result
+
+    def _reachable(self, agent: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """All classes of the arrangement of regions, and which of them each box meets: (K, P_i) and (S, K)."""
+        n_boxes, n_propositions = len(low), self.low[agent].shape[1]
+        classes = np.ones((1, n_propositions), dtype=bool)
+        possible = np.ones((n_boxes, 1), dtype=bool)
+        for pieces, overlap in self._axes(agent, low, high):
+            joint = (classes[:, None] & pieces[None]).reshape(len(classes) * len(pieces), n_propositions)
+            both = (possible[:, :, None] & overlap[:, None, :]).reshape(n_boxes, -1)
+            if n_propositions:
+                classes, inverse = np.unique(joint, axis=0, return_inverse=True)
+            else:  # numpy's unique knows no rows of length zero
+                classes, inverse = joint[:1], np.zeros(len(joint), dtype=int)
+            possible = np.zeros((n_boxes, len(classes)), dtype=bool)
+            for source, target in enumerate(inverse.ravel()):
+                possible[:, target] |= both[:, source]
+        return classes, possible
+
+    def _axes(self, agent: int, low: np.ndarray, high: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per output axis: which propositions allow each piece between two edges, and which pieces each box meets."""
+        model = self.agents[agent]
+        flat = low >= high
+        beyond = ((high < model.state_low) | (low > model.state_high) | ((high == model.state_low) & ~flat)).any(axis=1)
+        low, high = np.maximum(low, model.state_low), np.minimum(high, model.state_high)
+        if model.has_identity_output:
+            bottom, top, upper_face = model.state_low, model.state_high, flat
+        else:  # outputs of closed boxes, rounded outwards
+            bottom, top = (bound[0] for bound in _output_range(model, model.state_low[None], model.state_high[None]))
+            low, high = _output_range(model, low, high)
+            upper_face = np.ones_like(low, dtype=bool)
+        result = []
+        for axis in range(model.n_outputs):
+            region_low, region_high = self.low[agent][axis], self.high[agent][axis]
+            edges = np.unique(np.concatenate([[bottom[axis]], region_low, region_high]))
+            edges = edges[(edges >= bottom[axis]) & (edges <= top[axis])]
+            if model.has_identity_output and len(edges) > 1 and edges[-1] == top[axis]:
+                edges = edges[:-1]  # closed at the top: the edge is no piece of its own
+            pieces = (region_low <= edges[:, None]) & (edges[:, None] < region_high)
+            ends = np.append(edges[1:], np.inf)
+            lower, upper = low[:, axis, None], high[:, axis, None]
+            reaches = (upper > edges) | ((upper >= edges) & upper_face[:, axis, None])
+            result.append((pieces, (lower < ends) & reaches & ~beyond[:, None]))
+        return result
+
+
+def _output_range(agent: LinearAgent, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Box around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
+    c = agent.output_matrix
+    products = np.stack([c * low[:, None, :], c * high[:, None, :]])
+    slack = 2.0 * (agent.n_states + 2) * np.finfo(float).eps * np.abs(products).max(axis=0).sum(axis=-1)
+    slack += np.finfo(float).tiny
+    return products.min(axis=0).sum(axis=-1) - slack, products.max(axis=0).sum(axis=-1) + slack
+
+
+def _check_region(name: str, proposition: Proposition, agents: Mapping[str, LinearAgent]) -> None:
+    agent = agents[proposition.agent]
+    if proposition.low.size != agent.n_outputs:
+        raise ValueError(
+            f"`propositions.{name}`: expected corners of length {agent.n_outputs} (outputs of agent {agent.name}), "
+            f"got length {proposition.low.size}"
+        )
+    if agent.has_identity_output:
+        bottom, top = agent.state_low, agent.state_high
+        outside = (proposition.low >= top) | (proposition.high <= bottom)
+    else:
+        bottom, top = (bound[0] for bound in _output_range(agent, agent.state_low[None], agent.state_high[None]))
+        outside = (proposition.low > top) | (proposition.high <= bottom)
+    if outside.any():
+        axis = int(np.argmax(outside))
+        raise ValueError(
+            f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name}, got "
+            f"[{proposition.low[axis]:g}, {proposition.high[axis]:g}] against [{bottom[axis]:g}, {top[axis]:g}] on "
+            f"axis {axis}; correct the region or the workspace"
+        )

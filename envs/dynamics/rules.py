@@ -1,0 +1,36 @@
+"""The step of an agent and the order of decisions, written once, for numbers and for arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..agents import row_times
+
+
+def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any) -> list[Any]:
+    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move."""
+    components = []
+    for a, b, c, factor in zip(A, B, offset, noise_factor):
+        total = row_times(a, x)  # of its own: arrays are added to in place
+        total += row_times(b, u)
+        total += c
+        total += row_times(factor, z)
+        components.append(total)
+    return components
+
+
+def decided(accepting: Any, q: Any, following: Any, failed: Any, accepted: Any, outside: Any) -> tuple[Any, Any, Any]:
+    """Return automaton state, failed and accepted after a step: the one place where the order of decisions stands.
+
+    Parameters
+    ----------
+    accepting : sequence of bool
+        `Dynamics.accepting`.
+    q, following : int or array of int
+        Automaton state before, and after reading the letter.
+    failed, accepted, outside : bool or array of bool
+        Failed and accepted before the step; whether an agent is outside its workspace after it.
+    """
+    failed = failed | (outside > accepted)  # outside and not accepted
+    q = q + (following - q) * (1 - failed)  # a failed world reads no letter
+    return q, failed, accepting[q] > failed  # accepting states are absorbing

@@ -1,0 +1,124 @@
+"""The centralised Gymnasium environment of a problem: one learner sees the joint state and moves all agents.
+
+- **Action**: the inputs of all agents one after the other, scaled to [-1, 1], float32; with `actions="input"` the input
+  boxes themselves, float64. Actions beyond are clipped.
+- **Observation**: the states of all agents (projected onto the workspace after an exit), the automaton state one-hot,
+  the fraction of time left.
+- **Reward**: 1 once, when the task is satisfied, else 0; with `reward="shaped"` see `shaping`.
+- **Episode ends**: see `episode`.
+- **Info**: `letter`, `automaton_state`, `satisfied`, `time` as in `parallel_env`, `state` (the true joint state,
+  float64), and `is_success` in the last step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from ..problem import Problem, checked_problem
+from .episode import RENDER_MODES, Episode
+from .observation import (
+    ACTIONS,
+    PRECISIONS,
+    action_space,
+    checked_option,
+    input_of,
+    observation_space,
+    projected,
+    shared,
+)
+
+
+class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Centralised environment of a problem; see the module docstring.
+
+    Parameters
+    ----------
+    problem : Problem
+        Ids and files are taken by `certigym.central_env`.
+    render_mode : None, "ansi", "rgb_array" or "human"
+    reward : "sparse" or "shaped"
+    discount : float
+        Of the learner, for the shaped reward.
+    dtype : "float64" or "float32"
+        Of the observations.
+    actions : "unit" or "input"
+
+    Examples
+    --------
+    >>> import certigym as cg
+    >>> env = CentralEnv(cg.make_problem("reach-avoid-v0", horizon=7))
+    >>> observation, info = env.reset(seed=0)
+    >>> observation.shape, env.action_space.shape
+    ((6,), (2,))
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 4}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        problem: Problem,
+        render_mode: str | None = None,
+        *,
+        reward: str = "sparse",
+        discount: float = 1.0,
+        dtype: str = "float64",
+        actions: str = "unit",
+    ) -> None:
+        self.problem = checked_problem(problem)
+        self.render_mode = render_mode
+        self._dtype = checked_option(dtype, "dtype", PRECISIONS)
+        self._actions = checked_option(actions, "actions", ACTIONS)
+        self._episode = Episode(self.problem, reward, discount, render_mode)
+        self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
+        self.action_space = action_space(self.problem.agents, actions)
+        ends = np.cumsum([0, *(agent.n_inputs for agent in self.problem.agents)]).tolist()
+        self._slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:])]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode; `options["initial_state"]` replaces the start."""
+        super().reset(seed=seed)
+        self._episode.begin(self.np_random, options)
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advance one control step.
+
+        Raises
+        ------
+        RuntimeError
+            Before `reset`, and after the end of an episode.
+        ValueError
+            If the action has the wrong shape or is not finite.
+        """
+        given = np.asarray(action)
+        if given.shape != self.action_space.shape:
+            raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {given.shape}")
+        agents = self._episode.one_world.agents
+        inputs = [input_of(given[part], agent, self._actions, "action") for part, agent in zip(self._slices, agents)]
+        reward, terminated, truncated = self._episode.step(inputs, self.np_random)
+        info = self._info()
+        if terminated or truncated:
+            info["is_success"] = info["satisfied"]
+        return self._observation(), reward, terminated, truncated, info
+
+    def render(self) -> Any:
+        """Return a line of text ("ansi"), a picture ("rgb_array"), or None."""
+        return self._episode.render()
+
+    def close(self) -> None:
+        """Close the window of the render mode "human"."""
+        self._episode.close()
+
+    def _observation(self) -> np.ndarray:
+        world = self._episode.world
+        tail = shared(self.problem, world.q, world.time)
+        return np.array(projected(world.states, self._episode.one_world.agents) + tail, dtype=self._dtype)
+
+    def _info(self) -> dict[str, Any]:
+        joint = [number for x in self._episode.world.states for number in x]
+        return {**self._episode.info(), "state": np.array(joint)}

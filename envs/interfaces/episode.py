@@ -1,0 +1,161 @@
+"""The course of one episode: what the parallel and the centralised environment of a problem share.
+
+An episode ends (1) when the task is satisfied early (co-safe), (2) when an agent leaves its workspace, (3) when the
+automaton can accept no more: terminated; (4) at the horizon, where finite-trace tasks are judged: truncated. Where the
+start itself decides, the first step returns the verdict and nothing moves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..dynamics import OneWorld, World
+from ..dynamics import worlds as core
+from ..pictures import Picture, checked_render_mode, verdict_text
+from ..problem import Problem
+from .observation import checked_option
+from .shaping import REWARDS, Potential
+
+RENDER_MODES = ("ansi", "rgb_array", "human")
+
+
+class Episode:
+    """One world of a problem and the rewards of its task.
+
+    Parameters
+    ----------
+    problem : Problem
+    reward : "sparse" or "shaped"
+        1 on satisfaction; or that and differences of the potential of `shaping`.
+    discount : float
+        Of the learner, for the shaped reward; between 0 and 1.
+    render_mode : None, "ansi", "rgb_array" or "human"
+    caption : str
+        A line in pictures.
+    """
+
+    def __init__(
+        self, problem: Problem, reward: str, discount: float, render_mode: str | None, caption: str = ""
+    ) -> None:
+        self.problem = problem
+        self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
+        self.caption = caption
+        self.discount = checked_discount(discount)
+        self.dynamics = core.Dynamics.of(problem)
+        self.one_world = OneWorld.of(self.dynamics)
+        shaped = checked_option(reward, "reward", REWARDS) == "shaped"
+        self._potential = Potential.of(self.dynamics) if shaped else None
+        self.level = 0.0
+        self._world: World | None = None
+        self._track: list[World] = []
+        self._picture: Picture | None = None
+
+    @property
+    def world(self) -> World:
+        """The present world; RuntimeError before the first `begin`."""
+        if self._world is None:
+            raise RuntimeError("call `reset` first")
+        return self._world
+
+    def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> None:
+        """Start an episode; `options["initial_state"]` replaces the problem's start, other keys are left alone."""
+        given = (options or {}).get("initial_state")
+        dynamics = self.dynamics
+        if given is not None:
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=given))
+        worlds = core.initial(dynamics, rng, 1)
+        self._world = self.one_world.begin(worlds)
+        self._track = [self._world]
+        if self._potential is not None:
+            self.level = float(self._potential.at(worlds)[0])
+        self._show()
+
+    def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
+        """Advance one control step; return reward, terminated and truncated."""
+        world = self.world
+        if not self.one_world.settled(world):
+            world = self.one_world.step(world, inputs, rng.standard_normal(self.one_world.n_draws).tolist())
+            self._world = world
+            if self.render_mode is not None:
+                self._track.append(world)
+        terminated = self.one_world.settled(world)
+        truncated = not terminated and world.time >= self.problem.horizon
+        reward = float(self.one_world.satisfied(world))
+        if self._potential is not None:
+            before = self.level
+            self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
+            reward += self.discount * self.level - before
+        self._show()
+        return reward, terminated, truncated
+
+    def info(self) -> dict[str, Any]:
+        """Return what every info holds: letter, automaton state, satisfaction, time."""
+        world = self.world
+        return {
+            "letter": self.one_world.names(world.letter),
+            "automaton_state": world.q,
+            "satisfied": self.one_world.satisfied(world),
+            "time": world.time,
+        }
+
+    def render(self) -> str | np.ndarray | None:
+        """Return a line of text, a picture (height, width, 3), or nothing, by the render mode."""
+        if self.render_mode == "ansi":
+            return self._line()
+        if self.render_mode == "rgb_array":
+            return self._frame()
+        return None
+
+    def close(self) -> None:
+        """Close the window of the render mode "human"."""
+        if self._picture is not None:
+            self._picture.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_picture": None}  # pictures hold fonts and windows, and are made anew
+
+    def _batch(self) -> core.Worlds:
+        world = self.world
+        joint = np.concatenate([np.asarray(x, dtype=float) for x in world.states])[None]
+        return core.Worlds(
+            core.split_joint(self.dynamics, joint),
+            np.array([world.q], dtype=np.int32),
+            world.time,
+            np.array([world.failed]),
+            np.array([world.accepted]),
+        )
+
+    def _verdict(self) -> str:
+        world = self.world
+        over = self.one_world.settled(world) or world.time >= self.problem.horizon
+        return verdict_text(self.one_world.satisfied(world), world.failed, over)
+
+    def _line(self) -> str:
+        world = self.world
+        named = zip(self.problem.agent_names, world.states)
+        states = ", ".join(f"{name} {np.round(x, 3).tolist()}" for name, x in named)
+        verdict = self._verdict()
+        name = self.problem.automaton.state_names[world.q]
+        return f"t={world.time}/{self.problem.horizon} q={name}{' ' if verdict else ''}{verdict}: {states}"
+
+    def _frame(self) -> np.ndarray:
+        if self._picture is None:
+            self._picture = Picture(self.problem, self.caption)
+        track = [[number for x in world.states for number in x] for world in self._track]
+        world = self.world
+        return self._picture.frame(np.array(track), world.q, self.one_world.names(world.letter), self._verdict())
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            frame = self._frame()
+            if self._picture is not None:
+                self._picture.show(frame)
+
+
+def checked_discount(value: Any) -> float:
+    """Return a discount factor as a float, or raise ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"`discount`: expected a number from 0 to 1, got {value!r}")
+    return float(value)

@@ -1,0 +1,136 @@
+"""What an environment shows and takes: spaces, observations and actions, for one world and for batches alike.
+
+An observation is a list of states, each projected onto its workspace, then the automaton state one-hot, then the
+fraction of time left. Spaces are bounded, because the projection stays in them; the true state is in the info.
+
+- "local": the agent's own state;
+- "full": the agent's own state, then those of the other agents in order;
+- joint (the centralised environment, and `state()`): the states of all agents in order.
+
+Actions are inputs as the dynamics take them ("input": the input box), or scaled to [-1, 1] ("unit", float32); either
+way what lies beyond is clipped. The dynamics are float64 whatever the precision of observations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from ..agents import LinearAgent, shown
+from ..dynamics import Dynamics, Worlds, joint
+from ..problem import Problem
+
+SCOPES = ("local", "full")
+PRECISIONS = ("float64", "float32")
+ACTIONS = ("input", "unit")
+
+
+def checked_option(value: Any, argument: str, known: Sequence[str]) -> str:
+    """Return an option if it is one of the known words, or raise ValueError."""
+    if value not in known:
+        raise ValueError(f"`{argument}`: expected {' or '.join(map(repr, known))}, got {shown(value)}")
+    return str(value)
+
+
+def observation_space(problem: Problem, agents: Sequence[LinearAgent], dtype: str) -> spaces.Box:
+    """Return the space of observations that list the states of `agents`."""
+    extra = [np.zeros(problem.automaton.n_states + 1)]
+    low = np.concatenate([agent.state_low for agent in agents] + extra)
+    high = np.concatenate([agent.state_high for agent in agents] + [extra[0] + 1.0])
+    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
+
+
+def action_space(agents: Sequence[LinearAgent], actions: str) -> spaces.Box:
+    """Return the space of the inputs of `agents`, one after the other."""
+    if actions == "unit":
+        return spaces.Box(-1.0, 1.0, (sum(agent.n_inputs for agent in agents),), dtype=np.float32)
+    low = np.concatenate([agent.input_low for agent in agents])
+    return spaces.Box(low, np.concatenate([agent.input_high for agent in agents]), dtype=np.float64)
+
+
+def projected(states: Any, agents: Sequence[Any]) -> list[float]:
+    """Return the numbers of several states, each moved into its agent's workspace."""
+    result = []
+    for x, agent in zip(states, agents):
+        for value, low, high in zip(x, agent.state_low, agent.state_high):
+            result.append(low if value < low else high if value > high else value if value == value else low)
+    return result
+
+
+def shared(problem: Problem, q: int, time: int) -> list[float]:
+    """Return the automaton state one-hot and the fraction of time left."""
+    result = [0.0] * (problem.automaton.n_states + 1)
+    result[q] = 1.0
+    result[-1] = 1.0 - time / problem.horizon
+    return result
+
+
+def joint_observations(dynamics: Dynamics, worlds: Worlds, dtype: str) -> np.ndarray:
+    """Return the joint observations of a batch, shape (M, D + Q + 1)."""
+    problem = dynamics.problem
+    n, n_q = problem.n_states, problem.automaton.n_states
+    result = np.zeros((worlds.n_worlds, n + n_q + 1))
+    low = np.concatenate([agent.state_low for agent in problem.agents])
+    high = np.concatenate([agent.state_high for agent in problem.agents])
+    states = joint(dynamics, worlds)
+    np.clip(np.where(np.isnan(states), low, states), low, high, out=result[:, :n])
+    result[np.arange(worlds.n_worlds), n + worlds.q] = 1.0
+    result[:, -1] = 1.0 - worlds.time / problem.horizon
+    return result.astype(dtype, copy=False)
+
+
+def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
+    """Return the input, within its box, that an action of one agent stands for.
+
+    Raises
+    ------
+    ValueError
+        If the action has another length or is not finite.
+    """
+    numbers = np.asarray(action).tolist()
+    size = len(agent.input_low)
+    if not isinstance(numbers, list) or len(numbers) != size or not all(map(_is_number, numbers)):
+        raise ValueError(f"`{name}`: expected finite numbers of shape ({size},), got {shown(action)}")
+    result = []
+    for value, low, high in zip(numbers, agent.input_low, agent.input_high):
+        if actions == "unit":
+            value = (0.5 * low + 0.5 * high) + (0.5 * high - 0.5 * low) * min(max(value, -1.0), 1.0)
+        result.append(low if value < low else high if value > high else float(value))
+    return result
+
+
+def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndarray, ...]:
+    """Return the inputs (m, n, M) per block that joint actions (M, sum of m_i) stand for, within their boxes.
+
+    Raises
+    ------
+    ValueError
+        If the actions have another shape or are not finite.
+    """
+    agents = dynamics.problem.agents
+    ends = np.cumsum([0, *(agent.n_inputs for agent in agents)])
+    given = np.asarray(action, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] != ends[-1] or not np.isfinite(given).all():
+        raise ValueError(
+            f"`actions`: expected finite numbers of shape (number of worlds, {ends[-1]}), got shape {given.shape}"
+        )
+    result = []
+    for block in dynamics.blocks:
+        columns = ends[block.agents] + np.arange(block.input_low.shape[0])[:, None]
+        u = np.ascontiguousarray(given.T[columns])
+        if actions == "unit":
+            centre, half = (
+                0.5 * block.input_low + 0.5 * block.input_high,
+                0.5 * block.input_high - 0.5 * block.input_low,
+            )
+            u = centre + half * np.minimum(np.maximum(u, -1.0), 1.0)
+        result.append(np.minimum(np.maximum(u, block.input_low), block.input_high))
+    return tuple(result)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float | int) and isfinite(value)

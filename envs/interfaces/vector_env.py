@@ -1,0 +1,259 @@
+"""The batched Gymnasium environment of a problem: M worlds of the centralised environment in one set of arrays.
+
+Spaces, rewards and ends are those of `central_env`, world by world; with one world and one seed the numbers are the
+same to the last bit. One generator serves all worlds: `reset(seed=...)` takes one seed (or a list, hashed into one).
+
+Autoreset, declared in `metadata["autoreset_mode"]`:
+
+- `NEXT_STEP` (default): the step after an end ignores the action, returns the new start, reward 0 and no end;
+- `SAME_STEP`: the step with the end returns the new start; `final_obs` and `final_info` hold what came before it;
+- `DISABLED`: the caller resets, all worlds or those of `options["reset_mask"]`; stepping an ended world is an error.
+
+Infos are arrays over the worlds with masks `_name`, as Gymnasium has them: `state` (M, D), `automaton_state`,
+`satisfied`, `time`. Names of letters are left out, for speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from ..agents import checked_count
+from ..dynamics import worlds as core
+from ..pictures import Picture, checked_render_mode, verdict_text
+from ..problem import Problem, checked_problem
+from .episode import checked_discount
+from .observation import (
+    ACTIONS,
+    PRECISIONS,
+    action_space,
+    batch_inputs,
+    checked_option,
+    joint_observations,
+    observation_space,
+)
+from .shaping import REWARDS, Potential
+
+Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
+
+
+class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """A batch of worlds of one problem; see the module docstring.
+
+    Parameters
+    ----------
+    problem : Problem
+        Ids and files are taken by `certigym.vector_env`.
+    num_envs : int
+        Worlds M.
+    render_mode : None or "rgb_array"
+    autoreset_mode : AutoresetMode or str
+    reward, discount, dtype, actions
+        As for `central_env`.
+
+    Examples
+    --------
+    >>> import certigym as cg
+    >>> envs = ProblemVectorEnv(cg.make_problem("reach-avoid-v0"), num_envs=1000)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations.shape
+    (1000, 6)
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        reward: str = "sparse",
+        discount: float = 1.0,
+        dtype: str = "float64",
+        actions: str = "unit",
+    ) -> None:
+        self.problem = checked_problem(problem)
+        self.num_envs = checked_count(num_envs, "num_envs", most=10_000_000)
+        self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
+        self.discount = checked_discount(discount)
+        self._dtype = checked_option(dtype, "dtype", PRECISIONS)
+        self._actions = checked_option(actions, "actions", ACTIONS)
+        self._dynamics = core.Dynamics.of(self.problem)
+        shaped = checked_option(reward, "reward", REWARDS) == "shaped"
+        self._potential = Potential.of(self._dynamics) if shaped else None
+        self.single_observation_space = observation_space(self.problem, self.problem.agents, dtype)
+        self.single_action_space = action_space(self.problem.agents, actions)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._worlds: core.Worlds | None = None
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._levels = np.zeros(self.num_envs)
+        self._track = np.zeros((0, self.num_envs, self.problem.n_states))
+        if self.render_mode is not None:
+            self._track = np.zeros((self.problem.horizon + 1, self.num_envs, self.problem.n_states))
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin episodes in all worlds.
+
+        Parameters
+        ----------
+        seed : int or list of int, optional
+            Seeds a new generator; without it the present one goes on.
+        options : dict, optional
+            `initial_state` replaces the start of all worlds; `reset_mask`, bool (M,), resets only some of them.
+        """
+        if isinstance(seed, list | tuple):
+            self.np_random = np.random.default_rng(np.random.SeedSequence([int(s) for s in seed]))
+        elif seed is not None:
+            self._np_random, self._np_random_seed = seeding.np_random(seed)
+        options = options or {}
+        given, dynamics = options.get("initial_state"), self._dynamics
+        if given is not None:
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=given))
+        which = self._mask(options.get("reset_mask"))
+        if self._worlds is None or which.all():
+            worlds = core.initial(dynamics, self.np_random, self.num_envs)
+            self._worlds = replace(worlds, time=np.zeros(self.num_envs, dtype=np.int64))
+            which[:] = True
+        else:
+            self._worlds = core.restart(dynamics, self._worlds, which, self.np_random)
+        self._ended = self._ended & ~which
+        self._relevel(which)
+        return joint_observations(self._dynamics, self._worlds, self._dtype), self._infos(which)
+
+    def step(self, actions: Any) -> Step:
+        """Advance all worlds one control step.
+
+        Raises
+        ------
+        RuntimeError
+            Before `reset`; in the mode `DISABLED`, if a world has ended.
+        ValueError
+            If the actions have the wrong shape or are not finite.
+        """
+        if self._worlds is None:
+            raise RuntimeError("call `reset` before `step`")
+        if np.ndim(actions) > 0 and len(actions) != self.num_envs:
+            raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
+        worlds, fresh = self._worlds, self._ended
+        if fresh.any():
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
+            worlds = core.restart(self._dynamics, worlds, fresh, self.np_random)
+        moving = ~(fresh | self._settled(worlds))
+        worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
+        terminated = self._settled(worlds) & ~fresh
+        truncated = (worlds.time >= self.problem.horizon) & ~terminated
+        ended = terminated | truncated
+        self._worlds, self._ended = worlds, ended
+        rewards = self._rewards(fresh, ended)
+        infos = self._infos(np.ones(self.num_envs, dtype=bool))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            infos = self._restarted(ended, infos)
+        return joint_observations(self._dynamics, self._worlds, self._dtype), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return one picture of every world in the render mode "rgb_array", else None."""
+        if self.render_mode is None:
+            return None
+        worlds, picture = self._present(), Picture(self.problem)
+        holds = core.letters(self._dynamics, worlds.states) & ~worlds.failed
+        names, satisfied = self.problem.automaton.propositions, core.satisfied(self._dynamics, worlds)
+        over = self._settled(worlds) | (worlds.time >= self.problem.horizon)
+        frames = []
+        for k in range(self.num_envs):
+            letter = [names[p] for p in np.flatnonzero(holds[:, k])]
+            verdict = verdict_text(bool(satisfied[k]), bool(worlds.failed[k]), bool(over[k]))
+            frames.append(picture.frame(self._track[: worlds.time[k] + 1, k], int(worlds.q[k]), letter, verdict))
+        return tuple(frames)
+
+    def _moved(self, worlds: core.Worlds, inputs: tuple[np.ndarray, ...], moving: np.ndarray) -> core.Worlds:
+        """Move some of the worlds; noise is drawn for them alone."""
+        if moving.all():
+            return core.transition(self._dynamics, worlds, inputs, self._noise(moving))
+        part = core.Worlds(
+            tuple(x[..., moving] for x in worlds.states),
+            worlds.q[moving], worlds.time[moving], worlds.failed[moving], worlds.accepted[moving],
+        )  # fmt: skip
+        after = core.transition(self._dynamics, part, tuple(u[..., moving] for u in inputs), self._noise(moving))
+        states = tuple(x.copy() for x in worlds.states)
+        for x, new in zip(states, after.states):
+            x[..., moving] = new
+        marks = {name: getattr(worlds, name).copy() for name in ("q", "time", "failed", "accepted")}
+        for name, values in marks.items():
+            values[moving] = getattr(after, name)
+        return core.Worlds(states, **marks)
+
+    def _noise(self, moving: np.ndarray) -> tuple[np.ndarray, ...]:
+        return core.noise(self._dynamics, self.np_random, int(moving.sum()))
+
+    def _settled(self, worlds: core.Worlds) -> np.ndarray:
+        """Whether nothing can change the verdict any more, bool (M,)."""
+        return np.asarray(worlds.failed | self.problem.automaton.absorbing[worlds.q])
+
+    def _rewards(self, fresh: np.ndarray, ended: np.ndarray) -> np.ndarray:
+        worlds = self._present()
+        rewards = np.where(fresh, 0.0, core.satisfied(self._dynamics, worlds).astype(np.float64))
+        if self._potential is None:
+            return rewards
+        levels = self._potential.at(worlds)
+        rewards = rewards + np.where(fresh, 0.0, self.discount * np.where(ended, 0.0, levels) - self._levels)
+        self._levels = levels
+        return rewards
+
+    def _restarted(self, ended: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
+        """Restart ended worlds within the step; return the infos with what was before beside them."""
+        final = joint_observations(self._dynamics, self._present(), self._dtype)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended):
+            observations[k] = final[k].copy()
+        before = {name: values for name, values in infos.items() if not name.startswith("_")}
+        masks = {f"_{name}": ended.copy() for name in before}
+        self._worlds = core.restart(self._dynamics, self._present(), ended, self.np_random)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._relevel(ended)
+        return {
+            **self._infos(np.ones(self.num_envs, dtype=bool)),
+            "final_obs": observations,
+            "_final_obs": ended.copy(),
+            "final_info": {**before, **masks},
+            "_final_info": ended.copy(),
+        }
+
+    def _relevel(self, which: np.ndarray) -> None:
+        if self._potential is not None:
+            self._levels = np.where(which, self._potential.at(self._present()), self._levels)
+
+    def _infos(self, which: np.ndarray) -> dict[str, Any]:
+        worlds = self._present()
+        if self.render_mode is not None:
+            self._track[worlds.time, np.arange(self.num_envs)] = core.joint(self._dynamics, worlds)
+        values = {
+            "automaton_state": worlds.q.copy(),
+            "satisfied": np.array(core.satisfied(self._dynamics, worlds)),
+            "time": worlds.time.copy(),
+            "state": core.joint(self._dynamics, worlds),
+        }
+        return {**values, **{f"_{name}": which.copy() for name in values}}
+
+    def _present(self) -> core.Worlds:
+        if self._worlds is None:
+            raise RuntimeError("call `reset` first")
+        return self._worlds
+
+    def _mask(self, value: Any) -> np.ndarray:
+        if value is None:
+            return np.ones(self.num_envs, dtype=bool)
+        mask = np.array(value)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(f"`reset_mask`: expected {self.num_envs} Booleans, one of them true, got {value!r}")
+        return mask

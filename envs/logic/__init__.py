@@ -1,0 +1,27 @@
+"""From a formula, HOA text or a table of transitions to the minimal automaton. Knows no agents."""
+
+from .automaton import SEMANTICS, Automaton
+from .by_hand import automaton_from_transitions
+from .formula import RESERVED, Formula, FormulaError
+from .guard_diagrams import letter_text
+from .hoa import automaton_from_hoa
+from .normal_form import NormalForm
+from .parser import parse_formula
+from .rebuilt import over_propositions, with_sides
+from .translation import translate
+
+__all__ = [
+    "Automaton",
+    "Formula",
+    "FormulaError",
+    "NormalForm",
+    "RESERVED",
+    "SEMANTICS",
+    "automaton_from_hoa",
+    "automaton_from_transitions",
+    "letter_text",
+    "over_propositions",
+    "parse_formula",
+    "translate",
+    "with_sides",
+]

@@ -1,0 +1,156 @@
+"""Translation by the program MONA, where it is installed: an independent second opinion.
+
+A formula in negation normal form becomes a first-order sentence over the positions of a finite string (M2L-Str): the
+term at position p is a formula with the free position p, starting from position 0. MONA answers with the minimal
+automaton, its transitions as ternary cubes. Its first step reads Boolean variables, of which we have none, and is
+skipped. Everything happens in a private temporary directory.
+
+For co-safe formulas the sentence says "this finite string proves the formula" (X and windows are strong, and there is
+no release), which every extension of the string keeps; the accepting states are then made absorbing and closed like
+those of the built-in translator.
+
+Reference: MONA 1.4, https://www.brics.dk/mona/.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from .decision_diagram import DecisionDiagrams
+from .formula import FormulaError
+from .guard_diagrams import CONFLICT, MISSING, joined_guards
+from .minimal import StateGraph
+from .normal_form import Term
+
+_TIMEOUT = 120.0  # seconds
+
+
+def mona_available() -> bool:
+    """Return whether the program ``mona`` is on the path."""
+    return shutil.which("mona") is not None
+
+
+def mona_states(term: Term, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
+    """Return the automaton of `term` as MONA computes it (for finite strings; co-safe: not yet absorbing).
+
+    Raises
+    ------
+    ValueError
+        If the program is not on the path or fails.
+    FormulaError
+        If it needs more than `max_states` states, or more than two minutes.
+    """
+    used = sorted(_used(term))
+    declaration = f"var2 {', '.join(f'P{i}' for i in used)};\n" if used else ""
+    text = f"m2l-str;\n{declaration}ex1 p: (~(ex1 q: q < p) & {_Encoder(co_safe).at(term, 'p')});\n"
+    return _parsed(_run(text), used, propositions, max_states)
+
+
+def _used(term: Term) -> set[int]:
+    found: set[int] = set()
+    seen: set[Term] = set()
+    stack = [term]
+    while stack:
+        part = stack.pop()
+        if part not in seen:
+            seen.add(part)
+            stack.extend(part.operands)
+            if part.literal is not None:
+                found.add(part.literal[0])
+    return found
+
+
+class _Encoder:
+    """Writer of terms as MONA formulas with one free position."""
+
+    def __init__(self, co_safe: bool) -> None:
+        self.co_safe = co_safe
+        self.count = 0
+
+    def fresh(self) -> str:
+        self.count += 1
+        return f"x{self.count}"
+
+    def at(self, term: Term, p: str) -> str:
+        """Return the formula that `term` holds at position `p`."""
+        if term.literal is not None:
+            proposition, positive = term.literal
+            return f"{p} in P{proposition}" if positive else f"{p} notin P{proposition}"
+        if term.operator in ("true", "false"):
+            return term.operator
+        if term.operator in ("&", "|"):
+            return "(" + f" {term.operator} ".join([self.at(part, p) for part in term.operands]) + ")"
+        if term.bounds is not None:
+            return self.window(term, term.bounds, p)
+        q, r = self.fresh(), self.fresh()
+        left, right = self.at(term.operands[0], r), self.at(term.operands[1], q)
+        between = f"{p} <= {r} & {r} < {q}"
+        if term.operator == "U":
+            return f"(ex1 {q}: ({p} <= {q} & {right} & (all1 {r}: (({between}) => {left}))))"
+        return f"(all1 {q}: ({p} <= {q} => ({right} | (ex1 {r}: ({between} & {left})))))"
+
+    def window(self, term: Term, bounds: tuple[int, int], p: str) -> str:
+        low, high = bounds
+        q = self.fresh()
+        body = self.at(term.operands[0], q)
+        inside = f"({p} + {low} <= {q} & {q} <= {p} + {high})"
+        if term.operator == "F[]":
+            return f"(ex1 {q}: ({inside} & {body}))"
+        always = f"(all1 {q}: ({inside} => {body}))"
+        if not self.co_safe:
+            return always
+        end = self.fresh()
+        return f"({always} & (ex1 {end}: {end} = {p} + {high}))"
+
+
+def _run(text: str) -> str:
+    """Return what MONA prints about the formula in `text`."""
+    program = shutil.which("mona")
+    if program is None:
+        raise ValueError('`backend`: expected the program mona on the path for "mona", found none; use "builtin"')
+    with tempfile.TemporaryDirectory(prefix="certigym-mona-") as folder:
+        (Path(folder) / "formula.mona").write_text(text, encoding="ascii")
+        try:
+            done = subprocess.run(
+                [program, "-q", "-w", "-u", "formula.mona"],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise FormulaError(f"mona took more than {_TIMEOUT:.0f} s; simplify the formula") from error
+    if done.returncode != 0 or "Transitions:" not in done.stdout:
+        message = (done.stderr or done.stdout).strip()[:300]
+        raise ValueError(f"`backend`: mona failed with status {done.returncode}: {message}")
+    return done.stdout
+
+
+def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_states: int) -> StateGraph:
+    """Return the automaton printed by MONA."""
+    count = re.search(r"^Automaton has (\d+) states?", output, re.MULTILINE)
+    accept = re.search(r"^Accepting states: *([\d ]*)$", output, re.MULTILINE)
+    if count is None or accept is None:
+        raise ValueError(f"`backend`: cannot read the answer of mona: {output[:300]!r}")
+    n_states = int(count.group(1))
+    if n_states > max_states + 1:
+        raise FormulaError(f"the automaton needs more than `max_states` = {max_states} states")
+    diagrams = DecisionDiagrams()
+    guarded: list[list[tuple[int, int]]] = [[] for _ in range(n_states)]
+    for source, cube, target in re.findall(r"^State (\d+): ([01X]*) *-> state (\d+)$", output, re.MULTILINE):
+        literals = [diagrams.literal(p, bit == "1") for p, bit in zip(used, cube, strict=True) if bit != "X"]
+        guarded[int(source)].append((diagrams.conjoin_all(literals), int(target)))
+    roots = [joined_guards(diagrams, pairs) for pairs in guarded]
+    for root in roots:
+        if set(diagrams.leaves(root)) & {MISSING, CONFLICT}:
+            raise ValueError("`backend`: the transitions printed by mona are not deterministic and complete")
+    if not diagrams.is_terminal(roots[0]):
+        raise ValueError("`backend`: expected the first step of mona's automaton to depend on no proposition")
+    accepting = {int(q) for q in accept.group(1).split()}
+    initial = diagrams.value(roots[0])
+    return StateGraph(propositions, diagrams, roots, [q in accepting for q in range(n_states)], initial)

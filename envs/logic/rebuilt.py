@@ -1,0 +1,112 @@
+"""Automata from diagrams, and automata over other propositions than the given ones.
+
+Every automaton is put together here: nodes of a diagram manager become the flat arrays of the record, numbered in the
+order in which they are first met, so that equal diagrams give equal arrays and equal fingerprints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .automaton import Automaton, checked_names
+from .decision_diagram import DecisionDiagrams
+
+NodeMaker = Callable[[DecisionDiagrams, int, int, int], int]
+"""From a manager, the number of the tested proposition and the nodes for false and true to the new node."""
+
+
+def automaton_from_diagrams(
+    propositions: Sequence[str],
+    semantics: str,
+    state_names: Sequence[str],
+    initial: int,
+    accepting: Any,
+    manager: DecisionDiagrams,
+    roots: Sequence[int],
+) -> Automaton:
+    """Return the automaton whose state q moves by the diagram ``roots[q]`` (exact)."""
+    number: dict[int, int] = {}
+    for root in roots:
+        for n in manager.nodes(root):
+            if not manager.is_terminal(n):
+                number.setdefault(n, len(number))
+
+    def entry(n: int) -> int:
+        return -1 - manager.value(n) if manager.is_terminal(n) else number[n]
+
+    return Automaton(
+        propositions=tuple(propositions),
+        semantics=semantics,
+        state_names=tuple(state_names),
+        initial=initial,
+        accepting=np.array(accepting, dtype=bool),
+        root=np.array([entry(n) for n in roots], dtype=np.int32),
+        variable=np.array([manager.variable(n) for n in number], dtype=np.int32),
+        low=np.array([entry(manager.low(n)) for n in number], dtype=np.int32),
+        high=np.array([entry(manager.high(n)) for n in number], dtype=np.int32),
+    )
+
+
+def over_propositions(automaton: Automaton, order: Sequence[str]) -> Automaton:
+    """Return the same automaton over other propositions: another order, unused ones added or left out (exact).
+
+    Raises
+    ------
+    ValueError
+        If a proposition on which a transition depends is not in `order`.
+    """
+    order = checked_names("order", order)
+    if order == automaton.propositions:
+        return automaton
+    place = {name: i for i, name in enumerate(order)}
+    tested = [automaton.propositions[p] for p in sorted({int(p) for p in automaton.variable})]
+    missing = [name for name in tested if name not in place]
+    if missing:
+        raise ValueError(f"`order`: expected all propositions that the transitions test, {missing[0]!r} is missing")
+
+    def node(manager: DecisionDiagrams, variable: int, low: int, high: int) -> int:
+        return manager.choose(place[automaton.propositions[variable]], low, high)
+
+    return _rebuilt(automaton, order, node)
+
+
+def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Automaton:
+    """Return the automaton that tests all sides of a region where the given one tests the region (exact).
+
+    Parameters
+    ----------
+    automaton : Automaton
+    sides : mapping
+        By the name of a region, the propositions whose conjunction it is.
+    """
+    sides_of = [sides.get(name, (name,)) for name in automaton.propositions]
+    order = [side for names in sides_of for side in names]
+    place = {side: i for i, side in enumerate(order)}
+
+    def node(manager: DecisionDiagrams, variable: int, low: int, high: int) -> int:
+        for side in reversed(sides_of[variable]):
+            high = manager.choose(place[side], low, high)
+        return high
+
+    return _rebuilt(automaton, order, node)
+
+
+def _rebuilt(automaton: Automaton, order: Sequence[str], node: NodeMaker) -> Automaton:
+    """The automaton over the propositions ``order`` whose nodes are made anew by ``node``."""
+    manager = DecisionDiagrams()
+    nodes: list[int] = [-1] * automaton.variable.size
+
+    def child(entry: int) -> int:
+        return nodes[entry] if entry >= 0 else manager.terminal(-1 - entry)
+
+    # children test later propositions than their parents, so they are made first
+    for n in np.argsort(-automaton.variable, kind="stable"):
+        low, high = child(int(automaton.low[n])), child(int(automaton.high[n]))
+        nodes[n] = node(manager, int(automaton.variable[n]), low, high)
+    roots = [child(int(entry)) for entry in automaton.root]
+    return automaton_from_diagrams(
+        order, automaton.semantics, automaton.state_names, automaton.initial, automaton.accepting, manager, roots
+    )

@@ -1,0 +1,118 @@
+"""From a formula to its minimal deterministic automaton.
+
+A state of the built-in translator is a positive Boolean function of obligations (`obligations`), expanded letter by
+letter from the formula; the sub-diagrams below the propositions are its successors, so letters are never enumerated.
+For co-safe semantics acceptance is then made absorbing and closed under "all successors accept" (`saturated`);
+finally equivalent states are merged. The first letter that the automaton reads is that of x0.
+
+Reference: THEORY.md, section 0 (words and acceptance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .automaton import Automaton, check_semantics
+from .decision_diagram import DecisionDiagrams, DiagramSizeError
+from .hoa import automaton_from_hoa
+from .minimal import StateGraph, minimal_automaton, saturated
+from .normal_form import NormalForm, Term, Terms, check_names
+from .obligations import Obligations
+from .parser import Formula, FormulaError, parse_formula
+
+__all__ = ["BACKENDS", "automaton_from_hoa", "translate"]
+
+BACKENDS = ("builtin", "mona")
+
+
+def translate(
+    formula: str | Formula,
+    propositions: Sequence[str],
+    semantics: str,
+    families: Mapping[str, Sequence[str]] | None = None,
+    backend: str = "builtin",
+    max_states: int = 10_000,
+) -> Automaton:
+    """Return the minimal complete automaton of `formula` (exact).
+
+    Parameters
+    ----------
+    formula : str or Formula
+        Formula; the syntax is described in `certigym.envs.logic.parser`.
+    propositions : sequence of str
+        All propositions; their order becomes the variable order of the diagrams.
+    semantics : str
+        ``"co-safe"``: satisfied once no continuation can violate it (the formula must be syntactically co-safe).
+        ``"finite-trace"``: LTLf, judged after the last letter.
+    families : mapping, optional
+        Members of each family, for ``all(family)`` and ``any(family)``.
+    backend : str
+        ``"builtin"``, or ``"mona"`` where the program of that name is on the path. Both give equal arrays.
+    max_states : int
+        Largest number of states (before minimisation) that is built.
+
+    Raises
+    ------
+    FormulaError
+        If the formula cannot be read, is not co-safe where it must be, or needs too many states.
+    ValueError
+        If another argument is wrong, or the back end is not available.
+
+    Examples
+    --------
+    >>> translate("F a", ["a"], "co-safe").n_states
+    2
+    >>> translate("G a", ["a"], "finite-trace").accepts([{"a"}, set()])
+    False
+    """
+    check_semantics(semantics)
+    if backend not in BACKENDS:
+        raise ValueError(f"`backend`: expected one of {', '.join(BACKENDS)}, got {backend!r}")
+    families = families or {}
+    check_names(propositions, families)
+    if not isinstance(formula, Formula):
+        formula = parse_formula(formula)
+    co_safe = semantics == "co-safe"
+    reader = NormalForm(propositions, families, co_safe)
+    term = reader.read(formula)
+    try:
+        if backend == "mona":
+            from .mona import mona_states
+
+            graph = mona_states(term, tuple(propositions), co_safe, max_states)
+        else:
+            graph = _explore(term, reader.terms, tuple(propositions), co_safe, max_states)
+        if co_safe:
+            graph = saturated(graph)
+        return minimal_automaton(graph, semantics, judge_empty_word=co_safe)
+    except DiagramSizeError as error:
+        raise FormulaError(f"the automaton is too large: {error}; simplify the formula", formula.text) from error
+
+
+def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
+    """Return the automaton whose states are the functions of obligations that some word leaves."""
+    source, target = DecisionDiagrams(), DecisionDiagrams()
+    obligations = Obligations(source, terms, len(propositions), co_safe)
+    start = obligations.start(term)
+    number = {start: 0}
+    pending = [start]
+    roots: list[int] = []
+    memo: dict[int, int] = {}
+
+    def successor(n: int) -> int | None:
+        if source.variable(n) < len(propositions):
+            return None
+        if n not in number:
+            number[n] = len(number)
+            pending.append(n)
+            if len(number) > max_states:
+                raise FormulaError(
+                    f"the automaton needs more than `max_states` = {max_states} states; "
+                    "simplify the formula, shorten its bounds or raise the limit"
+                )
+        return target.terminal(number[n])
+
+    for state in pending:  # grows while it is read
+        roots.append(source.rebuild(obligations.advance(state), target, successor, memo))
+    accepting = [obligations.holds_at_end(state) for state in pending]
+    return StateGraph(propositions, target, roots, accepting, 0)

@@ -1,0 +1,17 @@
+"""What a problem looks like: scenes, rendered frames, a window, drawings of automata."""
+
+from .automaton_drawing import automaton_to_dot, edges, places
+from .rendering import Picture, checked_render_mode, verdict_text
+from .scene import Panel, coordinate_name, panels
+
+__all__ = [
+    "Panel",
+    "Picture",
+    "automaton_to_dot",
+    "checked_render_mode",
+    "coordinate_name",
+    "edges",
+    "panels",
+    "places",
+    "verdict_text",
+]

@@ -1,0 +1,214 @@
+"""Pictures of episodes, drawn with Pillow: tracks over time, a map for planar agents, automaton state, letter, time.
+
+What never changes (axes, regions, names) is drawn once; a frame is a copy of it with the curves on top. Pillow, from
+the extra `viz`, is imported when the first picture is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..agents import shown
+from ..problem import Problem
+from .scene import Panel, panels
+from .window import Window
+
+WIDTH, HEIGHT, SIDE = 720, 480, 210
+_MARGIN = (34, 16, 10, 24)  # left, top, right, bottom of a panel
+_INK, _PALE, _PAPER = (34, 40, 49), (150, 156, 166), (255, 255, 255)
+_AGENTS = (
+    (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189),
+    (255, 127, 14), (23, 165, 185), (140, 86, 75), (200, 80, 160),
+)  # fmt: skip
+_REGIONS = (
+    (198, 224, 205), (247, 205, 196), (205, 218, 240), (248, 232, 190),
+    (224, 209, 238), (203, 232, 235), (236, 214, 200), (222, 226, 205),
+)  # fmt: skip
+_VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
+_STATES_SHOWN, _PANELS_SHOWN = 9, 12
+
+
+def checked_render_mode(value: Any, known: Sequence[str]) -> str | None:
+    """Return a render mode if it is None or known, or raise ValueError."""
+    if value is not None and value not in known:
+        raise ValueError(f"`render_mode`: expected None or {' or '.join(map(repr, known))}, got {shown(value)}")
+    return None if value is None else str(value)
+
+
+def verdict_text(satisfied: bool, failed: bool, over: bool) -> str:
+    """Return the verdict on an episode in words, "" while it is open."""
+    return "satisfied" if satisfied else "failed" if failed else "not satisfied" if over else ""
+
+
+class Picture:
+    """Draws the episodes of one problem.
+
+    Parameters
+    ----------
+    problem : Problem
+    caption : str
+        A line below the name, such as a certified bound.
+
+    Raises
+    ------
+    ImportError
+        Without Pillow.
+    """
+
+    def __init__(self, problem: Problem, caption: str = "") -> None:
+        try:
+            from PIL import Image, ImageDraw, ImageFont
+        except ImportError as error:
+            raise ImportError("pictures need Pillow; install it with `pip install certigym[viz]`") from error
+        self._draw = ImageDraw.Draw
+        self._font, self._small = ImageFont.load_default(13), ImageFont.load_default(11)
+        self._problem = problem
+        self._panels = panels(problem)[:_PANELS_SHOWN]
+        self._frames = _cells(len(self._panels))
+        self._colors = {name: _REGIONS[k % len(_REGIONS)] for k, name in enumerate(_region_names(self._panels))}
+        self._background = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
+        self._window: Window | None = None
+        draw = self._draw(self._background, "RGBA")
+        for panel, cell in zip(self._panels, self._frames):
+            self._axes(draw, panel, cell)
+        self._side(draw, caption)
+
+    def frame(self, track: np.ndarray, q: int, letter: Sequence[str], verdict: str) -> np.ndarray:
+        """Return one picture, uint8 (height, width, 3).
+
+        Parameters
+        ----------
+        track : np.ndarray, shape (t + 1, D)
+            Joint states at times 0 to t.
+        q : int
+            Automaton state.
+        letter : sequence of str
+            Propositions that hold.
+        verdict : str
+            "" while undecided.
+        """
+        image = self._background.copy()
+        draw = self._draw(image)
+        for panel, cell in zip(self._panels, self._frames):
+            for curve in panel.curves:
+                points = self._points(panel, cell, track @ curve.rows.T)
+                color = _AGENTS[curve.number % len(_AGENTS)]
+                if len(points) > 1:
+                    draw.line(points, fill=color, width=2)
+                for x, y in points[:-1]:
+                    draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
+                x, y = points[-1]
+                draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=_PAPER)
+                if len(panel.curves) <= 8:
+                    width = 6 * len(curve.name)
+                    place = x + 8 if x + 8 + width < cell[2] else x - 12 - width
+                    draw.text((place, y - 7 if place > x else y - 18), curve.name, fill=color, font=self._small)
+        self._status(draw, len(track) - 1, q, letter, verdict)
+        return np.array(image)
+
+    def show(self, frame: np.ndarray) -> None:
+        """Show a frame in a window (needs pygame)."""
+        if self._window is None:
+            self._window = Window(self._problem.name, WIDTH, HEIGHT)
+        self._window.show(frame)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _points(self, panel: Panel, cell: tuple[int, ...], y: np.ndarray) -> list[tuple[float, float]]:
+        """Pixels of a curve (t + 1, k), kept within the panel."""
+        left, top, right, bottom = cell
+        share = (y - np.array(panel.low)) / (np.array(panel.high) - np.array(panel.low))
+        share = np.clip(np.nan_to_num(share, nan=0.0), -0.02, 1.02)
+        across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
+        return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
+
+    def _axes(self, draw: Any, panel: Panel, cell: tuple[int, ...]) -> None:
+        left, top, right, bottom = cell
+        for region in panel.regions:
+            corners = self._points(panel, cell, np.array([region.low, region.high]))
+            (x0, y1), (x1, y0) = corners
+            if not panel.is_map:
+                x0, x1 = left, right
+            color = self._colors[region.name]
+            draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=tuple(c * 3 // 4 for c in color))
+        taken: list[tuple[float, float]] = []
+        for region in panel.regions:
+            (x0, y1), (_, y0) = self._points(panel, cell, np.array([region.low, region.high]))
+            place = (x0 + 3, y0 + 1) if panel.is_map else (right - 6 * len(region.name) - 6, y0)
+            while any(abs(place[0] - x) < 6 * len(region.name) and abs(place[1] - y) < 11 for x, y in taken):
+                place = (place[0], place[1] + 12)
+            taken.append(place)
+            if y1 - y0 >= 10:
+                draw.text(place, region.name, fill=(96, 100, 108), font=self._small)
+        draw.rectangle(cell, outline=_INK)
+        for value, y in ((panel.high[-1], top - 4), (panel.low[-1], bottom - 10)):
+            text = f"{value:g}"
+            draw.text((left - 5 - 6 * len(text), y), text, fill=_INK, font=self._small)
+        ends = (panel.low[0], panel.high[0]) if panel.is_map else (0, self._problem.horizon)
+        draw.text((left, bottom + 4), f"{ends[0]:g}" if panel.is_map else "t = 0", fill=_INK, font=self._small)
+        draw.text((right - 8 * len(f"{ends[1]:g}"), bottom + 4), f"{ends[1]:g}", fill=_INK, font=self._small)
+
+    def _side(self, draw: Any, caption: str) -> None:
+        x = WIDTH - SIDE + 12
+        draw.text((x, 14), self._problem.name[:32], fill=_INK, font=self._font)
+        draw.text((x, 32), caption[:36], fill=_INK, font=self._small)
+        draw.text((x, 82), "task automaton", fill=_PALE, font=self._small)
+        for k, q in enumerate(self._listed()):
+            self._state(draw, k, q, False)
+        draw.text((x, 330), "holds", fill=_PALE, font=self._small)
+
+    def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
+        x = WIDTH - SIDE + 12
+        draw.text((x, 54), f"t = {time} of {self._problem.horizon}", fill=_INK, font=self._font)
+        if q in (listed := self._listed()):
+            self._state(draw, listed.index(q), q, True)
+        else:
+            self._state(draw, _STATES_SHOWN, q, True)
+        lines, line = [], ""
+        for name in letter:
+            if len(line) + len(name) > 30:
+                lines.append(line)
+                line = ""
+            line += ("" if not line else ", ") + name
+        lines.append(line or "none")
+        for k, text in enumerate(lines[:5]):
+            draw.text((x, 346 + 14 * k), text if k < 4 or len(lines) <= 5 else "...", fill=_INK, font=self._small)
+        if verdict:
+            draw.text((x, 440), verdict, fill=_VERDICTS[verdict], font=self._font)
+
+    def _listed(self) -> list[int]:
+        return list(range(min(self._problem.automaton.n_states, _STATES_SHOWN)))
+
+    def _state(self, draw: Any, place: int, q: int, current: bool) -> None:
+        x, y = WIDTH - SIDE + 22, 108 + 22 * place
+        automaton = self._problem.automaton
+        fill = _INK if current else _PAPER
+        draw.ellipse((x - 8, y - 8, x + 8, y + 8), fill=fill, outline=_INK)
+        if automaton.accepting[q]:
+            draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline=_PAPER if current else _INK)
+        name = automaton.state_names[q] + (" (no way out)" if automaton.dead[q] else "")
+        draw.text((x + 14, y - 7), name[:26], fill=_INK if current else _PALE, font=self._small)
+
+
+def _region_names(shown_panels: Sequence[Panel]) -> list[str]:
+    return list(dict.fromkeys(region.name for panel in shown_panels for region in panel.regions))
+
+
+def _cells(n: int) -> list[tuple[int, int, int, int]]:
+    """Places of n panels, in one column or, from four on, two: left, top, right, bottom."""
+    columns = 1 if n <= 3 else 2
+    rows = -(-n // columns)
+    width, height = (WIDTH - SIDE) // columns, HEIGHT // rows
+    left, top, right, bottom = _MARGIN
+    result = []
+    for k in range(n):
+        x, y = (k % columns) * width, (k // columns) * height
+        result.append((x + left, y + top, x + width - right, y + height - bottom))
+    return result

@@ -1,0 +1,135 @@
+"""What a picture of a problem shows: panels, the curves in them and the regions behind (data only, nothing is drawn).
+
+An agent is shown by the output axes that its regions restrict, at most two of them: one axis gives a track over time,
+two a point on a map. Scalar agents named `x_S` and `y_S` are the two coordinates of one robot S and share a map.
+Agents whose panels would have the same axes and the same regions share a panel; all on a map of equal limits do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..agents import Box, LinearAgent
+from ..problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A box behind the curves of a panel: its name (of the family, if it has one) and corners on the panel's axes."""
+
+    name: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One agent, or one robot made of two: name, position among all curves, rows (k, D) on the joint state."""
+
+    name: str
+    number: int
+    rows: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Axes with k = 1 (over time) or 2 (a map) coordinates: limits, regions and curves."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    regions: tuple[Region, ...]
+    curves: tuple[Curve, ...]
+
+    @property
+    def is_map(self) -> bool:
+        """Whether both axes are coordinates."""
+        return len(self.low) == 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    curve: Curve
+    box: Box
+    regions: tuple[Region, ...]
+
+
+def panels(problem: Problem) -> tuple[Panel, ...]:
+    """Return the panels of a problem, in the order in which its agents first appear."""
+    shown: dict[str, _Shown] = {}
+    starts = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
+    pairs = {name for name in problem.agent_names if name.startswith("x_") and f"y_{name[2:]}" in problem.agent_names}
+    for i, agent in enumerate(problem.agents):
+        part = _agent(problem, i, int(starts[i]), len(shown))
+        robot = agent.name[2:]
+        if agent.name.startswith(("x_", "y_")) and f"x_{robot}" in pairs and len(part.box.low) == 1:
+            key = f"robot {robot}"
+            shown[key] = _robot(key, shown[key], part) if key in shown else part
+        else:
+            shown[agent.name] = part
+    groups: dict[object, list[_Shown]] = {}
+    for part in shown.values():
+        axes = (tuple(part.box.low), tuple(part.box.high), len(part.box.low) == 2 or _signature(part.regions))
+        groups.setdefault(axes, []).append(part)
+    return tuple(_panel(group) for group in groups.values())
+
+
+def _panel(group: list[_Shown]) -> Panel:
+    regions = {(r.name, r.low, r.high): r for part in group for r in part.regions}
+    box = group[0].box
+    return Panel(
+        tuple(map(float, box.low)), tuple(map(float, box.high)), tuple(regions.values()),
+        tuple(part.curve for part in group),
+    )  # fmt: skip
+
+
+def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
+    return tuple(sorted((r.name, r.low, r.high) for r in regions))
+
+
+def _agent(problem: Problem, i: int, start: int, number: int) -> _Shown:
+    """One agent on the axes that its regions restrict."""
+    agent = problem.agents[i]
+    low, high = _output_box(agent)
+    families = {member: family for family, members in problem.families.items() for member in members}
+    own = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
+    restricted = np.zeros(agent.n_outputs, dtype=bool)
+    for _, proposition in own:
+        restricted |= (proposition.low > low) | (proposition.high < high)
+    axes = np.flatnonzero(restricted)[:2] if restricted.any() else np.arange(min(2, agent.n_outputs))
+    rows = np.zeros((len(axes), problem.n_states))
+    rows[:, start : start + agent.n_states] = agent.output_matrix[axes]
+    regions = tuple(
+        Region(
+            name,
+            tuple(np.maximum(proposition.low, low)[axes].tolist()),
+            tuple(np.minimum(proposition.high, high)[axes].tolist()),
+        )
+        for name, proposition in own
+    )
+    return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
+
+
+def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
+    """Two scalar agents as the coordinates of one robot; a region of one of them becomes a band."""
+    low, high = np.append(x.box.low, y.box.low), np.append(x.box.high, y.box.high)
+    bands = [Region(r.name, (r.low[0], float(low[1])), (r.high[0], float(high[1]))) for r in x.regions]
+    bands += [Region(r.name, (float(low[0]), r.low[0]), (float(high[0]), r.high[0])) for r in y.regions]
+    rows = np.concatenate([x.curve.rows, y.curve.rows])
+    return _Shown(Curve(name, x.curve.number, rows), Box(low, high), tuple(bands))
+
+
+def _output_box(agent: LinearAgent) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest box around the outputs in the workspace (up to rounding)."""
+    ends = np.stack([agent.output_matrix * agent.state_low, agent.output_matrix * agent.state_high])
+    return ends.min(axis=0).sum(axis=-1), ends.max(axis=0).sum(axis=-1)
+
+
+def coordinate_name(problem: Problem, k: int) -> str:
+    """Joint coordinate k in words."""
+    for agent in problem.agents:
+        if k < agent.n_states:
+            return agent.name if agent.n_states == 1 else f"{agent.name}[{k}]"
+        k -= agent.n_states
+    raise AssertionError("a coordinate beyond the joint state")

@@ -1,0 +1,15 @@
+"""A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
+
+from .problem_file import load_problem, problem_from_dict
+from .record import Problem, checked_problem
+from .specification import Specification
+from .split import split_axes
+
+__all__ = [
+    "Problem",
+    "Specification",
+    "checked_problem",
+    "load_problem",
+    "problem_from_dict",
+    "split_axes",
+]

@@ -1,0 +1,248 @@
+"""Problem files: TOML, read into a `Problem`, with errors that name file, table and field.
+
+Layout of a file:
+
+    name = "my-task"
+    horizon = 12
+    [[agents]]                        # the arguments of `LinearAgent`; `copies = 20` makes name_0 ... name_19
+    [propositions]
+    goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
+    [specification]
+    formula = "F goal"                # with semantics = "co-safe" or "finite-trace"
+    # or: hoa = "HOA text, or the path of a file that holds it"
+    # or by hand: semantics, states, initial, accepting, transitions = [[source, guard, target], ...], otherwise
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from ..agents import LinearAgent, Proposition, shown
+from ..logic import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
+from .families import checked_propositions, expand
+from .record import Problem
+from .specification import Specification
+
+MAX_AGENTS = 10_000
+_AGENT = tuple(signature(LinearAgent).parameters)
+_BY_HAND = ("states", "initial", "accepting", "transitions")
+_ALTERNATIVES = ("formula", "hoa", "states", "automaton")
+
+
+def load_problem(path: str | Path) -> Problem:
+    """Read a problem file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file; its layout is described in the module docstring.
+
+    Raises
+    ------
+    ValueError
+        With one line that names the file, the table and the field, whatever is wrong.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{shown(str(path))}: expected UTF-8 text, got byte {error.start} that is none") from error
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"{shown(str(path))}: expected a readable problem file, got: {reason}") from error
+    return problem_from_toml(text, source=path.name, folder=path.parent)
+
+
+def problem_from_toml(text: str, source: str = "problem file", folder: Path | None = None) -> Problem:
+    """Return the problem that a TOML text describes.
+
+    Parameters
+    ----------
+    text : str
+    source : str
+        Name of the text in errors.
+    folder : Path, optional
+        Where relative paths (`hoa`) start; without it the text may not refer to files.
+
+    Raises
+    ------
+    ValueError
+        With one line that names source, table and field.
+    """
+    try:
+        data = tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
+        raise ValueError(f"{source}: expected TOML, got: {_line(error)}") from error
+    except RecursionError as error:
+        raise ValueError(f"{source}: expected TOML, got arrays or tables nested too deeply") from error
+    try:
+        return problem_from_dict(data, folder)
+    except ValueError as error:
+        raise ValueError(f"{source}: {_line(error)}") from error
+
+
+def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Problem:
+    """Return the problem that plain values describe, keyed as in problem files.
+
+    Raises
+    ------
+    ValueError
+        With one line that names table and field.
+    """
+    _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"))
+    agents = _agents(data["agents"])
+    propositions = _propositions(data["propositions"])
+    expand(propositions, [agent.name for agent in agents])
+    specification = _specification(data["specification"], propositions, agents, folder)
+    try:
+        return Problem(
+            name=data["name"],
+            horizon=data["horizon"],
+            agents=agents,
+            propositions=propositions,
+            specification=specification,
+        )
+    except FormulaError as error:
+        raise ValueError(f"[specification]: `formula`: {_line(error)}") from error
+
+
+def _agents(tables: Any) -> list[LinearAgent]:
+    if not isinstance(tables, list) or not tables:
+        raise ValueError(f"[[agents]]: expected at least one table, got {shown(tables)}")
+    agents: list[LinearAgent] = []
+    for position, table in enumerate(tables):
+        where = f"[[agents]] number {position + 1}"
+        if isinstance(table, Mapping) and isinstance(table.get("name"), str):
+            where += f" ({shown(table['name'], 40)})"
+        optional = ("copies", "initial_state", "initial_low", "initial_high", "output_matrix", "offset")
+        _check_keys(table, where, tuple(key for key in _AGENT if key not in optional), optional)
+        copies = table.get("copies")
+        most = MAX_AGENTS - len(agents)
+        if copies is not None and (isinstance(copies, bool) or not isinstance(copies, int) or not 1 <= copies <= most):
+            raise ValueError(f"{where}: `copies`: expected an integer from 1 to {most}, got {shown(copies)}")
+        agent = _prefixed(where, lambda table=table: LinearAgent(**{k: v for k, v in table.items() if k != "copies"}))
+        agents.extend([agent] if copies is None else agent.copies(copies))
+    return agents
+
+
+def _propositions(table: Any) -> dict[str, Proposition]:
+    if not isinstance(table, Mapping):
+        raise ValueError(f"[propositions]: expected a table, got {shown(table)}")
+    result = {}
+    for name, value in table.items():
+        where = f"[propositions] {shown(name)}"
+        _check_keys(value, where, ("agent", "low", "high"))
+        result[name] = _prefixed(where, lambda value=value: Proposition(**value))
+    return checked_propositions(result)
+
+
+def _specification(
+    table: Any, propositions: Mapping[str, Proposition], agents: Sequence[LinearAgent], folder: Path | None
+) -> Specification:
+    where = "[specification]"
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{where}: expected a table, got {shown(table)}")
+    given = [key for key in _ALTERNATIVES if key in table]
+    if len(given) != 1:
+        _check_keys(table, where, (), (*_ALTERNATIVES, *_BY_HAND, "semantics", "otherwise"))
+        got = ", ".join(given) or "none"
+        raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
+    if given == ["formula"]:
+        _check_keys(table, where, ("formula", "semantics"))
+        return _prefixed(where, lambda: Specification(table["formula"], table["semantics"]))
+    names, families = expand(propositions, [agent.name for agent in agents])
+    if given == ["hoa"]:
+        _check_keys(table, where, ("hoa",), ("semantics",))
+        text = _hoa_text(table["hoa"], folder)
+        automaton = _prefixed(f"{where} `hoa`", lambda: automaton_from_hoa(text, list(names)))
+    elif given == ["automaton"]:
+        _check_keys(table, where, ("automaton",), ("semantics",))
+        if not isinstance(table["automaton"], Mapping):
+            raise ValueError(f"{where}: `automaton`: expected a table, got {shown(table['automaton'])}")
+        automaton = _prefixed(f"{where} `automaton`", lambda: Automaton.from_dict(table["automaton"]))
+    else:
+        automaton = _prefixed(where, lambda: _by_hand(table, list(names), families))
+    return _prefixed(where, lambda: Specification(semantics=table.get("semantics"), automaton=automaton))
+
+
+def _hoa_text(value: Any, folder: Path | None) -> str:
+    where = "[specification] `hoa`"
+    if not isinstance(value, str):
+        raise ValueError(f"{where}: expected HOA text or a path, got {shown(value)}")
+    if value.lstrip().startswith("HOA:"):
+        return value
+    if folder is None:
+        raise ValueError(f"{where}: expected text that starts with 'HOA:', got {shown(value)}")
+    try:
+        return (folder / value).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{where}: expected a file of UTF-8 text, got {shown(value)}") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"{where}: expected HOA text or a readable file, got {shown(value)}: {reason}") from error
+
+
+def _by_hand(table: Mapping[str, Any], names: list[str], families: Mapping[str, Sequence[str]]) -> Automaton:
+    where = "the automaton"
+    _check_keys(table, where, ("semantics", *_BY_HAND), ("otherwise",))
+    for key in ("states", "accepting"):
+        _check_strings(table[key], key)
+    rows = table["transitions"]
+    if not isinstance(rows, list):
+        raise ValueError(f"`transitions`: expected a list of [source, guard, target], got {shown(rows)}")
+    for row in rows:
+        if not isinstance(row, list) or len(row) != 3 or not all(isinstance(part, str) for part in row):
+            raise ValueError(f"`transitions`: expected [source, guard, target], three strings, got {shown(row)}")
+    for key in ("initial", "semantics", "otherwise"):
+        if key in table and not isinstance(table[key], str):
+            raise ValueError(f"`{key}`: expected a string, got {shown(table[key])}")
+    return automaton_from_transitions(
+        names,
+        table["states"],
+        table["initial"],
+        table["accepting"],
+        [(source, guard, target) for source, guard, target in rows],
+        table["semantics"],
+        otherwise=table.get("otherwise"),
+        families=families,
+    )
+
+
+def _check_strings(value: Any, key: str) -> None:
+    if not isinstance(value, list) or not all(isinstance(part, str) for part in value):
+        raise ValueError(f"`{key}`: expected a list of names, got {shown(value)}")
+
+
+def _check_keys(table: Any, where: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{where}: expected a table, got {shown(table)}")
+    required, known = list(required), [*required, *optional]
+    for key in table:
+        if key not in known:
+            close = get_close_matches(str(key), known, n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join(known)}"
+            raise ValueError(f"{where}: unknown key {shown(key)}; {remedy}")
+    for key in required:
+        if key not in table:
+            raise ValueError(f"{where}: `{key}` is missing")
+
+
+def _prefixed(where: str, make: Any) -> Any:
+    """Call `make`, and put the place in front of what it complains about."""
+    try:
+        return make()
+    except ValueError as error:
+        raise ValueError(f"{where}: {_line(error)}") from error
+
+
+def _line(error: Exception) -> str:
+    """Return the message of an error on one line; a place in a formula becomes the number of its character."""
+    if isinstance(error, FormulaError):
+        place = f" (character {error.start + 1} of the formula)" if error.text else ""
+        return " ".join(error.problem.split()) + place
+    return " ".join(str(error).split()) or type(error).__name__

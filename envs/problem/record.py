@@ -1,0 +1,353 @@
+"""A problem: agents, propositions, a specification and a horizon, checked once, when it is made.
+
+The task is judged on the word `l_0 ... l_T` of the letters met at times 0 to T = `horizon`; `l_0` is the letter of the
+start. Leaving the workspace of any agent violates. Reference: THEORY section 0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ..agents import Labeling, LinearAgent, Proposition, float_array, inside, shown
+from ..logic import Automaton, over_propositions, translate
+from .families import checked_propositions, expand
+from .groups import Group, independent_groups
+from .specification import Specification
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Problem:
+    """Agents and a task, validated; the task automaton and the labelling are built at construction.
+
+    A task that falls apart into so many independent ones that the automaton of the whole would be too large has none;
+    its parts are `tasks`, each a problem of its own (see `independent`).
+
+    Parameters
+    ----------
+    name : str
+    horizon : int
+        Number of control steps T, at least 1.
+    agents : sequence of LinearAgent
+        Each with a start.
+    propositions : mapping from str to Proposition, or to a dict of its arguments
+        Each of one agent. An agent name with one `*` makes a family: one member per agent that matches, named by what
+        the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...).
+    specification : Specification
+
+    Attributes
+    ----------
+    declared : mapping from str to Proposition
+        The propositions as given.
+    propositions : mapping from str to Proposition
+        Families expanded; ordered agent by agent.
+    families : mapping from str to tuple of str
+        Members of each family, in agent order.
+    labeling : Labeling
+        Membership, classes and letters.
+    groups : tuple of Group
+        Agents with independent tasks, where the automaton of the whole is not built; empty otherwise.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument, what was expected and what came.
+
+    Examples
+    --------
+    >>> agent = LinearAgent(
+    ...     name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]],
+    ...     state_low=[-20], state_high=[5], input_low=[-5], input_high=[5], initial_state=[-10],
+    ... )
+    >>> goal = Proposition("left", [0], [5])
+    >>> problem = Problem(
+    ...     name="reach", horizon=12, agents=[agent], propositions={"goal": goal},
+    ...     specification=Specification("F goal", "co-safe"),
+    ... )
+    >>> problem.automaton.n_states, problem.n_agents
+    (2, 1)
+    """
+
+    name: str
+    horizon: int
+    agents: tuple[LinearAgent, ...]
+    declared: Mapping[str, Proposition]
+    propositions: Mapping[str, Proposition]
+    families: Mapping[str, tuple[str, ...]]
+    specification: Specification
+    labeling: Labeling
+    groups: tuple[Group, ...]
+    _automaton: Automaton | None
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        horizon: int,
+        agents: Sequence[LinearAgent],
+        propositions: Mapping[str, Proposition | Mapping[str, Any]],
+        specification: Specification,
+    ) -> None:
+        if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 200:
+            raise ValueError(f"`name`: expected a line of 1 to 200 printable characters, got {shown(name)}")
+        if not isinstance(specification, Specification):
+            raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
+        members = _checked_agents(agents)
+        declared = checked_propositions(propositions)
+        expanded, families = expand(declared, [agent.name for agent in members])
+        labeling = Labeling.of(members, expanded)
+        groups = _groups(specification, labeling, families)
+        values = {
+            "name": name,
+            "horizon": checked_horizon(horizon),
+            "agents": members,
+            "declared": MappingProxyType(declared),
+            "propositions": MappingProxyType({key: expanded[key] for key in labeling.names}),
+            "families": MappingProxyType(families),
+            "specification": specification,
+            "labeling": labeling,
+            "groups": groups,
+            "_automaton": None if groups else _automaton(specification, labeling.names, families),
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    def __repr__(self) -> str:
+        task = f"{len(self.groups)} independent tasks" if self.groups else repr(self.automaton)
+        return f"Problem({self.name!r}, {self.n_agents} agents, horizon {self.horizon}, {task})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.name, self.horizon, self.agents, dict(self.declared), self.specification)
+
+    @property
+    def automaton(self) -> Automaton:
+        """Deterministic, complete automaton of the task; its propositions are ordered as `propositions`.
+
+        Raises
+        ------
+        ValueError
+            If the task falls apart into independent ones, whose joint automaton would be too large.
+        """
+        if self._automaton is None:
+            raise ValueError(
+                f"`problem`: expected a task with one automaton, got {len(self.groups)} independent tasks, whose joint "
+                "automaton would be too large; take the problems of `problem.tasks` one by one, or `parallel_env`"
+            )
+        return self._automaton
+
+    @cached_property
+    def tasks(self) -> tuple[Problem, ...]:
+        """The independent tasks as problems of their own, by their first agents; the problem itself if there is one.
+
+        The task is satisfied with the product of their probabilities, or at least that for co-safe semantics (see
+        `independent`).
+        """
+        return tuple(self._task(group) for group in self.groups) or (self,)
+
+    def _task(self, group: Group) -> Problem:
+        """The problem of one group of agents."""
+        names = self.labeling.names
+        own = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
+        members = [self.agent_names[i] for i in group.agents]
+        listed = ", ".join(members[:3]) + (", ..." if len(members) > 3 else "")
+        if self.specification.semantics == "co-safe":
+            specification = Specification(automaton=group.automaton)
+        else:
+            specification = Specification(str(group.formula), "finite-trace")
+        return Problem(
+            name=f"{self.name[:120]} ({listed[:70]})",
+            horizon=self.horizon,
+            agents=[self.agents[i] for i in group.agents],
+            propositions={name: self.propositions[name] for name in own},
+            specification=specification,
+        )
+
+    @property
+    def n_agents(self) -> int:
+        """Number of agents I."""
+        return len(self.agents)
+
+    @property
+    def agent_names(self) -> tuple[str, ...]:
+        """Names of the agents, in order."""
+        return tuple(agent.name for agent in self.agents)
+
+    @property
+    def n_states(self) -> int:
+        """Number of components D of a joint state."""
+        return sum(agent.n_states for agent in self.agents)
+
+    @cached_property
+    def initial_q(self) -> int | None:
+        """Automaton state after the letter of the start; None if there are several, or a start is outside."""
+        letter = np.zeros(len(self.propositions), dtype=bool)
+        for i, agent in enumerate(self.agents):
+            start = agent.initial
+            if not all(inside(corner, agent.state_low, agent.state_high) for corner in (start.low, start.high)):
+                return None
+            possible = self.labeling.box_classes(i, start.low, start.high)[0]
+            if possible.sum() != 1:
+                return None
+            letter[self.labeling.agent_propositions[i]] = self.labeling.classes[i][int(np.argmax(possible))]
+        return int(self.automaton.next_state(np.asarray(self.automaton.initial), letter))
+
+    def replace(
+        self,
+        *,
+        horizon: int | None = None,
+        initial_state: Any = None,
+        initial_low: Any = None,
+        initial_high: Any = None,
+        disturbance_scale: float | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """Return the problem with another horizon, name, start or noise; automata and labelling are shared.
+
+        Parameters
+        ----------
+        horizon : int, optional
+        initial_state : mapping, or array_like, optional
+            Start: a mapping from agent names to vectors (the others keep theirs), a list of vectors, or a flat joint
+            vector (D,) in agent order. `initial_low` with `initial_high`, in the same forms, give a box.
+        disturbance_scale : float, optional
+            Factor, at least 0, on the standard deviations of all noise (its square on the covariances).
+        name : str, optional
+
+        Raises
+        ------
+        ValueError
+            As at construction.
+        """
+        changed = object.__new__(Problem)
+        changed.__dict__.update(self.__dict__)
+        for cached in ("initial_q", "fingerprint", "tasks"):
+            changed.__dict__.pop(cached, None)
+        if name is not None:
+            object.__setattr__(changed, "name", name)
+        if horizon is not None:
+            object.__setattr__(changed, "horizon", checked_horizon(horizon))
+        starts = {"initial_state": initial_state, "initial_low": initial_low, "initial_high": initial_high}
+        parts = {key: self._split(value, key) for key, value in starts.items() if value is not None}
+        if parts:
+            agents = []
+            for agent in self.agents:
+                mine = {key: part[agent.name] for key, part in parts.items() if agent.name in part}
+                agents.append(agent.replace(**mine) if mine else agent)
+            object.__setattr__(changed, "agents", tuple(agents))
+        if disturbance_scale is not None:
+            factor = float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0]
+            if factor < 0.0:
+                raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
+            noisy = [a.replace(noise_covariance=factor * factor * a.noise_covariance) for a in changed.agents]
+            object.__setattr__(changed, "agents", tuple(noisy))
+        return changed
+
+    def _split(self, value: Any, argument: str) -> Mapping[str, Any]:
+        """One vector per agent name, from a mapping, a list of vectors or a flat joint vector."""
+        if isinstance(value, Mapping):
+            for key in value:
+                if key not in self.agent_names:
+                    raise ValueError(
+                        f"`{argument}`: expected agents among {', '.join(self.agent_names[:8])}, got {shown(key)}"
+                    )
+            return value
+        if isinstance(value, (list, tuple)) and value and all(np.ndim(part) == 1 for part in value):
+            if len(value) != self.n_agents:
+                raise ValueError(f"`{argument}`: expected {self.n_agents} vectors, one per agent, got {len(value)}")
+            return dict(zip(self.agent_names, value))
+        joint = float_array(value, argument, (self.n_states,), f"{[0.0] * min(self.n_states, 4)}")
+        ends = np.cumsum([agent.n_states for agent in self.agents])
+        return dict(zip(self.agent_names, np.split(joint, ends[:-1])))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of matrices, boxes, propositions, automaton, start and horizon (not of the name): 64 hex digits."""
+        data = self.to_dict()
+        del data["name"]
+        data["propositions"] = [[key, value.to_dict()] for key, value in self.propositions.items()]
+        if self.groups:
+            parts = [[group.agents, group.automaton.to_dict()] for group in self.groups]
+            data["specification"] = {"semantics": self.specification.semantics, "groups": parts}
+        else:
+            data["specification"] = self.automaton.to_dict()
+        text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the problem as plain values, keyed as in problem files (exact); `problem_from_dict` reads it back."""
+        return {
+            "name": self.name,
+            "horizon": self.horizon,
+            "agents": [agent.to_dict() for agent in self.agents],
+            "propositions": {key: value.to_dict() for key, value in self.declared.items()},
+            "specification": self.specification.to_dict(),
+        }
+
+
+def _rebuilt(*values: Any) -> Problem:
+    """Make a problem from its arguments (pickling)."""
+    return Problem(**dict(zip(("name", "horizon", "agents", "propositions", "specification"), values)))
+
+
+def checked_problem(value: Any) -> Problem:
+    """Return a problem, or raise ValueError with what to do."""
+    if not isinstance(value, Problem):
+        raise ValueError(
+            f"`problem`: expected a Problem, got {shown(value)}; make one with `make_problem`, `load_problem` or "
+            "`Problem`"
+        )
+    return value
+
+
+def checked_horizon(value: Any) -> int:
+    """Return the horizon as an int, or raise ValueError."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 1 <= value <= 10**6:
+        raise ValueError(f"`horizon`: expected an integer from 1 to 1000000 (control steps), got {shown(value)}")
+    return int(value)
+
+
+def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:
+    if not isinstance(agents, Sequence) or not agents or not all(isinstance(a, LinearAgent) for a in agents):
+        raise ValueError(f"`agents`: expected a list of at least one LinearAgent, got {shown(agents)}")
+    seen: set[str] = set()
+    for agent in agents:
+        if agent.name in seen:
+            raise ValueError(f"`agents`: expected different names, got {agent.name!r} twice; rename one")
+        seen.add(agent.name)
+        if agent.initial_low is None:
+            raise ValueError(
+                f"`agents`: expected a start for every agent, got none for {agent.name!r}; give it `initial_state`, or "
+                "`initial_low` and `initial_high`"
+            )
+    return tuple(agents)
+
+
+def _groups(
+    specification: Specification, labeling: Labeling, families: Mapping[str, tuple[str, ...]]
+) -> tuple[Group, ...]:
+    if specification.formula is None:
+        return ()
+    owners = np.repeat(np.arange(len(labeling.agents)), [len(own) for own in labeling.agent_propositions])
+    return independent_groups(
+        specification.formula, specification.semantics, labeling.names, families, owners.tolist(), len(labeling.agents)
+    )
+
+
+def _automaton(
+    specification: Specification, names: tuple[str, ...], families: Mapping[str, tuple[str, ...]]
+) -> Automaton:
+    if specification.automaton is None:
+        return translate(specification.formula or "", names, specification.semantics, families=families)
+    unknown = [name for name in specification.automaton.propositions if name not in names]
+    if unknown:
+        raise ValueError(
+            f"`automaton`: expected propositions among {shown(list(names))}, got {shown(unknown[0])}; declare it"
+        )
+    return over_propositions(specification.automaton, names)

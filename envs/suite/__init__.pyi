@@ -1,0 +1,35 @@
+from .catalogue import make_problem as make_problem
+from .catalogue import problem_ids as problem_ids
+from .ids import IDS as IDS
+from .ids import MODULES as MODULES
+from .ids import gymnasium_id as gymnasium_id
+from .make import (
+    aec_env as aec_env,
+)
+from .make import (
+    central_env as central_env,
+)
+from .make import (
+    parallel_env as parallel_env,
+)
+from .make import (
+    resolve as resolve,
+)
+from .make import (
+    vector_env as vector_env,
+)
+from .registration import register_suite as register_suite
+
+__all__ = [
+    "IDS",
+    "MODULES",
+    "aec_env",
+    "central_env",
+    "gymnasium_id",
+    "make_problem",
+    "parallel_env",
+    "problem_ids",
+    "register_suite",
+    "resolve",
+    "vector_env",
+]

@@ -1,0 +1,37 @@
+"""Park a car on a line: come to rest in the bay without having touched the forbidden stretch behind it.
+
+A classic of the field for a single agent, with more noise than its small inputs can undo at once.
+
+**Versions**: v0, first.
+"""
+
+from __future__ import annotations
+
+from ..agents import LinearAgent, Proposition
+from ..problem import Problem, Specification
+from .make import environments
+
+
+def problem(horizon: int = 60) -> Problem:
+    """Return the problem CarPark1 of the literature."""
+    car = LinearAgent(
+        name="car_0",
+        A=[[0.9]],
+        B=[[0.5]],
+        noise_covariance=[[1.0]],
+        state_low=[-10.0],
+        state_high=[10.0],
+        input_low=[-1.0],
+        input_high=[1.0],
+        initial_state=[-4.0],
+    )
+    return Problem(
+        name="car-park-v0",
+        horizon=horizon,
+        agents=[car],
+        propositions={"p1": Proposition("car_0", [4.75], [6.0]), "p2": Proposition("car_0", [6.0], [10.0])},
+        specification=Specification("!p2 U p1", "co-safe"),
+    )
+
+
+parallel_env, env, raw_env = environments("car-park-v0")

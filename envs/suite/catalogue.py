@@ -1,0 +1,65 @@
+"""The suite: problems with ids. An id changes its `-vN` when results on it change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from difflib import get_close_matches
+from importlib import import_module
+from inspect import signature
+from typing import Any
+
+from ..agents import shown
+from ..problem import Problem
+from .ids import MODULES, NAMESPACE
+
+_CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
+
+
+def problem_ids() -> tuple[str, ...]:
+    """Return the ids of the suite, in alphabetical order.
+
+    Examples
+    --------
+    >>> "reach-avoid-v0" in problem_ids()
+    True
+    """
+    return tuple(sorted(MODULES))
+
+
+def make_problem(id: str, **arguments: Any) -> Problem:
+    """Return a suite problem.
+
+    Parameters
+    ----------
+    id : str
+        One of `problem_ids()`, with or without the prefix "certigym/".
+    **arguments
+        Arguments of the problem, such as `horizon` or (where its page says so) `n_agents`; for every problem also
+        `initial_state`, or `initial_low` and `initial_high`, and `disturbance_scale`, in the forms that
+        `Problem.replace` takes.
+
+    Raises
+    ------
+    ValueError
+        If the id or an argument is unknown, or a value is wrong.
+
+    Examples
+    --------
+    >>> make_problem("invariance-v0", n_agents=3, horizon=5).n_agents
+    3
+    """
+    key = id.removeprefix(f"{NAMESPACE}/") if isinstance(id, str) else id
+    if not isinstance(key, str) or key not in MODULES:
+        close = get_close_matches(str(key), MODULES, n=1)
+        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(problem_ids())}"
+        raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
+    make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
+    changes = {name: arguments.pop(name) for name in _CHANGES if name in arguments}
+    known = list(signature(make).parameters)
+    for name in arguments:
+        if name not in known:
+            close = get_close_matches(name, [*known, *_CHANGES], n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join([*known, *_CHANGES])}"
+            raise ValueError(f"`{name}`: no argument of {key}; {remedy}")
+    problem = make(**arguments)
+    return problem.replace(**changes) if changes else problem

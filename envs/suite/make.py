@@ -1,0 +1,154 @@
+"""Environments by the id, the file or the record of a problem: PettingZoo, Gymnasium, and batches of Gymnasium.
+
+The shells of ``interfaces`` take a `Problem`; here names and paths are resolved to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pettingzoo import AECEnv
+from pettingzoo.utils.conversions import parallel_to_aec
+
+from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv
+from ..problem import Problem, load_problem
+from .catalogue import make_problem
+
+OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "caption")
+"""Arguments of `parallel_env` that say how a problem is shown, not which."""
+
+CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions")
+"""Those of `central_env`."""
+
+VECTOR_OPTIONS = ("autoreset_mode", *CENTRAL_OPTIONS)
+"""Those of `vector_env`."""
+
+
+def parallel_env(
+    problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any
+) -> ProblemEnv | TasksEnv:
+    """Return the PettingZoo parallel environment of a problem; of independent tasks, all together (`TasksEnv`).
+
+    Parameters
+    ----------
+    problem : Problem, str or Path
+        A problem, the id of a suite problem, or the path of a problem file (`.toml`).
+    render_mode : None, "ansi", "rgb_array" or "human"
+    **arguments
+        Options of `ProblemEnv`; with an id also the arguments of `make_problem`.
+
+    Examples
+    --------
+    >>> env = parallel_env("reach-avoid-v0", horizon=7)
+    >>> observations, infos = env.reset(seed=0)
+    >>> env.agents
+    ['agent_0', 'agent_1']
+    """
+    options = _taken(arguments, OPTIONS)
+    resolved = resolve(problem, arguments)
+    if resolved.groups:
+        return TasksEnv(resolved, render_mode, **options)
+    return ProblemEnv(resolved, render_mode, **options)
+
+
+def aec_env(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> AECEnv:  # type: ignore[type-arg, unused-ignore]
+    """Return the PettingZoo agent-environment-cycle form of `parallel_env` (same arguments)."""
+    return parallel_to_aec(parallel_env(problem, render_mode, **arguments))
+
+
+def central_env(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> CentralEnv:
+    """Return the centralised Gymnasium environment of a problem.
+
+    Parameters
+    ----------
+    problem : Problem, str or Path
+        A problem, the id of a suite problem, or the path of a problem file (`.toml`).
+    render_mode : None, "ansi", "rgb_array" or "human"
+    **arguments
+        Options of `CentralEnv`; with an id also the arguments of `make_problem`.
+
+    Examples
+    --------
+    >>> env = central_env("reach-avoid-v0", horizon=7)
+    >>> observation, info = env.reset(seed=0)
+    >>> observation.shape, env.action_space.shape
+    ((6,), (2,))
+    """
+    options = _taken(arguments, CENTRAL_OPTIONS)
+    return CentralEnv(resolve(problem, arguments), render_mode, **options)
+
+
+def vector_env(
+    problem: Problem | str | Path, num_envs: int = 1, render_mode: str | None = None, **arguments: Any
+) -> ProblemVectorEnv:
+    """Return the batched Gymnasium environment of a problem.
+
+    Parameters
+    ----------
+    problem : Problem, str or Path
+        A problem, the id of a suite problem, or the path of a problem file (`.toml`).
+    num_envs : int
+        Worlds M.
+    render_mode : None or "rgb_array"
+    **arguments
+        Options of `ProblemVectorEnv`; with an id also the arguments of `make_problem`.
+
+    Examples
+    --------
+    >>> envs = vector_env("reach-avoid-v0", num_envs=1000)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations.shape
+    (1000, 6)
+    """
+    options = _taken(arguments, VECTOR_OPTIONS)
+    return ProblemVectorEnv(resolve(problem, arguments), num_envs, render_mode, **options)
+
+
+def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
+    """Return the problem that a Problem, a suite id (with arguments) or the path of a problem file stands for.
+
+    Raises
+    ------
+    ValueError
+        If `problem` is none of these, or if arguments are given without an id.
+    """
+    if isinstance(problem, str) and not problem.endswith(".toml"):
+        return make_problem(problem, **arguments)
+    if isinstance(problem, str | Path):
+        problem = load_problem(problem)
+    if not isinstance(problem, Problem):
+        raise ValueError(f"`problem`: expected a Problem or the id of one, got {type(problem).__name__}")
+    for name in arguments:
+        raise ValueError(
+            f"`{name}`: expected only with a problem id; use `problem.replace`, or correct the name of the option"
+        )
+    return problem
+
+
+def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
+    """Return the functions `parallel_env`, `env` and `raw_env` that the module of a suite problem offers.
+
+    Each takes `render_mode` and the arguments of the problem; `env` and `raw_env` give the agent-environment-cycle
+    form, with and without PettingZoo's check of the call order.
+    """
+
+    def parallel(render_mode: str | None = None, **arguments: Any) -> Any:
+        """Return the parallel environment."""
+        return parallel_env(id, render_mode, **arguments)
+
+    def env(render_mode: str | None = None, **arguments: Any) -> Any:
+        """Return the agent-environment-cycle form; calls out of order are refused."""
+        return aec_env(id, render_mode, **arguments)
+
+    def raw_env(render_mode: str | None = None, **arguments: Any) -> Any:
+        """Return the agent-environment-cycle form without checks."""
+        return env(render_mode, **arguments).env
+
+    return parallel, env, raw_env
+
+
+def _taken(arguments: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Take the arguments with these names out of the dictionary."""
+    return {name: arguments.pop(name) for name in names if name in arguments}

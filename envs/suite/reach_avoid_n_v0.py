@@ -1,0 +1,40 @@
+"""Reach-avoid of any number of agents (RA-N): all stay safe until one of them reaches the target.
+
+A scaling family: one more agent is one more that can help, and one more that can fail.
+
+**Versions**: v0, first.
+"""
+
+from __future__ import annotations
+
+from ..agents import LinearAgent, Proposition, checked_count
+from ..problem import Problem, Specification
+from .make import environments
+
+
+def problem(n_agents: int = 4, horizon: int = 6) -> Problem:
+    """Return the problem RA-N of the module docstring."""
+    agent = LinearAgent(
+        name="agent",
+        A=[[1.0]],
+        B=[[1.0]],
+        noise_covariance=[[1.0]],
+        state_low=[-10.0],
+        state_high=[10.0],
+        input_low=[-2.0],
+        input_high=[2.0],
+        initial_state=[4.0],
+    )
+    return Problem(
+        name=f"reach-avoid-{checked_count(n_agents, 'n_agents')}-v0",
+        horizon=horizon,
+        agents=agent.copies(n_agents),
+        propositions={
+            "safe": Proposition("agent_*", [-5.0], [5.0]),
+            "target": Proposition("agent_*", [-2.0], [2.0]),
+        },
+        specification=Specification("all(safe) U (any(target) & all(safe))", "co-safe"),
+    )
+
+
+parallel_env, env, raw_env = environments("reach-avoid-n-v0")

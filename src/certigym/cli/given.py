@@ -1,0 +1,109 @@
+"""What sub-commands share: the problem and state that options name, and where results are shown."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from ..envs.problem import Problem, load_problem, split_axes
+from ..envs.suite import make_problem, problem_ids
+
+SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
+"""Numbers of bytes."""
+
+
+def named_problem(name: str, horizon: int | None = None) -> Problem:
+    """Problem by suite id or file name, with another horizon if one is given."""
+    if name in problem_ids():
+        problem = make_problem(name)
+    elif Path(name).is_file():
+        problem = load_problem(name)
+    else:
+        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
+    return problem if horizon is None else problem.replace(horizon=horizon)
+
+
+def problem_of(options: Namespace) -> Problem:
+    """Problem that ``problem``, ``--horizon``, ``--initial-state`` (before the split) and ``--split`` describe."""
+    problem, state = named_problem(options.problem, options.horizon), state_of(options)
+    problem = problem if state is None else problem.replace(initial_state=state)
+    return split_axes(problem) if getattr(options, "split", False) else problem
+
+
+def state_of(options: Namespace) -> list[float] | None:
+    """Joint state given by ``--initial-state``, separated by blanks or commas."""
+    if options.initial_state is None:
+        return None
+    words = " ".join(options.initial_state).replace(",", " ").split()
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"`--initial-state`: expected numbers, got {' '.join(words)!r}") from None
+
+
+def cells_of(options: Namespace) -> int | list[int] | None:
+    """Cells per axis given by ``--cells``: none, one number for all axes, or one each."""
+    if options.cells is None:
+        return None
+    return options.cells[0] if len(options.cells) == 1 else list(options.cells)
+
+
+def budget_of(options: Namespace) -> dict[str, Any]:
+    """Budget given by ``--memory`` and ``--accuracy``, if any; keyword arguments of ``synthesize``."""
+    budget: dict[str, Any] = {} if options.accuracy is None else {"accuracy": options.accuracy}
+    if options.memory is not None:
+        found = SIZE.fullmatch(options.memory.strip())
+        if found is None:
+            raise ValueError(f"`--memory`: expected a number of bytes such as 500M or 2G, got {options.memory!r}")
+        budget["memory"] = float(found[1]) * 1024 ** " KMG".index((found[2] or " ").upper())
+    return budget
+
+
+def check_places(*paths: str | None) -> None:
+    """Refuse files in folders that do not exist, before anything is computed."""
+    for path in paths:
+        if path is not None and path != "-" and not Path(path).absolute().parent.is_dir():
+            raise ValueError(f"`{path}`: expected a place in a folder that exists; make the folder first")
+
+
+def relation_of(options: Namespace) -> dict[str, Any]:
+    """Relation given by ``--relation``, with ``--delta`` where it is given; keyword arguments of ``synthesize``.
+
+    One name for all agents, or ``AGENT=NAME`` for some of them.
+    """
+    words = [word for given in options.relation for word in given.split(",") if word]
+    relation: str | dict[str, str] = words[0] if len(words) == 1 and "=" not in words[0] else {}
+    if isinstance(relation, dict):
+        for word in words:
+            agent, equals, name = word.rpartition("=")
+            if not equals or not agent or agent in relation:
+                raise ValueError(
+                    f"`--relation`: expected one name, or AGENT=NAME once per agent, got {' '.join(words)!r}"
+                )
+            relation[agent] = name
+    return {"relation": relation, **({} if options.delta is None else {"delta": options.delta})}
+
+
+def search_of(options: Namespace) -> dict[str, Any]:
+    """What ``--restarts``, ``--stationary`` and ``--device`` ask for; keyword arguments of ``synthesize``."""
+    return {"restarts": options.restarts, "stationary": options.stationary, "device": options.device}
+
+
+def show(options: Namespace, text: Any, data: Any) -> None:
+    """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
+    if options.json != "-":
+        print(text)
+    write_json(options, data)
+
+
+def write_json(options: Namespace, data: Any) -> None:
+    """Write JSON to the path, or to standard output (``-``), that ``--json`` names, if any."""
+    if options.json == "-":
+        json.dump(data, sys.stdout, indent=2, allow_nan=False)
+        print()
+    elif options.json is not None:
+        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")

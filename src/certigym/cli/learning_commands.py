@@ -1,0 +1,119 @@
+"""What the sub-commands about learned and given policies do; every function returns an exit status."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from ..envs.problem import Problem
+from ..synthesis.certificates import Synthesis, load_certificate, save_certificate
+from ..synthesis.certify import certify as certify_policy
+from ..synthesis.certify import improve as improve_policy
+from ..synthesis.synthesize import synthesize as synthesize_problem
+from ..validation.figures import draw_comparison, draw_curves
+from ..validation.policies import ALGORITHMS, IdleController, RandomController, Training, load_actor
+from ..validation.policies import compare as compare_policies
+from ..validation.policies import train as train_baseline
+from .given import cells_of, problem_of, relation_of, show
+
+
+def train(options: Namespace) -> int:
+    """Train a baseline, save it, say how it went."""
+    if options.steps is not None and options.steps < 1:
+        raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
+    problem = problem_of(options)
+    training = _trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
+    path = training.save(options.out)
+    if options.plot:
+        draw_curves([training], options.plot)
+    last = training.curve[-1]["success"] if training.curve else float("nan")
+    show(
+        options,
+        f"{problem.name}: {options.algo}, seed {options.seed}, {training.steps} world steps in "
+        f"{training.seconds:.1f} s; success while exploring {last:.3f}\n"
+        f"information: {training.information}\nsaved to {path.parent}",
+        training.to_dict(),
+    )
+    return 0
+
+
+def compare(options: Namespace) -> int:
+    """Make or load the policies, simulate them, print table and tests."""
+    problem = problem_of(options)
+    policies = {name: _policy(problem, name, options) for name in options.policies.split(",")}
+    result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
+    if options.plot:
+        draw_comparison(result, options.plot)
+    show(options, result, result.to_dict())
+    return 0
+
+
+def certify(options: Namespace) -> int:
+    """Certify a policy as wrapped on a grid; status 1 if its rollouts refute the bound."""
+    problem = problem_of(options)
+    policy = _given(problem, options.policy)
+    cells = cells_of(options)
+    policies: dict[str, Any] = {"raw": policy}
+    last = policies["certified"] = certify_policy(problem, policy, cells, **relation_of(options))
+    if options.improve:
+        last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
+    if options.out:
+        save_certificate(last.certificate, options.out)
+    result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
+    note = "The bounds belong to the policies wrapped on the cells (certified, improved), not to the raw one."
+    show(options, f"{result}\n{note}", result.to_dict())
+    return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
+
+
+def _policy(problem: Problem, name: str, options: Namespace) -> Any:
+    """A policy by its word on the command line."""
+    cells = cells_of(options)
+    if name == "certified":
+        found: Synthesis = synthesize_problem(problem, cells)
+        return found
+    if name in ALGORITHMS:
+        return [_trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
+    if name in ("random", "idle"):
+        return RandomController() if name == "random" else IdleController()
+    return _given(problem, name)
+
+
+def _given(problem: Problem, name: str) -> Any:
+    """A policy from a file: an actor, a certificate, or an object of a Python file."""
+    path, _, attribute = name.rpartition(":")
+    if path.endswith(".py"):
+        spec = spec_from_file_location(Path(path).stem, path)
+        if not Path(path).is_file() or spec is None or spec.loader is None:
+            raise ValueError(f"`{name}`: expected a Python file before the colon, found none")
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        if not hasattr(module, attribute):
+            raise ValueError(f"`{name}`: expected the name of a policy in {path}, found no {attribute!r}")
+        return getattr(module, attribute)
+    if not Path(name).is_file():
+        raise ValueError(
+            f"`{name}`: expected certified, {', '.join(ALGORITHMS)}, random, idle, an existing file (.npz) or "
+            "FILE.py:NAME"
+        )
+    try:
+        return load_actor(name, problem)
+    except ValueError as error:
+        if "was trained on" in str(error):
+            raise
+        return load_certificate(name)
+
+
+def _trained(
+    problem: Problem, algorithm: str, steps: int | None, seed: int, worlds: int | None, reward: str
+) -> Training:
+    with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
+
+        def progress(count: int, success: float) -> None:
+            bar.set_postfix_str(f"success {success:.3f}")
+            bar.update(count)
+
+        return train_baseline(problem, algorithm, steps, seed, worlds=worlds, reward=reward, progress=progress)

@@ -1,0 +1,33 @@
+"""From computed values to certified numbers, from below and from above."""
+
+from .above import evaluate_above
+from .certified import (
+    Bound,
+    a_posteriori_bound,
+    nominal_bound,
+    plain_loss,
+    relative_rounding,
+    robust_bound,
+    robust_loss,
+    stranded_mass,
+    train_bound,
+    undecided_steps,
+)
+from .continuous import continuous_upper_bound
+from .optimum import abstract_bound
+
+__all__ = [
+    "Bound",
+    "a_posteriori_bound",
+    "abstract_bound",
+    "continuous_upper_bound",
+    "evaluate_above",
+    "nominal_bound",
+    "plain_loss",
+    "relative_rounding",
+    "robust_bound",
+    "robust_loss",
+    "stranded_mass",
+    "train_bound",
+    "undecided_steps",
+]

@@ -1,0 +1,174 @@
+"""An upper bound for *all* policies of the continuous system: nobody does better, with whatever controller.
+
+Every agent is relaxed as in ``relaxation``, with all that the finite model leaves open decided in its favour:
+
+- the mean of the next state may be any that *some* point of the cell and *some* admissible input lead to, and any in
+  the smallest box around these, in noise coordinates;
+- the letter is the best of all that occur in the cell; outside the workspace a run has failed.
+
+The supremum over a box of means is taken over the points of a lattice with spacing h. With V between 0 and M, the
+expectation ``g(m) = E[V(m + w)]`` has ``|d2g/dm_k^2| <= (M/2) E|z^2 - 1| / sigma_k^2``, since the density's second
+derivative integrates to 0; E|z^2 - 1| = 4 phi(1) for standard normal z. Linear interpolation is off by at most h^2/8
+times that, axis after axis, so that
+
+    sup over the box of g  <=  max over the lattice points around it of g  +  M sum_k (phi(1) / 4) (h_k / sigma_k)^2 .
+
+This is of second order in the spacing (a bound by total variation, THEORY section 7, is of first order). By the
+induction of ``relaxation`` the product of the agents' values bounds every joint policy, centralised ones with any
+memory included: ``continuous upper bound``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..models import AgentModel, JointModel, Kernel, gaussian_table
+from ..search import favourable_successors
+from ..values import UNIT, Occupancy, to_host
+
+CURVATURE = 0.0604927
+"""phi(1) / 4, rounded up."""
+
+FAR = 9.0
+"""Standard deviations beyond the grid at which a mean may as well be there: less than 1e-18 comes back."""
+
+LARGEST = 4_000_000
+"""Most lattice points of an agent; with more of them there is no bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Optimist:
+    """The finite model of one agent in which everything goes as well as it can.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        From the points of a lattice of its own to the cells.
+    first : (S,) int array
+        Flat lattice point at which the window of each cell begins.
+    width : tuple of int
+        Lattice points per axis of a window, the same for all cells.
+    excess : float
+        What the supremum over all means exceeds the maximum over a window by, per unit of the largest value.
+    """
+
+    kernel: Kernel
+    first: NDArray[np.int64]
+    width: tuple[int, ...]
+    excess: float
+
+    @classmethod
+    def of(cls, agent: LinearAgent, model: AgentModel) -> Optimist | None:
+        """The optimistic model on the cells of ``model``; None if its lattice were too large."""
+        grid, coordinates = model.grid, model.relation.coordinates
+        inverse = np.linalg.inv(coordinates)
+        deviations = np.sqrt(np.diag(inverse @ agent.noise_covariance @ inverse.T))
+        low, high = _means(agent, grid.centres, grid.half_widths, coordinates)
+        axes, firsts, widths = [], [], []
+        for k, (edges, deviation) in enumerate(zip(grid.edges, deviations, strict=True)):
+            near = edges[0] - FAR * deviation, edges[-1] + FAR * deviation
+            a, b = np.clip(low[:, k], *near), np.clip(high[:, k], *near)
+            spacing = (edges[-1] - edges[0]) / (len(edges) - 1)
+            origin = float(a.min()) - spacing
+            count = math.ceil((float(b.max()) - origin) / spacing) + 2
+            begin = np.floor((a - origin) / spacing * (1 - 4 * UNIT)).astype(np.int64)
+            end = np.ceil((b - origin) / spacing * (1 + 4 * UNIT)).astype(np.int64)
+            axes.append(origin + spacing * np.arange(count))
+            firsts.append(begin)
+            widths.append(int((end - begin).max()) + 1)
+        shape = tuple(len(axis) for axis in axes)
+        if math.prod(shape) > LARGEST:
+            return None
+        tables = [gaussian_table(z, e, float(s)) for z, e, s in zip(axes, grid.edges, deviations, strict=True)]
+        spacings = np.array([axis[1] - axis[0] for axis in axes])
+        kernel = Kernel(tuple(table for table, _ in tables), sum(loss for _, loss in tables))
+        excess = CURVATURE * float(np.sum((spacings / deviations) ** 2)) * (1 + 1e-12) + kernel.loss + 1e-15
+        return cls(kernel, np.ravel_multi_index(tuple(firsts), shape), tuple(widths), excess)
+
+    def back(self, arriving: FloatArray) -> FloatArray:
+        """Upper bounds (S,) on what a step leads to, of upper bounds (S,) on what arriving is worth."""
+        best = self.kernel.smooth(arriving[None])[0].reshape(self.kernel.lattice_shape)
+        for axis, width in enumerate(self.width):
+            if width > 1:  # windows begin at their point
+                best = maximum_filter1d(best, width, axis=axis, mode="constant", cval=0.0, origin=-(width // 2))
+        operations = sum(self.kernel.shape) + 8 * len(self.width)
+        largest = float(arriving.max(initial=0.0))
+        found = best.ravel()[self.first] * (1 + 2 * operations * UNIT) + self.excess * largest
+        return np.asarray(np.minimum(found, largest))
+
+
+def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy) -> float | None:
+    """Upper bound on what any policy of the continuous system attains from the start (mean over a box).
+
+    None if the lattice of an agent would be too large.
+    """
+    values: list[FloatArray] = []
+    optimists: dict[object, Optimist | None] = {}
+    found: dict[object, FloatArray] = {}
+    for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
+        possible = _possible(model, follows)
+        alike = (id(model), *(a.tobytes() for a in (agent.A, agent.B, agent.offset, agent.noise_covariance)),
+                 agent.input_low.tobytes(), agent.input_high.tobytes())  # fmt: skip
+        if alike not in optimists:
+            optimists[alike] = Optimist.of(agent, model)
+        optimist = optimists[alike]
+        if optimist is None:
+            return None
+        key = (alike, possible.tobytes())
+        if key not in found:
+            found[key] = _values(joint, optimist, possible)
+        values.append(found[key])
+    total, mass = 0.0, 0.0
+    for q, rows in enumerate(start.terms.index):
+        for row in rows:
+            shares = [to_host(own)[k] for own, k in zip(start.terms.factors, row, strict=True)]
+            mass += math.prod(float(own.sum()) for own in shares)
+            total += math.prod(float(own @ value[q]) for own, value in zip(shares, values, strict=True))
+    unread = 0.0 if _is_point(problem) else max(0.0, 1.0 - mass)  # cells of a box whose letter is not certain
+    n = sum(joint.n_cells) + len(values)
+    return min(1.0, total * (1.0 + 4.0 * n * UNIT) + unread + 1e-12)
+
+
+def _values(joint: JointModel, optimist: Optimist, possible: NDArray[np.bool_]) -> FloatArray:
+    """Upper bounds (Q, S) at time 0; ``possible[q, s, p]`` where a letter in cell s can lead from q to p."""
+    value = np.repeat(joint.accepting.astype(float)[:, None], possible.shape[1], axis=1)
+    settled = value.copy()
+    for _ in range(joint.horizon):
+        arriving = np.zeros_like(value)
+        for p in range(joint.n_states):
+            arriving = np.maximum(arriving, possible[:, :, p] * value[p])
+        for q in range(joint.n_states):
+            value[q] = settled[q] if joint.absorbing[q] else optimist.back(arriving[q])
+    return value
+
+
+def _possible(model: AgentModel, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(Q, S, Q) successors by the letters of the points of each cell; all of them where a cell is not known."""
+    labels = model.start_labels
+    sets = np.concatenate([labels.sets, np.ones((1, labels.sets.shape[1]), dtype=bool)])  # -1 is the last one
+    return np.asarray(np.einsum("nc,qcp->qnp", sets.astype(np.int64), follows.astype(np.int64)) > 0)[:, labels.number]
+
+
+def _means(
+    agent: LinearAgent, centres: FloatArray, halves: FloatArray, coordinates: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (S, d), in grid coordinates, of boxes around all means that the points of each cell can be led to."""
+    inverse = np.linalg.inv(coordinates)
+    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    middle, reach = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
+    centre = centres @ A.T + inverse @ agent.offset + B @ middle
+    spread = halves @ np.abs(A).T + np.abs(B) @ reach
+    slack = 1e-12 * (np.abs(centre) + spread + np.abs(centres) @ np.abs(A).T)
+    return centre - spread - slack, centre + spread + slack
+
+
+def _is_point(problem: Problem) -> bool:
+    return all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)

@@ -1,0 +1,104 @@
+"""Grids of single agents: cells per axis, coordinates in which the noise is diagonal, edges on region boundaries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from .grid import FloatArray, Grid, aligned_edges
+
+DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
+"""Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
+
+NEAREST = 0.1
+"""Share of the room in a region that a start near its face leaves at least, where feedbacks are chosen."""
+
+Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
+
+
+def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, FloatArray]:
+    """Grid of agent i and its coordinates (d, d)."""
+    agent = problem.agents[i]
+    coordinates = _noise_coordinates(agent)
+    if np.array_equal(coordinates, np.eye(agent.n_states)):
+        low, high = agent.workspace.low, agent.workspace.high
+    else:
+        inverse = np.linalg.inv(coordinates)
+        centre = 0.5 * (agent.workspace.low + agent.workspace.high)
+        middle, reach = inverse @ centre, np.abs(inverse) @ (0.5 * (agent.workspace.high - agent.workspace.low))
+        low, high = middle - reach, middle + reach
+    edges = []
+    for k in range(agent.n_states):
+        boundaries = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
+        edges.append(aligned_edges(float(low[k]), float(high[k]), cells[k], boundaries))
+    return Grid(tuple(edges)), coordinates
+
+
+def _noise_coordinates(agent: LinearAgent) -> FloatArray:
+    """Unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance."""
+    covariance = agent.noise_covariance
+    smallest = float(np.min(np.linalg.eigvalsh(covariance)))
+    if smallest <= 1e-12 * float(np.max(np.diag(covariance))):
+        raise ValueError(
+            f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
+            f"eigenvalue {smallest:.3g}; give every state some noise"
+        )
+    if np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
+        return np.eye(agent.n_states)
+    factor = np.linalg.cholesky(covariance)
+    return np.asarray(np.tril(factor / np.diag(factor)))
+
+
+def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
+    """Region boundaries of agent i that are hyperplanes of one state coordinate."""
+    agent = problem.agents[i]
+    found = []
+    for proposition in problem.propositions.values():
+        if proposition.agent != agent.name:
+            continue
+        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
+            if np.count_nonzero(row) == 1 and row[axis] != 0:
+                found += [float(low / row[axis]), float(high / row[axis])]
+    return found
+
+
+def label_room(problem: Problem, i: int) -> FloatArray:
+    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
+
+    A start near a face of the workspace, or of a region that it lies in, counts as less room.
+    """
+    agent = problem.agents[i]
+    room = 0.5 * (agent.workspace.high - agent.workspace.low)
+    near = np.minimum(agent.initial.low - agent.workspace.low, agent.workspace.high - agent.initial.high)
+    for proposition in problem.propositions.values():
+        if proposition.agent != agent.name:
+            continue
+        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
+            if np.count_nonzero(row) == 1:
+                k = int(np.flatnonzero(row)[0])
+                inside = np.clip(
+                    np.sort([low / row[k], high / row[k]]), agent.workspace.low[k], agent.workspace.high[k]
+                )
+                if inside[1] > inside[0]:
+                    room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
+                    left = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
+                    near[k] = min(near[k], left) if left >= 0 else near[k]
+    return np.asarray(np.minimum(room, np.maximum(near, NEAREST * room)))
+
+
+def cells_of_agent(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:
+    """Cells per axis of one agent."""
+    wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
+    if wanted is None:
+        wanted = DEFAULT_CELLS.get(agent.n_states, 10)
+    per_axis = tuple(wanted) if isinstance(wanted, Sequence) else (wanted,) * agent.n_states
+    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)
+    if len(per_axis) != agent.n_states or not whole:
+        raise ValueError(
+            f"`cells`: expected a positive whole number or {agent.n_states} of them (cells per axis) for agent "
+            f"`{agent.name}`, got {wanted!r}"
+        )
+    return tuple(int(n) for n in per_axis)

@@ -1,0 +1,37 @@
+"""The certified claim, everything it rests on, and its file."""
+
+from .certificate import EXACT_GAP, Certificate, checked_certificate
+from .certificate_file import load_certificate, save_certificate
+from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
+from .claim import Claim
+from .digits import rounded_down, rounded_up, shown_bound, significant_down, significant_up
+from .part import AgentPart
+from .product import ProductCertificate, nameless, product_certificate, relations_tried
+from .regrown_trains import BrokenTrainError, regrow_trains
+from .result import Synthesis
+
+__all__ = [
+    "AgentPart",
+    "BrokenTrainError",
+    "Certificate",
+    "Claim",
+    "EXACT_GAP",
+    "ProductCertificate",
+    "Synthesis",
+    "axis_tables",
+    "checked_certificate",
+    "grid_noise",
+    "load_certificate",
+    "lost_to_rounding",
+    "nameless",
+    "product_certificate",
+    "regrow_trains",
+    "relations_tried",
+    "rounded_down",
+    "rounded_up",
+    "save_certificate",
+    "shown_bound",
+    "significant_down",
+    "significant_up",
+    "smooth",
+]

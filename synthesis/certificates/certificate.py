@@ -1,0 +1,220 @@
+"""Certificates: a lower bound, the policies it belongs to, and everything needed to check it again.
+
+A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
+policies. It holds the value tree's skeleton (which vertices were kept), so that the bound can be computed again from
+the policies by a short separate program (``check``), and the value function at time 0, so that other starts can be
+asked for: at every state the value there is a lower bound too (THEORY section 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..controllers import AgentController, Controller
+from ..relations import Relation, joint_delta
+from ..values import Guards, Rounding, Skeleton, Terms, Trains
+from .claim import Claim, with_early_acceptance
+from .part import AgentPart
+from .regrown_trains import BrokenTrainError, regrow_trains
+
+EXACT_GAP = 1e-6
+"""A value is called exact when lower bound and upper bound of the closed loop are closer than this."""
+
+
+def checked_certificate(value: Any) -> Certificate:
+    """Return a certificate, or raise ValueError with what to do."""
+    if isinstance(value, Certificate):
+        return value
+    inside = isinstance(getattr(value, "certificate", None), Certificate)
+    if hasattr(value, "parts"):
+        raise ValueError(f"`certificate`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
+    remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
+    raise ValueError(f"`certificate`: expected a Certificate, got {type(value).__name__}; {remedy}")
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """A certified lower bound on the satisfaction probability of the continuous closed loop.
+
+    Parameters
+    ----------
+    problem : Problem
+        What it is about.
+    method : str
+        Relation, bound and policy search, in words.
+    bound : str
+        Name of the bound that gives ``lower_bound``: ``nominal``, ``a-posteriori`` or ``robust tree`` (see ``bounds``).
+    bounds : dict
+        All bounds that were computed, by name.
+    start : str
+        ``"point"``: the bound holds from the problem's initial state; ``"mean"``: on average over a start drawn
+        uniformly from the initial boxes.
+    lower_bound : float
+        Certified lower bound at the problem's start.
+    gap : float or None
+        If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this very controller.
+    exact : bool
+        Whether the probability is known to ``EXACT_GAP``: the bound is then tested by rollouts from both sides.
+    relative_rounding : float
+        Relative reserve for floating point, also taken off in ``at``, ``mean`` and ``min``.
+    agents : tuple of AgentPart
+    guard_source, guard_target : (G,) int32 arrays
+        Automaton states that each guard connects.
+    guard_mask : (G, I) int32 array
+        Factor of each agent in each guard, an index into ``agents[i].masks``.
+    start_target : (G0,) int32 array
+        Automaton state after the letter of time 0.
+    start_mask : (G0, I) int32 array
+        The same for reading that letter, an index into ``agents[i].start_masks``.
+    skeleton : tuple of Skeleton
+        Vertices of the value tree, by time; empty if the value function is held as tensor trains.
+    terms : Terms or None
+        Value function at time 0; None for tensor trains, which are grown again from the policies when asked for.
+    rank : int
+        Largest number of terms of one automaton state, or of columns of a bond.
+    settings : dict
+        Every setting of abstraction and policy search.
+    rounding : Rounding or None
+        How tensor trains were rounded; None for a value tree.
+    """
+
+    problem: Problem
+    method: str
+    bound: str
+    bounds: dict[str, float]
+    start: str
+    lower_bound: float
+    gap: float | None
+    exact: bool
+    relative_rounding: float
+    agents: tuple[AgentPart, ...]
+    guard_source: NDArray[np.int32]
+    guard_target: NDArray[np.int32]
+    guard_mask: NDArray[np.int32]
+    start_target: NDArray[np.int32]
+    start_mask: NDArray[np.int32]
+    skeleton: tuple[Skeleton, ...]
+    terms: Terms | None
+    rank: int
+    settings: dict[str, Any]
+    rounding: Rounding | None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controllers the bound belongs to."""
+        parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
+        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law, p.menu) for a, p, r in parts)
+        return Controller(self.problem, tuple(controllers))
+
+    @property
+    def stationary(self) -> bool:
+        """Whether no agent looks at the time."""
+        return all(len(part.law) == 1 for part in self.agents)
+
+    @property
+    def unbounded(self) -> float | None:
+        """Lower bound on satisfying a co-safe task at any time, without a deadline; None for other tasks.
+
+        What is satisfied by the horizon stays satisfied. Afterwards controllers go on with their last choices, those of
+        stationary policies as before.
+        """
+        return self.lower_bound if self.problem.automaton.is_co_safe else None
+
+    @property
+    def delta(self) -> float:
+        """Upper bound on the probability, per step, that any relation is lost."""
+        return joint_delta([relation.delta for relation in self._relations])
+
+    @cached_property
+    def _relations(self) -> tuple[Relation, ...]:
+        return tuple(part.relation_of(a) for a, part in zip(self.problem.agents, self.agents, strict=True))
+
+    @cached_property
+    def claim(self) -> Claim:
+        """The value function of the certificate, read with all reserves taken off."""
+        automaton, horizon = self.problem.automaton, self.problem.horizon
+        correction = self.delta * horizon * (1 + 1e-9) if self.bound == "a-posteriori" else 0.0
+        value = self.value
+        if correction > 0.0 and isinstance(value, Terms):
+            value = with_early_acceptance(value, self.skeleton, self.guards, automaton, horizon, self.delta)
+        start = self.start_target, self.start_mask
+        return Claim(self.problem, self.agents, self._relations, *start, value, self.relative_rounding, correction)
+
+    @property
+    def guards(self) -> Guards:
+        """The guards over the cells of each agent."""
+        masks = tuple(part.masks for part in self.agents)
+        return Guards(masks, self.guard_source, self.guard_target, self.guard_mask)
+
+    def at(self, states: Any) -> FloatArray:
+        """Lower bounds (M,) on the satisfaction probability from each of M joint initial states.
+
+        Parameters
+        ----------
+        states : array_like, shape (M, D) or (D,), or mapping from agent name to (d_i,) vector
+            Joint states in agent order, ``D = sum d_i``, in state units. A single state gives an array of length 1.
+
+        Raises
+        ------
+        ValueError
+            If the shape does not fit.
+        """
+        return self.claim.at(states)
+
+    def mean(self, low: Any, high: Any) -> float:
+        """Lower bound on the satisfaction probability from a start drawn uniformly from the box ``[low, high)``.
+
+        Parameters
+        ----------
+        low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
+            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
+            the letters that are certain in it.
+        """
+        return self.claim.mean(low, high)
+
+    def min(self, low: Any, high: Any) -> float:
+        """Lower bound on the satisfaction probability from every start in the box: the smallest value of its cells.
+
+        Raises
+        ------
+        ValueError
+            If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
+        """
+        return self.claim.min(low, high)
+
+    @property
+    def tree(self) -> Terms:
+        """Value function at time 0 as the terms of the value tree.
+
+        Raises
+        ------
+        ValueError
+            If the value function is held as tensor trains, which have no terms.
+        """
+        if self.terms is None:
+            raise ValueError(
+                "`certificate`: expected one with a value tree, got tensor trains, which have no terms; synthesize "
+                'with `value="tree"` where the tree has few of them'
+            )
+        return self.terms
+
+    @cached_property
+    def value(self) -> Terms | Trains:
+        """Value function at time 0: the stored terms, or the tensor trains grown from the policies on first use."""
+        if self.terms is not None:
+            return self.terms
+        if self.rounding is None:
+            raise BrokenTrainError("it has a value tree and no tensor trains")
+        return regrow_trains(self.problem, self.agents, self.guards, self.rounding)

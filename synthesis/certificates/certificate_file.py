@@ -1,0 +1,245 @@
+"""Certificates on disk: one ``.npz`` with a JSON header, read without pickle.
+
+Arrays are stored once each under a number, and the header says which number is what; a thousand agents with one grid
+store one grid. Reading trusts nothing: the version, the shapes and the ranges of all indices are checked before an
+array is used, and files larger than ``MAX_BYTES`` when unpacked are refused before they are. A digest of everything
+in the file tells accidents and careless changes; it is no signature: whoever changes a file can renew it, and only
+``check`` says whether a certificate is true.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import problem_from_dict
+from ..values import Skeleton
+from .certificate import Certificate, checked_certificate
+from .certificate_reader import NUMBERS, CertificateReader
+from .part import AgentPart
+from .product import ProductCertificate, product_certificate
+
+FORMAT = "certigym-certificate"
+VERSION = 1
+MAX_BYTES = 2 * 2**30
+"""Largest unpacked size that is read, unless the caller allows more."""
+
+
+def save_certificate(certificate: Certificate | ProductCertificate, path: str | Path) -> None:
+    """Write a certificate to ``path`` (``.npz``); ValueError if it is none."""
+    data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
+    Path(path).write_bytes(data)
+
+
+def _packed_product(product: ProductCertificate) -> bytes:
+    """Bytes of a file that holds the files of all parts, those that differ in names alone once."""
+    pool = _Pool()
+    files = {}
+    for same in product.alike:
+        file = pool.put(np.frombuffer(_packed(product.parts[same[0]]), np.uint8))
+        files.update(dict.fromkeys(same, file))
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "problem": product.problem.to_dict(),
+        "fingerprint": product.fingerprint,
+        "parts": [files[k] for k in range(len(product.parts))],
+    }
+    return _archived(header, pool)
+
+
+def _packed(certificate: Certificate) -> bytes:
+    """Bytes of the file of a single certificate."""
+    checked_certificate(certificate)
+    pool = _Pool()
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        **{name: getattr(certificate, name) for name in NUMBERS},
+        "settings": certificate.settings,
+        "agents": [_put_agent(pool, part) for part in certificate.agents],
+        "guards": [pool.put(a) for a in (certificate.guard_source, certificate.guard_target, certificate.guard_mask)],
+        "start_guards": [pool.put(certificate.start_target), pool.put(certificate.start_mask)],
+        "skeleton": [_put_skeleton(pool, step) for step in certificate.skeleton],
+        "terms": None
+        if certificate.terms is None
+        else {
+            "factors": [pool.put(a) for a in certificate.terms.factors],
+            "index": [pool.put(a) for a in certificate.terms.index],
+        },
+        "rounding": None
+        if certificate.rounding is None
+        else {
+            "tolerance": certificate.rounding.tolerance,
+            "visited": [
+                None if c is None else [pool.put(own.astype(np.int32)) for own in c]
+                for c in certificate.rounding.visited
+            ],
+        },
+    }
+    return _archived(header, pool)
+
+
+def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
+    """Bytes of an archive of a header, its digest added, and arrays."""
+    header["digest"] = _digest(header, pool.arrays)
+    text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8)
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, header=text, **{str(k): a for k, a in enumerate(pool.arrays)})
+    return file.getvalue()
+
+
+def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
+    """Read a certificate; it is well-formed then, but not yet checked (see ``check``).
+
+    A file of independent tasks gives a ``ProductCertificate``.
+
+    Parameters
+    ----------
+    path : str or Path
+    max_bytes : int
+        Largest size, packed or unpacked, that is read.
+
+    Raises
+    ------
+    ValueError
+        If the file is no certificate, of another version, damaged, or inconsistent.
+    OSError
+        If it cannot be read.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"`{path}`: expected a certificate file, found none; write one with `save_certificate`")
+    try:
+        if (size := Path(path).stat().st_size) > max_bytes:
+            raise ValueError(f"it has {size} bytes, more than {max_bytes}")
+        header, arrays = _unarchived(Path(path).read_bytes(), max_bytes)
+        if "parts" in header:
+            return _product(header, arrays, max_bytes)  # type: ignore[return-value]
+        return CertificateReader(header, arrays).certificate()
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError, EOFError,
+            NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+        message = str(error) or type(error).__name__
+        raise ValueError(
+            f"`{path}`: expected a certigym certificate of version {VERSION}, got a file that is none: {message}"
+        ) from error
+
+
+def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Header and arrays of an archive, their digest checked."""
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        _check_sizes(archive, max_bytes)
+    with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
+        header = json.loads(bytes(archive["header"]).decode())
+        _check_version(header)
+        arrays = {name: archive[name] for name in archive.files if name != "header"}
+    _check_digest(header, arrays)
+    return header, arrays
+
+
+def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) -> ProductCertificate:
+    """Certificates of independent tasks; which these are is found out again from the problem."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    if not problem.groups:
+        raise ValueError("its problem does not fall apart into independent tasks")
+    found: dict[str, Certificate] = {}
+    left = max_bytes
+    for name, array in arrays.items():
+        own, inner = _unarchived(array.astype(np.uint8).tobytes(), left)
+        left -= sum(a.nbytes for a in inner.values())
+        if "parts" in own:
+            raise ValueError("a part falls apart again")
+        found[name] = CertificateReader(own, inner).certificate()
+    return product_certificate(problem, tuple(found[str(int(number))] for number in header["parts"]))
+
+
+def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
+    """Refuse archives whose arrays would need more memory than they have bytes for."""
+    if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
+        raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
+    if len(set(archive.namelist())) != len(archive.namelist()):
+        raise ValueError("it holds two arrays of one name")
+    for entry in archive.infolist():
+        with archive.open(entry) as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(file)
+            if dtype.hasobject or math.prod(shape) * dtype.itemsize != entry.file_size - file.tell():
+                raise ValueError(
+                    f"array {entry.filename} announces {shape} numbers of type {dtype}, which it does not hold"
+                )
+
+
+def _check_version(header: Any) -> None:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ValueError("its header does not say it is one")
+    if header.get("version") != VERSION:
+        raise ValueError(f"its version is {header.get('version')!r}; use the certigym release that wrote it")
+
+
+def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
+    """SHA-256 over the header, but for the digest itself, and all arrays with their types and shapes."""
+    rest = {name: value for name, value in header.items() if name != "digest"}
+    state = hashlib.sha256(json.dumps(rest, sort_keys=True, allow_nan=False).encode())
+    for array in arrays:
+        state.update(f"{array.dtype.str}{array.shape}".encode())
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()
+
+
+def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    if set(arrays) != {str(k) for k in range(len(arrays))}:
+        raise ValueError("its arrays are not numbered")
+    if header.get("digest") != _digest(header, [arrays[str(k)] for k in range(len(arrays))]):
+        raise ValueError("its content was changed after it was written (the digest differs)")
+
+
+@dataclass
+class _Pool:
+    """Arrays by content."""
+
+    arrays: list[NDArray] = field(default_factory=list)
+    known: dict[tuple[str, tuple[int, ...], bytes], int] = field(default_factory=dict)
+
+    def put(self, array: NDArray) -> int:
+        array = np.ascontiguousarray(array)
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self.known:
+            self.known[key] = len(self.arrays)
+            self.arrays.append(array)
+        return self.known[key]
+
+
+def _put_agent(pool: _Pool, part: AgentPart) -> dict[str, Any]:
+    return {
+        "edges": [pool.put(a) for a in part.grid.edges],
+        "coordinates": pool.put(part.coordinates),
+        "lattice": [pool.put(a) for a in part.lattice],
+        "relation": part.relation,
+        "masks": pool.put(part.masks),
+        "start_masks": pool.put(part.start_masks),
+        "law": pool.put(part.law),
+        "menu": None if part.menu is None else pool.put(part.menu),
+    }
+
+
+def _put_skeleton(pool: _Pool, step: Skeleton) -> list[list[int]]:
+    states = zip(step.origin, step.merges, step.kept, strict=True)
+    small = np.int32
+    return [
+        [pool.put(a.astype(small)) for a in (origin, merges.into, merges.absorbed, merges.agent, kept)]
+        for origin, merges, kept in states
+    ]

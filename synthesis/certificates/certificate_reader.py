@@ -1,0 +1,193 @@
+"""A certificate out of the header and the arrays of its file; nothing in them is trusted.
+
+Shapes, ranges of all indices and numbers are checked before they are used. Whether the certificate is true, ``check``
+says.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import problem_from_dict
+from ..cells import Grid
+from ..relations import check_description
+from ..values import Merges, Rounding, Skeleton, Terms
+from .certificate import Certificate
+from .part import AgentPart
+
+NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
+"""What a header says about the claim, under the names that it has in the certificate."""
+
+
+class CertificateReader:
+    """Rebuilds a certificate from header and arrays, checking every shape and index on the way.
+
+    Parameters
+    ----------
+    header : dict
+    arrays : dict
+        By their numbers, as text.
+    """
+
+    def __init__(self, header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+        self.header, self.arrays = header, arrays
+        self.problem = problem_from_dict(header["problem"])
+        self.n_agents, self.n_states = self.problem.n_agents, self.problem.automaton.n_states
+
+    def certificate(self) -> Certificate:
+        """Everything, or ValueError (KeyError, TypeError, .. where the header has another form)."""
+        header = self.header
+        if header["fingerprint"] != self.problem.fingerprint:
+            raise ValueError("the fingerprint does not belong to the problem in it")
+        agents = self._each(header["agents"], self.n_agents, self._agent)
+        source, target = (self._integers(header["guards"][k], (None,), self.n_states) for k in (0, 1))
+        mask = self._integers(header["guards"][2], (len(source), self.n_agents), None)
+        if len(target) != len(source) or any(mask[:, i].max(initial=-1) >= len(a.masks) for i, a in enumerate(agents)):
+            raise ValueError("its guards are inconsistent")
+        start_target = self._integers(header["start_guards"][0], (None,), self.n_states)
+        start_mask = self._integers(header["start_guards"][1], (len(start_target), self.n_agents), None)
+        if any(start_mask[:, i].max(initial=-1) >= len(a.start_masks) for i, a in enumerate(agents)):
+            raise ValueError("its start guards are inconsistent")
+        numbers = {name: header[name] for name in NUMBERS}
+        _check_numbers(numbers)
+        trains = header.get("rounding") is not None
+        if trains and (header["terms"] is not None or header["skeleton"]):
+            raise ValueError("it holds a value tree beside its tensor trains")
+        return Certificate(
+            problem=self.problem,
+            agents=tuple(agents),
+            guard_source=source,
+            guard_target=target,
+            guard_mask=mask,
+            start_target=start_target,
+            start_mask=start_mask,
+            skeleton=() if trains else tuple(self._each(header["skeleton"], self.problem.horizon, self._step)),
+            terms=None if trains else self._terms(agents),
+            rounding=self._rounding(agents) if trains else None,
+            settings=dict(header["settings"]),
+            **numbers,
+        )
+
+    def _each(self, items: Any, count: int, read: Any) -> list[Any]:
+        if not isinstance(items, list) or len(items) != count:
+            raise ValueError(f"a list of {count} entries is missing")
+        self._position = 0
+        result = []
+        for self._position, item in enumerate(items):
+            result.append(read(item))
+        return result
+
+    def _array(self, number: Any, kinds: str, shape: tuple[int | None, ...]) -> NDArray:
+        array = self.arrays[str(int(number))]
+        fits = array.ndim == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
+        if array.dtype.kind not in kinds or not fits:
+            raise ValueError(f"array {number} has type {array.dtype} and shape {array.shape}, expected {shape}")
+        if kinds == "f" and not np.all(np.isfinite(array)):
+            raise ValueError(f"array {number} holds numbers that are not finite")
+        array.setflags(write=False)
+        return array
+
+    def _integers(self, number: Any, shape: tuple[int | None, ...], below: int | None, least: int = 0) -> NDArray:
+        array = self._array(number, "iu", shape)
+        if array.size and (array.min() < least or (below is not None and array.max() >= below)):
+            raise ValueError(f"array {number} holds indices out of range")
+        return array
+
+    def _agent(self, entry: dict[str, Any]) -> AgentPart:
+        d = self.problem.agents[self._position].n_states
+        if len(entry["edges"]) != d or len(entry["lattice"]) != d:
+            raise ValueError("an agent has the wrong number of axes")
+        grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
+        lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
+        points = math.prod(len(axis) for axis in lattice)
+        times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
+        shape = (times, self.n_states, grid.n_cells)
+        menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
+        check_description(entry["relation"], self.problem.agents[self._position])
+        if (entry["relation"]["kind"] != "exact") != (menu is not None):
+            raise ValueError("a relation and its choices do not belong together")
+        return AgentPart(
+            grid=grid,
+            coordinates=self._array(entry["coordinates"], "f", (d, d)),
+            lattice=lattice,
+            relation=entry["relation"],
+            masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
+            start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
+            law=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
+            menu=menu,
+        )
+
+    def _step(self, entry: Any) -> Skeleton:
+        if len(entry) != self.n_states:
+            raise ValueError("the tree has the wrong number of states")
+        origins, merges, kept = [], [], []
+        for numbers in entry:
+            origin = self._integers(numbers[0], (None, 2), None).astype(np.int64)
+            n = len(origin)
+            into = self._integers(numbers[1], (None,), n).astype(np.int64)
+            absorbed = self._integers(numbers[2], (len(into),), n).astype(np.int64)
+            agent = self._integers(numbers[3], (len(into),), self.n_agents).astype(np.int64)
+            origins.append(origin)
+            merges.append(Merges(into, absorbed, agent))
+            kept.append(self._integers(numbers[4], (None,), n).astype(np.int64))
+        return Skeleton(tuple(origins), tuple(merges), tuple(kept))
+
+    def _rounding(self, agents: list[AgentPart]) -> Rounding:
+        entry = self.header["rounding"]
+        tolerance = entry["tolerance"]
+        if not isinstance(tolerance, float) or not 0 < tolerance < 1:
+            raise ValueError("its rounding has no tolerance between 0 and 1")
+        visited: list[tuple[NDArray, ...] | None] = []
+        for cells in self._each(entry["visited"], self.problem.horizon + 1, lambda item: item):
+            if cells is not None and len(cells) != self.n_agents:
+                raise ValueError("its rounding does not name the cells of every agent")
+            visited.append(
+                None
+                if cells is None
+                else tuple(
+                    self._integers(k, (None,), a.grid.n_cells).astype(np.int64)
+                    for k, a in zip(cells, agents, strict=True)
+                )
+            )
+        return Rounding(tolerance, tuple(visited))
+
+    def _terms(self, agents: list[AgentPart]) -> Terms:
+        entry = self.header["terms"]
+        if len(entry["factors"]) != self.n_agents or len(entry["index"]) != self.n_states:
+            raise ValueError("the value function has the wrong size")
+        factors = tuple(
+            self._array(k, "f", (None, a.grid.n_cells)) for k, a in zip(entry["factors"], agents, strict=True)
+        )
+        index = tuple(self._integers(k, (None, self.n_agents), None) for k in entry["index"])
+        for rows in index:
+            if len(rows) and any(rows[:, i].max() >= len(own) for i, own in enumerate(factors)):
+                raise ValueError("the value function points at factors that are not there")
+        return Terms(factors, index)
+
+
+def _check_numbers(numbers: dict[str, Any]) -> None:
+    """Types and ranges of the numbers in the header."""
+    lower, gap, relative = numbers["lower_bound"], numbers["gap"], numbers["relative_rounding"]
+    texts = all(isinstance(numbers[k], str) for k in ("method", "bound", "start"))
+    bounds = numbers["bounds"]
+    if any(isinstance(value, bool) for value in (lower, gap)):
+        raise ValueError("its bound is no number")
+    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
+        raise ValueError("its bounds are no numbers")
+    if (
+        not texts
+        or not isinstance(numbers["exact"], bool)
+        or isinstance(numbers["rank"], bool)
+        or not isinstance(numbers["rank"], int)
+    ):
+        raise ValueError("its header holds values of the wrong type")
+    if not (
+        isinstance(lower, float | int) and 0 <= lower <= 1 and isinstance(relative, float) and 0 <= relative <= 1e-3
+    ):
+        raise ValueError("its bound is no probability")
+    if gap is not None and not (isinstance(gap, float | int) and 0 <= gap <= 1):
+        raise ValueError("its gap is no probability")

@@ -1,0 +1,61 @@
+"""What a certificate stores of one agent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray, Grid
+from ..relations import Relation, relation_from
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPart:
+    """What a certificate stores of one agent: grid, relation, lattice, guards' masks on the cells, policy.
+
+    Parameters
+    ----------
+    grid : Grid
+    coordinates : (d, d) array
+        State = coordinates @ grid coordinates.
+    relation : dict
+        Kind and numbers, see ``relations.description``.
+    lattice : tuple of (Z_k,) arrays
+        Means per axis.
+    masks, start_masks : (K, S), (K0, S) bool arrays
+        Factors of the guards on the cells, for arriving and for starting in them.
+    law : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
+        Choice of each cell, -1 for none: a lattice point (``exact``) or an input (all others).
+    menu : (S, A) int32 array or None
+        Lattice point that each input of each cell leads to.
+    """
+
+    grid: Grid
+    coordinates: FloatArray
+    relation: dict[str, Any]
+    lattice: tuple[FloatArray, ...]
+    masks: NDArray[np.bool_]
+    start_masks: NDArray[np.bool_]
+    law: NDArray[np.int32]
+    menu: NDArray[np.int32] | None = None
+
+    def relation_of(self, agent: LinearAgent) -> Relation:
+        """The relation of ``agent`` that is described, its numbers computed anew."""
+        return relation_from(self.relation, agent, self.grid, self.coordinates)
+
+    def points(self, t: int, q: int) -> NDArray[Any]:
+        """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
+        law = self.law[min(t, len(self.law) - 1), q]
+        if self.menu is None:
+            return law
+        chosen = np.take_along_axis(self.menu, np.maximum(law, 0)[:, None].astype(np.int64), axis=1)[:, 0]
+        return np.where(law < 0, -1, chosen)
+
+    @property
+    def lattice_shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)

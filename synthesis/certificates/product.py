@@ -1,0 +1,187 @@
+"""Certificates of independent tasks, multiplied.
+
+Where a task falls apart into tasks of disjoint groups of agents (``envs.independent``), every group is certified on its
+own, and the product of the lower bounds is a lower bound for the whole: noises, starts and policies of different groups
+are independent. Time and memory are sums over the groups, so they grow linearly with the number of agents; groups that
+differ in nothing but names are synthesized once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..controllers import ProductController
+from ..values import UNIT
+from .certificate import EXACT_GAP, Certificate
+from .claim import joint_states
+
+
+@dataclass(frozen=True, eq=False)
+class ProductCertificate:
+    """A certified lower bound for a task that falls apart: the product of the bounds of its parts.
+
+    Parameters
+    ----------
+    problem : Problem
+        The whole.
+    parts : tuple of Certificate
+        One for each of ``problem.tasks``, in order.
+    """
+
+    problem: Problem
+    parts: tuple[Certificate, ...]
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound at the problem's start."""
+        return self._down(math.prod(part.lower_bound for part in self.parts))
+
+    @property
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller.
+
+        None for co-safe tasks, whose parts ask for more than the whole does.
+        """
+        gaps = [part.gap for part in self.parts if part.gap is not None]
+        if len(gaps) < len(self.parts) or self.problem.specification.is_co_safe:
+            return None
+        most = math.prod(min(1.0, part.lower_bound + gap) for part, gap in zip(self.parts, gaps, strict=True))
+        return min(1.0, most * (1.0 + 4.0 * len(gaps) * UNIT)) - self.lower_bound
+
+    @property
+    def exact(self) -> bool:
+        """Whether the probability is known to ``EXACT_GAP``."""
+        return self.gap is not None and self.gap <= EXACT_GAP
+
+    @property
+    def start(self) -> str:
+        """``"point"``, or ``"mean"`` where any part starts in a box."""
+        return "mean" if any(part.start == "mean" for part in self.parts) else "point"
+
+    @property
+    def method(self) -> str:
+        """Relation, bound and policy search of the parts, in words."""
+        methods = sorted({part.method for part in self.parts})
+        return f"{len(self.parts)} independent tasks, {'; '.join(methods)}"
+
+    @property
+    def bound(self) -> str:
+        """Names of the bounds of the parts."""
+        return ", ".join(sorted({part.bound for part in self.parts}))
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms, or of columns of a bond, of any part."""
+        return max(part.rank for part in self.parts)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the parts: each that occurs, and which parts have it."""
+        found: dict[str, dict[str, Any]] = {}
+        for k, part in enumerate(self.parts):
+            found.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
+        return {"parts": list(found.values())}
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> ProductController:
+        """The controllers the bound belongs to."""
+        return ProductController(self.problem, tuple(part.controller for part in self.parts))
+
+    def at(self, states: Any) -> FloatArray:
+        """Lower bounds (M,) from each of M joint initial states, in any form that ``Certificate.at`` takes."""
+        joint = joint_states(self.problem, states)
+        values = np.ones(len(joint))
+        for part, columns in zip(self.parts, self._columns, strict=True):
+            values *= part.at(joint[:, columns])
+        return np.maximum(0.0, values * (1.0 - 4.0 * len(self.parts) * UNIT))
+
+    def mean(self, low: Any, high: Any) -> float:
+        """Lower bound from a start drawn uniformly from the box ``[low, high)``; forms as for ``Certificate.mean``."""
+        return self._down(math.prod(part.mean(*box) for part, box in self._boxes(low, high)))
+
+    def min(self, low: Any, high: Any) -> float:
+        """Lower bound from every start in the box; forms as for ``Certificate.min``."""
+        return self._down(math.prod(part.min(*box) for part, box in self._boxes(low, high)))
+
+    @cached_property
+    def alike(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the parts, those that differ in nothing but names together."""
+        found: dict[object, list[int]] = {}
+        for k, part in enumerate(self.parts):
+            rest = tuple(id(getattr(part, field.name)) for field in fields(part) if field.name != "problem")
+            found.setdefault((rest, nameless(part.problem)), []).append(k)
+        return tuple(tuple(same) for same in found.values())
+
+    def _down(self, value: float) -> float:
+        """The value less what rounding of the product may have added."""
+        return max(0.0, value * (1.0 - 4.0 * len(self.parts) * UNIT))
+
+    @cached_property
+    def _columns(self) -> tuple[Any, ...]:
+        """Components of each part's agents in a joint state."""
+        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
+        own = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return tuple(np.concatenate([own[i] for i in group.agents]) for group in self.problem.groups)
+
+    def _boxes(self, low: Any, high: Any) -> list[tuple[Certificate, tuple[FloatArray, FloatArray]]]:
+        """Each part with its share of a box."""
+        first, last = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
+        return [(part, (first[own], last[own])) for part, own in zip(self.parts, self._columns, strict=True)]
+
+
+def product_certificate(problem: Problem, parts: tuple[Certificate, ...]) -> ProductCertificate:
+    """Put certificates of the parts together, each given the names of its agents.
+
+    Raises
+    ------
+    ValueError
+        If a certificate is not of the part it stands for, up to names.
+    """
+    tasks = problem.tasks
+    if len(parts) != len(tasks):
+        raise ValueError(f"`parts`: expected one certificate per task, {len(tasks)}, got {len(parts)}")
+    named = []
+    for task, part in zip(tasks, parts, strict=True):
+        if nameless(part.problem) != nameless(task):
+            raise ValueError(f"`parts`: expected a certificate of {task.name!r}, got one of {part.problem.name!r}")
+        named.append(replace(part, problem=task))
+    return ProductCertificate(problem, tuple(named))
+
+
+def nameless(problem: Problem) -> str:
+    """Everything that a certificate of the problem depends on: problems that differ in names alone are equal here."""
+    agents = [agent.to_dict() for agent in problem.agents]
+    places = {agent.name: i for i, agent in enumerate(problem.agents)}
+    for agent in agents:
+        del agent["name"]
+    regions = [{**region.to_dict(), "agent": places[region.agent]} for region in problem.propositions.values()]
+    automaton = problem.automaton.to_dict()
+    order = {name: k for k, name in enumerate(automaton["propositions"])}
+    asked = [order[name] for name in problem.propositions]
+    task = {key: value for key, value in automaton.items() if key != "propositions"}
+    return json.dumps([problem.horizon, agents, regions, asked, task], sort_keys=True)
+
+
+def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, float | str]:
+    """The bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
+    if isinstance(certificate, Certificate):
+        return dict(certificate.settings.get("relations_tried", {}))
+    found: dict[str, float | str] = {}
+    for same in certificate.alike:
+        part = certificate.parts[same[0]]
+        name = part.problem.agent_names[0]
+        found |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
+    return found

@@ -1,0 +1,118 @@
+"""What a synthesis gives: policies with their certificate, and what is known of how they were found.
+
+``certificate_of`` turns policies that were evaluated with frozen laws into a certificate: it takes the largest bound
+that applies, and, where nothing is lost, says how far above it the probability may be.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..envs.problem import Problem
+from .bounds import (
+    Bound,
+    a_posteriori_bound,
+    abstract_bound,
+    continuous_upper_bound,
+    evaluate_above,
+    nominal_bound,
+    relative_rounding,
+    robust_bound,
+    robust_loss,
+    stranded_mass,
+    train_bound,
+    undecided_steps,
+)
+from .certificates import EXACT_GAP, AgentPart, Certificate
+from .models import Abstraction, InputMenu, JointModel, start_of
+from .relations import describe_relation
+from .search import FINAL, Relaxation, Sweep, TrainSweep, forward, sweep, time_invariant
+from .values import start_above
+
+
+def certificate_of(
+    problem: Problem,
+    abstraction: Abstraction,
+    joint: JointModel,
+    best: Sweep | TrainSweep,
+    settings: dict[str, Any],
+    search: str,
+) -> Certificate:
+    """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
+    grown: Sweep | TrainSweep
+    if isinstance(best, TrainSweep):
+        above = None
+        if abstraction.is_exact:
+            above = start_above(start_of(problem, joint), evaluate_above(joint, best.laws, best.rounding))
+        grown, bound = best, train_bound(joint, best, above)
+        bounds = {bound.name: bound.lower}
+    else:
+        grown, bound, bounds = best_bound(problem, abstraction, joint, best)
+    parts = []
+    for i, model in enumerate(joint.models):
+        part = AgentPart(
+            grid=model.grid,
+            coordinates=model.relation.coordinates,
+            relation=describe_relation(model.relation),
+            lattice=model.lattice,
+            masks=joint.masks[i],
+            start_masks=joint.start_masks[i],
+            law=time_invariant(best.laws[i]),
+            menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
+        )
+        parts.append(part)
+    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)
+    return Certificate(
+        problem=problem,
+        method=f"{settings['relation']} relation, {search}",
+        bound=bound.name,
+        bounds=bounds,
+        start="point" if point else "mean",
+        lower_bound=bound.lower,
+        gap=bound.gap,
+        exact=bound.gap is not None and bound.gap <= EXACT_GAP,
+        relative_rounding=relative_rounding(joint, grown.rank),
+        agents=tuple(parts),
+        guard_source=joint.guards.source,
+        guard_target=joint.guards.target,
+        guard_mask=joint.guards.mask,
+        start_target=joint.start_guards.target,
+        start_mask=joint.start_guards.mask,
+        skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
+        terms=grown.terms if isinstance(grown, Sweep) else None,
+        rank=grown.rank,
+        settings=settings,
+        rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
+    )
+
+
+def best_bound(
+    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
+) -> tuple[Sweep, Bound, dict[str, float]]:
+    """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
+    if all(model.delta == 0.0 for model in joint.models):
+        stranded = 0.0
+        if abstraction.is_exact and any(np.any(model.choices.resting_law < 0) for model in joint.models):
+            stranded = stranded_mass(joint, best.laws, forward(joint, best.laws, start_of(problem, joint), FINAL))
+        bound = nominal_bound(joint, best, abstraction.is_exact, stranded)
+        return best, bound, {bound.name: bound.lower}
+    start = start_of(problem, joint)
+    undecided = undecided_steps(joint, forward(joint, best.laws, start, FINAL))
+    robust = sweep(joint, best.laws, start, FINAL, improve=False, loss=robust_loss)
+    found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
+    grown, bound = max(found, key=lambda pair: pair[1].lower)
+    return grown, bound, {other.name: other.lower for _, other in found}
+
+
+def bounds_from_above(
+    problem: Problem, joint: JointModel, relaxations: tuple[Relaxation, ...], certificate: Certificate
+) -> dict[str, object]:
+    """What no policy attains, on the same finite models and of the continuous system (None: not known)."""
+    start = start_of(problem, joint)
+    anywhere = continuous_upper_bound(problem, joint, start)
+    most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)
+    if anywhere is not None and certificate.delta == 0.0:  # what abstract policies attain, continuous ones do
+        most = min(most, anywhere)
+    return {"abstract_upper_bound": most, "continuous_upper_bound": anywhere}

@@ -1,0 +1,297 @@
+"""Independent verification of a certificate, from its policies and its tree alone.
+
+Nothing of the search is used: guards are verified against the automaton instead of compiled, admissible inputs against
+the input box, and the value tree is grown again vertex by vertex with a kernel of its own. Whatever vertices a tree
+keeps, its sum is a lower bound; so a certificate is right if
+
+1. its grids tile the workspaces and its noise coordinates make the noise independent;
+2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
+3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
+   (or, for co-safe tasks, to acceptance);
+4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
+   exceeds its regrown one;
+5. where it says how far above its bound the probability may be (``gap``), nothing is lost anywhere, and what its
+   policies attain, evaluated forward in time, is no more than that (``check_above``).
+
+United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import Box
+from ...envs.problem import Problem
+from ..certificates import (
+    EXACT_GAP,
+    BrokenTrainError,
+    Certificate,
+    Claim,
+    ProductCertificate,
+    checked_certificate,
+    grid_noise,
+    regrow_trains,
+    significant_down,
+    significant_up,
+)
+from ..values import UNIT, Terms, Trains
+from .forward_mass import TooManyProducts, masses
+from .guard_check import wrong_guards
+from .regrown_tree import BrokenTreeError, regrow
+from .relation_check import verify_relation
+from .upper_end import MOST, attained, inexact
+
+FloatArray = NDArray[Any]
+
+CORRELATION = 1e-11
+"""Largest correlation of the noises of two grid axes that passes for rounding."""
+
+DROPPED, SPARE = 1e-12, 1e-9
+"""Undecided mass that may be dropped per step, and what is added to it for rounding."""
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """Outcome of ``check``: truthy if the certificate holds.
+
+    Parameters
+    ----------
+    valid : bool
+    claimed : float
+        The certificate's lower bound.
+    recomputed : float
+        Value at the start computed again (NaN if it was not reached); a lower bound up to rounding.
+    failures : tuple of str
+        What is wrong, in words.
+    above : float or None
+        Upper bound on the satisfaction probability of the certificate's controller, computed anew; None if the
+        certificate claims none, or if it was too large a computation (``gap`` is unverified then).
+    """
+
+    valid: bool
+    claimed: float
+    recomputed: float
+    failures: tuple[str, ...]
+    above: float | None = None
+
+    def __bool__(self) -> bool:
+        return self.valid
+
+    def __str__(self) -> str:
+        if self.valid:
+            above = "" if self.above is None else f", at most {significant_up(self.above, 9)}"
+            lower, again = (significant_down(number, 9) for number in (self.claimed, self.recomputed))
+            return f"valid: lower bound {lower}, recomputed {again}{above}"
+        return "NOT valid: " + "; ".join(self.failures)
+
+
+def check(certificate: Certificate | ProductCertificate, problem: Problem | None = None) -> CheckReport:
+    """Verify a certificate against a problem (by default the one inside it).
+
+    Parameters
+    ----------
+    certificate : Certificate or ProductCertificate
+    problem : Problem, optional
+        The certificate must have been made for exactly this problem (fingerprint).
+
+    Returns
+    -------
+    CheckReport
+        Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
+        the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
+    """
+    if isinstance(certificate, ProductCertificate):
+        return _check_product(certificate, certificate.problem if problem is None else problem)
+    problem = checked_certificate(certificate).problem if problem is None else problem
+    failures: list[str] = []
+    recomputed, above = float("nan"), None
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    else:
+        for step in (_check_form, _check_grids, _check_relations, wrong_guards):
+            failures += step(certificate)
+            if failures:
+                break
+        else:
+            try:
+                value = _regrown(certificate)
+            except (BrokenTreeError, BrokenTrainError) as error:
+                failures.append(str(error))
+            else:
+                recomputed = _start_value(certificate, value)
+                failures += _check_values(certificate, value, recomputed)
+                if certificate.gap is not None and not failures:
+                    above, failures = _check_above(certificate, certificate.gap)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
+
+
+def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport:
+    """Every part is of the task it stands for, and holds; what their product claims follows."""
+    if product.fingerprint != problem.fingerprint:
+        failures = ["it was made for another problem (the fingerprints differ)"]
+        return CheckReport(False, product.lower_bound, float("nan"), tuple(failures))
+    failures, recomputed, above = [], 1.0, 1.0
+    if [part.fingerprint for part in product.parts] != [task.fingerprint for task in problem.tasks]:
+        failures.append("its parts are not the independent tasks of its problem")
+    for same in product.alike:
+        report = check(part := product.parts[same[0]])
+        recomputed *= report.recomputed ** len(same)
+        above *= (np.nan if report.above is None else report.above) ** len(same)
+        failures += [f"{part.problem.name}: {failure}" for failure in report.failures]
+    known = not failures and product.gap is not None and above >= 0.0
+    most = min(1.0, above * (1.0 + 4.0 * len(product.parts) * UNIT)) if known else None
+    return CheckReport(not failures, product.lower_bound, recomputed, tuple(failures), most)
+
+
+def _check_form(certificate: Certificate) -> list[str]:
+    """The value function covers the horizon, and what is said about the bound is right."""
+    failures = []
+    point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
+    if certificate.start != ("point" if point else "mean"):
+        failures.append(f"its start is called {certificate.start!r}, which it is not")
+    if any((part.relation["kind"] == "exact") != (part.menu is None) for part in certificate.agents):
+        failures.append("a relation and its choices do not belong together")
+    tree = certificate.rounding is None
+    if tree and len(certificate.skeleton) != certificate.problem.horizon:
+        failures.append("its tree does not cover its horizon")
+    if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
+        failures.append("whether it is exact does not fit its gap")
+    if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
+        failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
+    return failures
+
+
+def _check_grids(certificate: Certificate) -> list[str]:
+    """Grids cover the workspaces and, in their coordinates, the noise is independent and positive."""
+    failures = []
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        low = np.array([edges[0] for edges in part.grid.edges])
+        high = np.array([edges[-1] for edges in part.grid.edges])
+        if not _is_inverted(part.coordinates):
+            failures.append(f"the grid coordinates of agent `{agent.name}` cannot be inverted")
+            continue
+        identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
+        if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
+            failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
+        if not identity and not np.array_equal(agent.initial.low, agent.initial.high):
+            failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
+        if not identity and not _covers(agent.workspace, part.coordinates, low, high):
+            failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
+        noise = grid_noise(agent.noise_covariance, part.coordinates)
+        variances = np.diag(noise)
+        off = np.abs(noise - np.diag(variances))
+        if np.any(variances <= 0) or np.any(off > CORRELATION * np.sqrt(np.outer(variances, variances))):
+            failures.append(f"the noise of agent `{agent.name}` is not independent along its grid axes")
+        if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
+            failures.append(f"the lattice of agent `{agent.name}` is not increasing")
+    return failures
+
+
+def _is_inverted(coordinates: FloatArray) -> bool:
+    """Whether the inverse of grid coordinates, which everything else takes, is one."""
+    try:
+        inverse = np.linalg.inv(coordinates)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.all(np.abs(coordinates @ inverse - np.eye(len(coordinates))) <= 1e-9))
+
+
+def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+    """Whether the grid ``[low, high]`` holds the workspace in its coordinates (up to rounding)."""
+    inverse = np.linalg.inv(coordinates)
+    middle = inverse @ (0.5 * (workspace.low + workspace.high))
+    reach = np.abs(inverse) @ (0.5 * (workspace.high - workspace.low))
+    slack = 1e-12 * (np.abs(middle) + reach)
+    return bool(np.all(low <= middle - reach + slack) and np.all(high >= middle + reach - slack))
+
+
+def _check_relations(certificate: Certificate) -> list[str]:
+    """The relation of every agent holds, and its policy asks for nothing beyond the input box."""
+    failures = []
+    seen: set[object] = set()
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
+        arrays += [part.coordinates, part.law, *part.lattice, *([] if part.menu is None else [part.menu])]
+        key = (id(part.grid), json.dumps(part.relation, sort_keys=True), *(own.tobytes() for own in arrays))
+        if key not in seen:
+            seen.add(key)
+            failures += [f"agent `{agent.name}`: {text}" for text in verify_relation(agent, part)]
+    return failures
+
+
+def _check_above(certificate: Certificate, gap: float) -> tuple[float | None, list[str]]:
+    """What the policies attain at most, and whether the certificate says less."""
+    failures = inexact(certificate)
+    above = None if failures else attained(certificate)
+    if above is not None and not above <= certificate.lower_bound + gap:
+        most = certificate.lower_bound + gap
+        failures.append(f"it says that the probability is at most {most:.12g}, but what was recomputed is {above:.12g}")
+    return above, failures
+
+
+def _regrown(certificate: Certificate) -> Terms | Trains:
+    """Value function at time 0, grown again from the policies."""
+    if certificate.rounding is None:
+        return regrow(certificate)
+    return regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding)
+
+
+def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
+    """Regrown value at the problem's start, less what lost relations can cost."""
+    delta = certificate.delta if certificate.bound == "a-posteriori" else 0.0
+    if certificate.bound == "nominal" and certificate.delta > 0:
+        return float("nan")  # the nominal value proves nothing then
+    relations = tuple(p.relation_of(a) for a, p in zip(certificate.problem.agents, certificate.agents, strict=True))
+    start = certificate.start_target, certificate.start_mask
+    claim = Claim(certificate.problem, certificate.agents, relations, *start, terms, 0.0, 0.0)
+    boxes = [agent.initial for agent in certificate.problem.agents]
+    low, high = (np.concatenate([getattr(b, side) for b in boxes]) for side in ("low", "high"))
+    value = float(claim.at(low)[0]) if np.array_equal(low, high) else claim.mean(low, high)
+    if not delta:
+        return value
+    steps = certificate.problem.horizon if isinstance(terms, Trains) else _undecided(certificate)
+    return max(0.0, value - delta * steps * (1 + 1e-9))
+
+
+def _undecided(certificate: Certificate) -> float:
+    """Upper bound on the expected number of undecided steps."""
+    try:
+        passed = list(masses(certificate, DROPPED, MOST))
+    except TooManyProducts:
+        return float(certificate.problem.horizon)
+    return sum(min(1.0, mass.alive + mass.dropped + SPARE) for mass in passed[:-1])
+
+
+def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: float) -> list[str]:
+    """The claims are not larger than what was regrown."""
+    failures = []
+    n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
+    counted = max((len(kept) for step in certificate.skeleton for kept in step.kept), default=0)
+    rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
+    if not certificate.lower_bound <= recomputed * (1.0 - rounding):
+        failures.append(f"the bound {certificate.lower_bound:.12g} exceeds the recomputed value {recomputed:.12g}")
+    elif any(not value <= recomputed * (1.0 - rounding) for value in certificate.bounds.values()):
+        failures.append(f"it lists a bound that exceeds the recomputed value {recomputed:.12g}")
+    if not rounding + 1e-11 * len(certificate.agents) <= certificate.relative_rounding <= 1.0:
+        failures.append("its reserve for rounding is too small")
+    tolerance = 1.0 + 1e-11
+    stored, regrown = certificate.terms, terms
+    if stored is None or isinstance(regrown, Trains):
+        return failures if stored is None else [*failures, "it stores a value tree beside its tensor trains"]
+    if any(len(a) != len(b) for a, b in zip(stored.index, regrown.index, strict=True)):
+        return [*failures, "the stored value function has other terms than the tree"]
+    if any(not np.all(own >= 0.0) for own in stored.factors):
+        return [*failures, "the stored value function has factors that are negative or no numbers"]
+    for i, (mine, yours) in enumerate(zip(stored.factors, regrown.factors, strict=True)):
+        for q, rows in enumerate(stored.index):
+            if np.any(mine[rows[:, i]] > yours[regrown.index[q][:, i]] * tolerance + 1e-250):
+                failures.append(
+                    f"a stored factor of agent `{certificate.problem.agents[i].name}` exceeds its regrown value"
+                )
+                break
+    return failures

@@ -1,0 +1,186 @@
+"""The closed loop pushed forward, for checks: where the mass of a certificate's policies is at every time.
+
+Nothing of the search is used. The alive mass of each automaton state is a sum of products, one factor per agent, like
+the value; sums that differ in one agent only are one product, and the smallest products are dropped and counted. What
+has been accepted by the end, plus all that was dropped or lost, bounds from above what the policies attain on the
+cells: an evaluation of its own, forward in time, of what the value says backward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from ..cells import start_share
+from ..certificates import axis_tables
+
+if TYPE_CHECKING:
+    from ..certificates import Certificate
+
+FloatArray = NDArray[Any]
+
+
+class TooManyProducts(RuntimeError):
+    """The mass falls into more products than can be told apart in reasonable time."""
+
+
+@dataclass
+class Mass:
+    """Mass that no decision has been made about, and what has become of the rest.
+
+    Parameters
+    ----------
+    factors : list of (K_i, S_i) arrays
+        Distinct factors of each agent.
+    index : (N, I) int array
+        Factors of each product.
+    states : (N,) int array
+        Automaton state of each product.
+    accepted, dropped, stranded : float
+        Mass that was accepted for good, that was dropped for being small, and that was in cells without a choice.
+    """
+
+    factors: list[FloatArray]
+    index: NDArray[np.int64]
+    states: NDArray[np.int64]
+    accepted: float = 0.0
+    dropped: float = 0.0
+    stranded: float = 0.0
+    totals: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.totals = self._products([own.sum(axis=1) for own in self.factors])
+
+    def _products(self, numbers: Sequence[FloatArray]) -> FloatArray:
+        """(N,) products of one number (K_i,) per factor."""
+        return reduce(np.multiply, (own[rows] for own, rows in zip(numbers, self.index.T, strict=True)))
+
+    @property
+    def alive(self) -> float:
+        """Mass that no decision has been made about."""
+        return float(self.totals.sum())
+
+
+def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
+    """Mass at times 0 .. T, dropping at most ``share`` per step; at most ``most`` products are kept.
+
+    Raises
+    ------
+    TooManyProducts
+        If there are more.
+    """
+    problem, agents = certificate.problem, certificate.agents
+    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    kernels = [axis_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
+    mass = _settled(certificate, mass_at_start(certificate), share, most)
+    yield mass
+    for t in range(problem.horizon):
+        mass = _settled(certificate, _step(certificate, kernels, mass, t), share, most)
+        yield mass
+
+
+def mass_at_start(certificate: Certificate) -> Mass:
+    """Mass before the first step, the first letter read."""
+    problem, agents = certificate.problem, certificate.agents
+    pairs = zip(problem.agents, agents, strict=True)
+    shares = [start_share(p.grid, p.coordinates, a.initial.low, a.initial.high)[None] for a, p in pairs]
+    automaton, point = problem.automaton, certificate.start == "point"
+    if point or (automaton.finished[automaton.initial]):  # no letter is asked
+        q = problem.initial_q if point else automaton.initial
+        known = [] if q is None else [q]
+        return Mass(shares, np.zeros((len(known), len(agents)), dtype=np.int64), np.array(known, dtype=np.int64))
+    factors = [part.start_masks * own for part, own in zip(agents, shares, strict=True)]
+    return Mass(factors, certificate.start_mask.astype(np.int64), certificate.start_target.astype(np.int64))
+
+
+def _step(certificate: Certificate, kernels: list[list[FloatArray]], mass: Mass, t: int) -> Mass:
+    """Mass one step later, its letter read."""
+    factors: list[list[FloatArray]] = [[np.zeros((0, part.grid.n_cells))] for part in certificate.agents]
+    index, states, stranded = [], [], mass.stranded
+    first = np.zeros(len(factors), dtype=np.int64)
+    for q in np.unique(mass.states):
+        own = mass.index[mass.states == q]
+        guards = np.flatnonzero(certificate.guard_source == q)
+        columns, left = [], np.ones(len(own))
+        for i, (part, axes) in enumerate(zip(certificate.agents, kernels, strict=True)):
+            used, place = np.unique(own[:, i], return_inverse=True)
+            rows, points = mass.factors[i][used], part.points(t, int(q))
+            left *= rows[:, points >= 0].sum(axis=1)[place]
+            moved = _moved(rows, points, axes)
+            names, which = np.unique(certificate.guard_mask[guards, i], return_inverse=True)
+            masked = (moved[:, None] * part.masks[names]).reshape(-1, part.grid.n_cells)
+            columns.append(first[i] + place[:, None] * len(names) + which[None])
+            factors[i].append(masked)
+            first[i] += len(masked)
+        stranded += max(0.0, float(mass.totals[mass.states == q].sum() - left.sum()))
+        index.append(np.stack(columns, axis=-1).reshape(-1, len(factors)))
+        states.append(np.tile(certificate.guard_target[guards], len(own)))
+    whole = [np.concatenate(own) for own in factors]
+    empty = [np.zeros((0, len(factors)), dtype=np.int64)]
+    rows, targets = np.concatenate(empty + index), np.concatenate([np.zeros(0, dtype=np.int64), *states])
+    return Mass(whole, rows, targets, mass.accepted, mass.dropped, stranded)
+
+
+def _moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArray]) -> FloatArray:
+    """Factors (n, S) one step later: gathered at lattice points (S,), -1 for none, and spread by the noise."""
+    shape = tuple(len(table) for table in tables)
+    cells = np.flatnonzero(points >= 0)
+    where = (np.ones(len(cells)), (cells, points[cells]))
+    gathered = csr_matrix(where, shape=(len(points), int(np.prod(shape)))).T @ rows.T
+    spread = np.asarray(gathered).T.reshape(len(rows), *shape)
+    for axis, table in enumerate(tables, start=1):
+        spread = np.moveaxis(np.tensordot(spread, table, axes=(axis, 0)), -1, axis)
+    return spread.reshape(len(rows), -1)
+
+
+def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> Mass:
+    """The mass that is still undecided, like products united, small ones dropped."""
+    automaton = certificate.problem.automaton
+    accepted = mass.accepted + float(mass.totals[automaton.finished[mass.states]].sum())
+    open_ = (mass.totals > 0) & ~automaton.absorbing[mass.states]
+    order = np.flatnonzero(open_)[np.argsort(mass.totals[open_])]
+    small = np.cumsum(mass.totals[order]) <= share
+    kept = np.sort(order[~small])
+    factors, index, states = _united(mass.factors, mass.index[kept], mass.states[kept], most)
+    dropped = mass.dropped + float(mass.totals[order[small]].sum())
+    return Mass(factors, index, states, accepted, dropped, mass.stranded)
+
+
+def _united(
+    factors: list[FloatArray], index: NDArray[np.int64], states: NDArray[np.int64], most: int
+) -> tuple[list[FloatArray], NDArray[np.int64], NDArray[np.int64]]:
+    """The same mass, in fewer products: those that differ in one agent's factor are summed."""
+    factors, index = list(factors), index.copy()
+    before = -1
+    while before != len(index):
+        if len(index) > 10 * most:  # before uniting them takes too long
+            raise TooManyProducts(f"{len(index)} products")
+        before = len(index)
+        for i in range(index.shape[1]):
+            factors[i], index[:, i] = _distinct(factors[i], index[:, i])
+        for i in range(index.shape[1]):
+            others = np.column_stack([np.delete(index, i, axis=1), states])
+            groups, first, place = np.unique(others, axis=0, return_index=True, return_inverse=True)
+            if len(groups) < len(index):
+                rows = (np.ones(len(index)), (place.ravel(), index[:, i]))
+                summed = csr_matrix(rows, shape=(len(groups), len(factors[i]))) @ factors[i]
+                index, states = index[first], states[first]
+                factors[i], index[:, i] = _distinct(np.asarray(summed), np.arange(len(groups)))
+    if len(index) > most:
+        raise TooManyProducts(f"{len(index)} products")
+    return factors, index, states
+
+
+def _distinct(factors: FloatArray, used: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """The factors in use, each once, and where each of ``used`` is among them."""
+    number: dict[bytes, int] = {}
+    names, place = np.unique(used, return_inverse=True)
+    renamed = np.array([number.setdefault(factors[k].tobytes(), len(number)) for k in names], dtype=np.int64)
+    _, first = np.unique(renamed, return_index=True)
+    return factors[names[first]], renamed[place] if len(names) else used

@@ -1,0 +1,108 @@
+"""The value tree of a certificate, grown again vertex by vertex.
+
+Nothing of the search is used: the policies and the list of kept vertices come from the certificate, the kernel is built
+anew from the complementary error function, and united terms are regrown soundly for any choice,
+``a x b + a' x b' >= min(a, a') x (b + b')``. Whatever vertices a tree keeps, its sum is a lower bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..certificates import Certificate, axis_tables, smooth
+from ..values import Terms
+
+FloatArray = NDArray[Any]
+
+
+class BrokenTreeError(ValueError):
+    """A certificate's tree is not a tree of its guards."""
+
+
+def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None = None) -> Terms:
+    """Grow the value tree again from the policies and the list of its vertices: value function at time 0.
+
+    ``each(t, terms)`` is called with the value function at every time t = T - 1 .. 0 as it is grown.
+    """
+    accepting = certificate.problem.automaton.accepting
+    n_agents = len(certificate.agents)
+    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    kernels = [
+        axis_tables(a.noise_covariance, p, tables)
+        for a, p in zip(certificate.problem.agents, certificate.agents, strict=True)
+    ]
+    ones = [np.ones((1, part.grid.n_cells)) for part in certificate.agents]
+    deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
+    factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
+    for t, step in reversed(list(enumerate(certificate.skeleton))):
+        stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
+        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
+            if certificate.problem.automaton.finished[q]:
+                rows.append(np.zeros((1, n_agents), dtype=np.int64))
+                continue
+            guard, child = origin[:, 0], origin[:, 1]
+            if np.any(guard >= len(certificate.guard_source)) or np.any(certificate.guard_source[guard] != q):
+                raise BrokenTreeError("its tree uses a guard of another automaton state")
+            below = _children(index, certificate.guard_target[guard], child, n_agents)
+            rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
+            _check_merges(merges.into, merges.absorbed, kept)
+            for i, part in enumerate(certificate.agents):
+                keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
+                vertex = _unite(part.masks, factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
+                distinct, where = _distinct(vertex, kept)
+                points = part.points(t, q)
+                values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
+                if certificate.bound == "robust tree":
+                    values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
+                values = values * (points >= 0)
+                rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
+                stacks[i].append(values)
+        factors, index = [np.concatenate(s) for s in stacks], rows
+        if each is not None:
+            each(t, Terms(tuple(factors), tuple(index)))
+    return Terms(tuple(factors), tuple(index))
+
+
+def _children(index: list[NDArray[np.int64]], target: NDArray, child: NDArray, n_agents: int) -> NDArray[np.int64]:
+    """Factor indices (N, I) of the terms ``child`` of the states ``target``."""
+    below = np.zeros((len(child), n_agents), dtype=np.int64)
+    for q in np.unique(target):
+        here = target == q
+        if np.any(child[here] >= len(index[q])) or np.any(child[here] < 0):
+            raise BrokenTreeError("its tree names a vertex that is not there")
+        below[here] = index[q][child[here]]
+    return below
+
+
+def _check_merges(into: NDArray, absorbed: NDArray, kept: NDArray) -> None:
+    """No vertex may be counted twice: absorbed once at most, never used afterwards, kept once at most."""
+    gone: set[int] = set()
+    for a, b in zip(into.tolist(), absorbed.tolist(), strict=True):
+        if a == b or a in gone or b in gone:
+            raise BrokenTreeError("its tree counts a vertex twice")
+        gone.add(b)
+    if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):
+        raise BrokenTreeError("its tree counts a vertex twice")
+
+
+def _unite(
+    masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, into: NDArray, absorbed: NDArray, own: NDArray
+) -> FloatArray:  # fmt: skip
+    """One agent's factors (N, S) of the vertices before smoothing: masked, and united as the tree says."""
+    vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
+    for a, b, is_sum in zip(into.tolist(), absorbed.tolist(), own.tolist(), strict=True):
+        vertex[a] = vertex[a] + vertex[b] if is_sum else np.minimum(vertex[a], vertex[b])
+    return vertex
+
+
+def _distinct(vertex: FloatArray, kept: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Distinct rows among the kept ones, and which of them each is."""
+    number: dict[bytes, int] = {}
+    where = np.array([number.setdefault(vertex[k].tobytes(), len(number)) for k in kept], dtype=np.int64)
+    first = np.zeros(len(number), dtype=np.int64)
+    first[where[::-1]] = kept[::-1]
+    return vertex[first], where

@@ -1,0 +1,86 @@
+"""The upper end of a certificate's claim, verified: its policies attain no more than ``lower_bound + gap``.
+
+A bound from above needs more than one from below. Nothing may be lost anywhere: every agent puts its mean exactly where
+its law says, every cell has one class, grids tile the workspaces, and the guards out of an automaton state cover *all*
+joint cells that lead to each of its successors. Guards are disjoint and lead where they say, or to acceptance
+(``check``), so that covering all is a matter of counting: a guard's joint cells are a product, and those that lead to a
+successor are counted agent by agent through the decision diagram, both in whole numbers.
+
+What the policies attain is then evaluated in another direction than the value: as the mass that is accepted going
+forward (``checked_mass``); for tensor trains, which leave cells out, by ``train_above``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..certificates import Certificate, lost_to_rounding, regrow_trains
+from ..values import Occupancy, Terms, start_above
+from .forward_mass import TooManyProducts, mass_at_start, masses
+from .guard_check import joint_cells_by_target
+
+MOST = 100_000
+"""Products of the mass beyond which the upper end is left unverified."""
+
+SPARED = 0.25
+"""Share of the reserve for rounding that dropped mass may take."""
+
+
+def inexact(certificate: Certificate) -> list[str]:
+    """Reasons why a certificate whose lower bound holds can have no upper end."""
+    problem, agents = certificate.problem, certificate.agents
+    claim = "it says how far above its bound the probability may be, but "
+    classes = []
+    for i, (agent, part) in enumerate(zip(problem.agents, agents, strict=True)):
+        possible = problem.labeling.box_classes(i, part.grid.low, part.grid.high)
+        tiles = np.array_equal(part.coordinates, np.eye(len(part.coordinates)))
+        if part.relation["kind"] != "exact" or not tiles or np.any(possible.sum(axis=1) != 1):
+            return [f"{claim}agent `{agent.name}` does not follow its law exactly, or a cell has no certain class"]
+        classes.append(problem.labeling.classes[i][possible.argmax(axis=1)])
+    arriving = [part.masks.sum(axis=1).tolist() for part in agents]
+    starting = [part.start_masks.sum(axis=1).tolist() for part in agents]
+    sets = []
+    for q in range(problem.automaton.n_states):
+        own = certificate.guard_source == q
+        if not problem.automaton.absorbing[q]:
+            sets.append((q, arriving, certificate.guard_mask[own], certificate.guard_target[own]))
+    if certificate.start == "mean" and not problem.automaton.absorbing[problem.automaton.initial]:
+        sets.append((problem.automaton.initial, starting, certificate.start_mask, certificate.start_target))
+    for q, sizes, mask, target in sets:
+        for p, number in joint_cells_by_target(problem, q, classes).items():
+            covered = sum(math.prod(s[m] for s, m in zip(sizes, row, strict=True)) for row in mask[target == p])
+            if not problem.automaton.dead[p] and covered != number:
+                return [f"{claim}its guards leave out joint cells that lead from automaton state {q} to {p}"]
+    return []
+
+
+def attained(certificate: Certificate) -> float | None:
+    """Upper bound on what the policies of an exact certificate attain; None if it would take too long.
+
+    Raises
+    ------
+    ValueError
+        If it has no tensor trains that can be grown again, where it should.
+    """
+    problem, agents = certificate.problem, certificate.agents
+    lost = sum(lost_to_rounding(a.noise_covariance, p) for a, p in zip(problem.agents, agents, strict=True))
+    lost *= problem.horizon
+    if certificate.rounding is not None:
+        start = mass_at_start(certificate)
+        rows = tuple(start.index[start.states == q] for q in range(problem.automaton.n_states))
+        occupancy = Occupancy(Terms(tuple(start.factors), rows), 0.0)
+        return min(
+            1.0,
+            start_above(occupancy, regrow_trains(problem, agents, certificate.guards, certificate.rounding, above=True))
+            + lost,
+        )
+    share = SPARED * certificate.relative_rounding * certificate.lower_bound / (problem.horizon + 1)
+    try:
+        *_, last = masses(certificate, share, MOST)
+    except TooManyProducts:
+        return None
+    accepted = last.accepted + float(last.totals[problem.automaton.accepting[last.states]].sum())
+    n = problem.horizon * sum(part.grid.n_cells + 1 for part in agents) + len(agents) + MOST
+    return min(1.0, (accepted + last.dropped + last.stranded) * (1.0 + 2.0 * n * 2.0**-53) + lost)

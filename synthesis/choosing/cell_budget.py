@@ -1,0 +1,233 @@
+"""Numbers of cells that fit together, and the memory that they need.
+
+A *resolution* is a number of cells per standard deviation of the noise, the same for all axes of all agents: what cells
+lose is a matter of their width against the noise. Near the number that a resolution asks for on an axis, numbers are
+preferred
+
+- for which the region boundaries cut the axis into whole numbers of equal cells (no slivers, which would cost inputs
+  and labels as much as a wide cell, and more lattice points);
+- under relations with a menu of inputs, for which the means fall on few lattice points per cell: with equal cells of
+  widths h the means of axis k lie on the multiples of ``h_k / q`` where ``A_kj h_j / h_k`` has the denominator q. For
+  position and velocity, ``p' = p + s v``, cells of width ``h_v = h_p / s`` (or twice that) have q = 1 (or 2).
+
+Memory is estimated from the shapes of tables, laws and menus; what the value function takes is not known beforehand and
+is scaled from a run with fewer cells (see ``refine``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from ..cells import region_boundaries
+from ..models import BAND_BYTES, BLOCK, FINE, REACH, Relations
+from ..relations import coupling_failure
+
+Shape = tuple[int, ...]
+
+SPREAD = 1.25
+"""Numbers of cells up to this factor from what is asked for are considered."""
+
+MOST = 4000
+"""Most cells per axis of one agent that are considered."""
+
+
+@dataclass(frozen=True)
+class AgentCells:
+    """Cells per axis of one agent and what they entail.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Cells per axis.
+    per_cell : tuple of int
+        Lattice points per cell and axis.
+    tables : float
+        Bytes of kernel and choices, building them included.
+    law : float
+        Bytes of one policy table.
+    points : float
+        Cells and lattice points together: what value functions are arrays over.
+    """
+
+    shape: Shape
+    per_cell: tuple[int, ...]
+    tables: float
+    law: float
+    points: float
+
+
+def cells_at(problem: Problem, resolution: float, relation: Relations = "auto") -> dict[str, AgentCells]:
+    """Cells of every agent at about ``resolution`` cells per standard deviation; equal agents get equal ones.
+
+    Parameters
+    ----------
+    problem : Problem
+    resolution : float
+        Cells per standard deviation of the noise (dimensionless), positive.
+    relation : str, or mapping from agent name to str
+        As in ``synthesize``.
+    """
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for i, agent in enumerate(problem.agents):
+        arrays = (agent.A, agent.B, agent.noise_covariance, agent.state_low, agent.state_high, agent.input_low)
+        kind = relation.get(agent.name, "auto") if isinstance(relation, Mapping) else relation
+        alike.setdefault((kind, *(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
+    found: dict[int, AgentCells] = {}
+    for (
+        kind,
+        *_,
+    ), members in alike.items():  # the boundaries of all of them, so that they share edges, and with them kernels
+        own = problem.agents[members[0]]
+        axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(own.n_states)]
+        cells = _agent_cells(problem, own, [sorted(axis) for axis in axes], resolution, kind)
+        found |= dict.fromkeys(members, cells)
+    return {agent.name: found[i] for i, agent in enumerate(problem.agents)}
+
+
+def base_bytes(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
+    """Bytes of kernels, choices and policies, apart from the value function (an estimate)."""
+    agents = list(cells.values())
+    distinct = {id(own): own for own in agents}.values()
+    policies = 5 if len(agents) > 1 else 4  # of the last sweep, the best one, the starts
+    return sum(own.tables for own in distinct) + policies * sum(own.law for own in agents)
+
+
+def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
+    """Upper bound on what choosing means from a lattice instead of freely can cost a whole run.
+
+    A mean moved by r whitened units changes the law of a step by at most ``2 Phi(r / 2) - 1`` in total variation; the
+    nearest lattice point is half a spacing away per axis at most. Inputs and labels that cells use up come on top.
+    """
+    kept = 0.0
+    for agent in problem.agents:
+        own = cells[agent.name]
+        deviations = np.sqrt(np.diag(agent.noise_covariance))
+        spacing = (agent.state_high - agent.state_low) / (np.array(own.shape) * np.array(own.per_cell))
+        kept += math.log1p(-min(1 - 1e-12, coupling_failure(float(np.linalg.norm(0.5 * spacing / deviations)))))
+    return min(1.0, -math.expm1(problem.horizon * kept))
+
+
+def _agent_cells(
+    problem: Problem, agent: LinearAgent, boundaries: Sequence[list[float]], resolution: float, relation: str
+) -> AgentCells:
+    """Cells of one agent: among the numbers near the resolution the ones with the fewest lattice points."""
+    span = agent.state_high - agent.state_low
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
+    wanted = [max(1.0, resolution * float(s / max(d, 1e-12 * s))) for s, d in zip(span, deviations, strict=True)]
+    options = [
+        _numbers(float(low), float(high), own, number)
+        for low, high, own, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)
+    ]
+    chosen = ("auto", "best", "quick")
+    by_target = relation == "exact" or (relation in chosen and np.linalg.matrix_rank(agent.B) == agent.n_states)
+    scored = []
+    for choice in product(*options):
+        shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)
+        if by_target:
+            per_cell = (2 if agent.n_states == 1 else 1,) * agent.n_states
+        else:
+            per_cell = _points_per_cell(agent, np.array(shape), even)
+        far = sum(abs(math.log(n / max(w, len(own) + 1))) for n, w, own in zip(shape, wanted, boundaries, strict=True))
+        scored.append((math.prod(per_cell), -sum(even), far, shape, per_cell))
+    *_, shape, per_cell = min(scored)
+    return _sized(problem, agent, shape, per_cell, by_target)
+
+
+def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float) -> list[tuple[int, bool]]:
+    """Numbers of cells to consider for one axis, and whether all cells are equal with each."""
+    inside = sorted({b for b in boundaries if low < b < high})
+    least = len(inside) + 1
+    unit = _equal_parts(low, high, inside)
+    centre = min(MOST, max(least, round(wanted)))
+    if unit is None:
+        return [(centre, False)]
+    first, last = math.ceil(centre / SPREAD / unit), math.floor(centre * SPREAD / unit)
+    even = [(k * unit, True) for k in range(max(1, first), last + 1) if k * unit <= MOST]
+    if len(even) > 24:
+        even = sorted(even, key=lambda own: (_roughness(own[0]), abs(own[0] - centre)))[:24]
+    return even or [(centre, False)]
+
+
+def _roughness(number: int) -> int:
+    """Largest prime factor: axes whose numbers have small ones are commensurable more often."""
+    largest, p = 1, 2
+    while p * p <= number:
+        while number % p == 0:
+            largest, number = max(largest, p), number // p
+        p += 1
+    return max(largest, number) if number > 1 else largest
+
+
+def _equal_parts(low: float, high: float, inside: Sequence[float]) -> int | None:
+    """Fewest equal cells that have all boundaries on their edges; None if that takes too many."""
+    parts = 1
+    for boundary in inside:
+        share = Fraction((boundary - low) / (high - low)).limit_denominator(MOST)
+        if abs(float(share) * (high - low) + low - boundary) > 1e-9 * (high - low):
+            return None
+        parts = math.lcm(parts, share.denominator)
+        if parts > MOST:
+            return None
+    return parts
+
+
+def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]) -> tuple[int, ...]:
+    """Lattice points per cell and axis that the means of equal cells need; ``FINE`` where they are snapped."""
+    widths = (agent.state_high - agent.state_low) / shape
+    found = []
+    for k in range(agent.n_states):
+        moves = [agent.A[k, j] * widths[j] for j in range(agent.n_states)]
+        for column in agent.B.T:
+            if column[k] != 0:
+                used = column != 0
+                moves.append(0.5 * column[k] * float(np.min(widths[used] / np.abs(column[used]))))
+        q = 1 if all(even) else FINE
+        for move in moves:
+            share = Fraction(float(move / widths[k])).limit_denominator(FINE)
+            q = math.lcm(q, share.denominator) if abs(float(share) - move / widths[k]) <= 1e-9 else FINE
+            q = min(q, FINE)
+        found.append(q)
+    return tuple(found)
+
+
+def _sized(
+    problem: Problem, agent: LinearAgent, shape: Shape, per_cell: tuple[int, ...], by_target: bool
+) -> AgentCells:
+    """Shapes of tables, choices and laws in bytes."""
+    d, m, n_cells = agent.n_states, agent.n_inputs, math.prod(shape)
+    widths = (agent.state_high - agent.state_low) / np.array(shape)
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
+    reach = np.abs(agent.B) @ (0.5 * (agent.input_high - agent.input_low))
+    lattice, kernel = 1.0, 0.0
+    for k in range(d):
+        beyond = 2 * reach[k] + (np.abs(agent.A[k]) - np.eye(d)[k]).clip(0) @ (agent.state_high - agent.state_low)
+        beyond = min(beyond, 6 * deviations[k]) if by_target else beyond
+        points = shape[k] * per_cell[k] * (1 + beyond / (agent.state_high[k] - agent.state_low[k]))
+        band = min(shape[k], 2 * REACH * deviations[k] / widths[k] + BLOCK / per_cell[k])
+        kernel += 8 * points * band
+        lattice *= points
+    if by_target:
+        window = math.prod(2 * r / w * q + 1 for r, w, q in zip(reach, widths, per_cell, strict=True))
+        choices = n_cells * (8 * d + 40 * d + 16 * m) + min(BAND_BYTES, 2.0 * n_cells * min(window, lattice))
+    else:
+        inputs = {1: 41, 2: 169}.get(m, 5**m)
+        step = [float(np.min(widths[c != 0] / np.abs(c[c != 0]))) if c.any() else math.inf for c in agent.B.T]
+        spread = agent.input_high - agent.input_low
+        inputs = min(inputs, math.prod(max(5, math.ceil(s / h) + 1) for s, h in zip(spread, step, strict=True)))
+        choices = n_cells * inputs * (4 + 8 * (3 * d + 4))
+    law = 4.0 * problem.horizon * _n_states(problem) * n_cells
+    return AgentCells(shape, per_cell, kernel + choices, law, n_cells + lattice)
+
+
+def _n_states(problem: Problem) -> int:
+    """Automaton states that need policies; a few where the automaton of the whole is not built."""
+    return 3 if getattr(problem, "groups", ()) else problem.automaton.n_states

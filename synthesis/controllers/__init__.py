@@ -1,0 +1,18 @@
+"""Controllers that carry a policy out, and policies that come from elsewhere."""
+
+from .agent_controller import AgentController
+from .controller import Controller
+from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
+from .product_controller import ProductController
+
+__all__ = [
+    "AgentController",
+    "Controller",
+    "Decentralised",
+    "InputTable",
+    "LOCAL",
+    "Policy",
+    "ProductController",
+    "decentralised",
+    "vectorized",
+]

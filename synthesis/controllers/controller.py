@@ -1,0 +1,202 @@
+"""Controllers of all agents of a problem, in an environment or in batches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.dynamics import Draws, Dynamics, Worlds
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from .abstract_state import Memory
+from .agent_controller import AgentController
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Controllers of all agents of a problem, usable in a PettingZoo loop and in batched rollouts.
+
+    The information structure is that of the certificate: own state, shared automaton state, time, and per coupled
+    agent its abstract state.
+
+    Parameters
+    ----------
+    problem : Problem
+    agents : tuple of AgentController
+    """
+
+    problem: Problem
+    agents: tuple[AgentController, ...]
+    _episode: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def _by_name(self) -> dict[str, AgentController]:
+        return {agent.name: agent for agent in self.agents}
+
+    def reset(
+        self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
+    ) -> None:
+        """Begin an episode with the observations of ``env.reset``.
+
+        ``seed`` fixes the auxiliary draws of agents with a coupling F; others draw nothing.
+
+        Raises
+        ------
+        ValueError
+            If the agents are not those of the controller's problem.
+        """
+        strangers = sorted(set(observations) ^ set(self._by_name))
+        if strangers:
+            raise ValueError(
+                f"`observations`: expected exactly the agents of problem {self.problem.name!r}, got a mismatch at "
+                f"{', '.join(strangers[:5])}; reset the controller of this environment's own problem"
+            )
+        if seed is not None or "rng" not in self._episode:
+            self._episode["rng"] = np.random.default_rng(seed)
+        self._episode["memory"] = {}
+
+    def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
+        """Action of every agent observed: name -> (m,) float64.
+
+        The state is read from the observation, or from ``infos[agent]`` (keys ``state``, ``automaton_state``, ``time``)
+        where that is given: it survives wrappers that round or rescale observations.
+        """
+        actions = {}
+        for name, observation in observations.items():
+            if name not in self._by_name:
+                raise ValueError(
+                    f"`observations`: expected agents of problem {self.problem.name!r}, got {name!r}; act in its own "
+                    "environment"
+                )
+            agent = self._by_name[name]
+            info = infos.get(name) if infos is not None else None
+            if info is not None and "state" in info:
+                state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
+            else:
+                state, q, time = self._read(agent, np.asarray(observation, dtype=float))
+            actions[name] = self._act_one(agent, np.asarray(state, dtype=float)[:, None, None], q, time)
+        return actions
+
+    def _act_one(self, agent: AgentController, state: FloatArray, q: int, time: int) -> FloatArray:
+        """Action of one agent, its memory kept between calls of one episode."""
+        if not agent.is_coupled:
+            return np.ascontiguousarray(agent.act(state, np.array([q]), time, None)[0][:, 0, 0])
+        memories, rng = self._episode.setdefault("memory", {}), self._episode.setdefault("rng", np.random.default_rng())
+        if time == 0 or agent.name not in memories:
+            memories[agent.name] = agent.begin(state)
+        uniform = rng.random((1, 1)) if agent.draws else None
+        inputs, memories[agent.name] = agent.act(state, np.array([q]), time, memories[agent.name], uniform)
+        return np.ascontiguousarray(inputs[:, 0, 0])
+
+    def _read(self, agent: AgentController, observation: FloatArray) -> tuple[FloatArray, int, int]:
+        """State, automaton state and time in an observation (own state, one-hot automaton state, fraction left)."""
+        d, n_q = len(agent.grid.edges), self.problem.automaton.n_states
+        if observation.shape != (d + n_q + 1,):
+            raise ValueError(
+                f"`observations`: expected {d + n_q + 1} numbers for agent `{agent.name}` (state, automaton state, "
+                f"time left), got shape {observation.shape}"
+            )
+        q = int(np.argmax(observation[d : d + n_q]))
+        return observation[:d], q, round((1.0 - float(observation[-1])) * self.problem.horizon)
+
+    def batch(self, dynamics: Dynamics) -> BatchController:
+        """The same controllers for batched rollouts of ``dynamics``."""
+        return BatchController.of(self.agents, dynamics)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Agents of one block that share grid and relation: their places in the block, and their common controller."""
+
+    members: NDArray[np.int64]
+    controller: AgentController
+
+
+@dataclass(frozen=True, eq=False)
+class BatchMemory:
+    """Memory of a batch: one entry per group of each block, and the generator of auxiliary draws."""
+
+    groups: tuple[tuple[Memory | None, ...], ...]
+    rng: Draws
+
+    @property
+    def lost(self) -> NDArray[np.bool_] | None:
+        """(M,) whether any agent's relation was ever lost; None if there is nothing to lose."""
+        flags = [memory.lost.any(axis=0) for block in self.groups for memory in block if memory is not None]
+        return np.logical_or.reduce(flags) if flags else None
+
+
+@dataclass(frozen=True, eq=False)
+class BatchController:
+    """Controllers arranged for batches: agents with the same grid and relation act in one call."""
+
+    blocks: tuple[tuple[Group, ...], ...]
+    shapes: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(cls, agents: Sequence[AgentController], dynamics: Dynamics) -> BatchController:
+        """Group the agents of each block of ``dynamics``."""
+        blocks, shapes = [], []
+        for block in dynamics.blocks:
+            groups: dict[object, list[int]] = {}
+            for k, i in enumerate(block.agents):
+                groups.setdefault(_signature(agents[i]), []).append(k)
+            blocks.append(tuple(_group(agents, block.agents, members) for members in groups.values()))
+            shapes.append((block.B.shape[1], len(block.agents)))
+        return cls(tuple(blocks), tuple(shapes))
+
+    def begin(self, worlds: Worlds, rng: Draws) -> BatchMemory:
+        """Memory at time 0; agents with a coupling F take one auxiliary draw per step and world from ``rng``."""
+        pairs = zip(self.blocks, worlds.states, strict=True)
+        memory = tuple(tuple(g.controller.begin(states[:, g.members]) for g in groups) for groups, states in pairs)
+        return BatchMemory(memory, rng)
+
+    def selected(self, memory: BatchMemory, which: NDArray[Any]) -> BatchMemory:
+        """Memory of the worlds ``which`` alone, whole numbers in increasing order."""
+        groups = (tuple(own and own.selected(which) for own in block) for block in memory.groups)
+        return BatchMemory(tuple(groups), memory.rng)
+
+    def act(self, worlds: Worlds, memory: BatchMemory) -> tuple[tuple[FloatArray, ...], BatchMemory]:
+        """Inputs (m, n, M) per block, and the memory for the next step."""
+        result, remembered = [], []
+        for groups, memories, (m, n), states in zip(
+            self.blocks, memory.groups, self.shapes, worlds.states, strict=True
+        ):
+            inputs, kept = [], []
+            for group, own in zip(groups, memories, strict=True):
+                uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if group.controller.draws else None
+                here = states if len(groups) == 1 else states.take(group.members, axis=1)
+                chosen, own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
+                inputs.append(chosen)
+                kept.append(own)
+            result.append(inputs[0] if len(groups) == 1 else _placed(groups, inputs, (m, n, worlds.n_worlds)))
+            remembered.append(tuple(kept))
+        return tuple(result), BatchMemory(tuple(remembered), memory.rng)
+
+
+def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[int, int, int]) -> FloatArray:
+    """Inputs (m, n, M) of a block from those of its groups."""
+    inputs = np.empty(shape)
+    for group, part in zip(groups, parts, strict=True):
+        inputs[:, group.members] = part
+    return inputs
+
+
+def _signature(agent: AgentController) -> object:
+    """What agents that act in one call have in common: all but their names and what their laws hold."""
+    arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
+    menu = b"" if agent.menu is None else sha256(agent.menu.tobytes()).digest()
+    return (agent.relation.kind, len(agent.law), menu, *(a.tobytes() for a in arrays))
+
+
+def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> Group:
+    first = agents[block[members[0]]]
+    law = np.stack([agents[block[k]].law for k in members])
+    shared = AgentController("", first.grid, first.lattice, first.relation, law, first.menu)
+    return Group(np.array(members), shared)

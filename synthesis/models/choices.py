@@ -1,0 +1,221 @@
+"""What an abstract agent can choose between in each cell.
+
+A law (S,) gives one choice per cell; -1 where there is none. ``points`` turns a law into the lattice points (means)
+that the kernel table is read at: the law of the next state depends on the point alone.
+
+``TargetWindows``  the choice is the lattice point itself (``exact`` relation: every mean can be commanded); admissible
+                   are the points of a window around each cell.
+``InputMenu``      the choice is one of A abstract inputs, each of which leads to a lattice point.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import FloatArray, Grid
+from ..relations import ExactRelation
+
+Law = NDArray[np.int32]
+
+BAND_BYTES = 200_000_000
+"""Memory for remembered bands of admissible targets, per agent model."""
+
+
+@dataclass(frozen=True, eq=False)
+class TargetWindows:
+    """Target means inside a window around each cell.
+
+    Parameters
+    ----------
+    grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Lattice axes; a point is numbered in C order.
+    relation : ExactRelation
+    low, high : (S, d) int32 arrays
+        Bounding box ``low <= index < high`` of the admissible targets of each cell.
+    """
+
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    relation: ExactRelation
+    low: NDArray[np.int32]
+    high: NDArray[np.int32]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)
+
+    @cached_property
+    def reserve(self) -> FloatArray:
+        """(S, m) input half widths left for the target in each cell."""
+        return self.relation.reserve(self.grid.half_widths)
+
+    @cached_property
+    def central_means(self) -> FloatArray:
+        """(S, d) mean from the cell centre under the central input."""
+        return self.relation.means(self.grid.centres)
+
+    def points(self, law: Law) -> NDArray[Any]:
+        """Lattice points of a law: the law itself."""
+        return law
+
+    def admissible(self, cells: NDArray[Any], law: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether flat lattice point ``law`` is an admissible target of ``cells``; the two broadcast."""
+        indices = np.unravel_index(law, self.shape)
+        targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
+        wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
+        return np.all(wanted <= self.reserve[cells], axis=-1)
+
+    @cached_property
+    def _bands(self) -> dict[bytes, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+        return {}
+
+    @cached_property
+    def _band_bytes(self) -> list[int]:
+        return [0]
+
+    @cached_property
+    def _blocks(self) -> dict[int, list[NDArray[np.int64]]]:
+        return {}
+
+    def blocks(self, size: int) -> list[NDArray[np.int64]]:
+        """All cells, in bricks of about ``size`` of them: their windows have more in common than those of a line."""
+        if size not in self._blocks:
+            self._blocks[size] = _bricks(self.grid.shape, size)
+        return self._blocks[size]
+
+    def band(self, block: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Lattice points (N,) that some of a block of cells can choose, increasing, and which each can (cells, N).
+
+        Kept for the next call as long as all bands together stay below ``BAND_BYTES``.
+        """
+        key, count = block.tobytes(), len(block)
+        if key in self._bands:
+            return self._bands[key]
+        low, high = self.low[block], self.high[block]
+        nonempty = np.all(low < high, axis=1)
+        if not nonempty.any():
+            found = np.zeros(0, dtype=np.int64), np.zeros((count, 0), dtype=bool)
+        else:
+            bounds = zip(low[nonempty].min(axis=0), high[nonempty].max(axis=0), strict=True)
+            axes = [np.arange(a, b) for a, b in bounds]
+            flat = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), self.shape).ravel()
+            allowed = np.ones((count, *(len(axis) for axis in axes)), dtype=bool)
+            for k, axis in enumerate(axes):
+                inside = (axis >= low[:, k, None]) & (axis < high[:, k, None])
+                allowed &= inside.reshape(count, *(-1 if j == k else 1 for j in range(len(axes))))
+            allowed = allowed.reshape(count, -1)
+            if not self.relation.is_box:
+                allowed &= self.admissible(block[:, None], flat[None, :])
+            used = allowed.any(axis=0)
+            found = flat[used], allowed[:, used]
+        if self._band_bytes[0] + found[1].nbytes <= BAND_BYTES:
+            self._bands[key] = found
+            self._band_bytes[0] += found[1].nbytes
+        return found
+
+    @cached_property
+    def axis_windows(self) -> tuple[tuple[NDArray[np.int32], NDArray[np.int32]], ...] | None:
+        """Per axis the window (S_k,), (S_k,) of each of its cells, if windows are products of such; None otherwise."""
+        if not self.relation.is_box:
+            return None
+        found = []
+        for k in range(len(self.lattice)):
+            sides = []
+            for side in (self.low, self.high):
+                table = np.moveaxis(side[:, k].reshape(self.grid.shape), k, 0).reshape(self.grid.shape[k], -1)
+                if np.any(table != table[:, :1]):
+                    return None
+                sides.append(table[:, 0])
+            found.append((sides[0], sides[1]))
+        return tuple(found)
+
+    @cached_property
+    def resting_law(self) -> Law:
+        """(S,) admissible target nearest to the cell itself; -1 where no target is admissible.
+
+        The choice at cells, states and times for which nothing better is known; it makes every policy total.
+        """
+        targets = []
+        for k, axis in enumerate(self.lattice):
+            nearest = np.clip(np.searchsorted(axis, self.grid.centres[:, k]), 0, len(axis) - 1)
+            targets.append(np.clip(nearest, self.low[:, k], self.high[:, k] - 1))
+        empty = np.any(self.low >= self.high, axis=1)
+        flat = np.ravel_multi_index([np.where(empty, 0, t) for t in targets], self.shape)
+        admissible = ~empty & self.admissible(np.arange(self.grid.n_cells), flat)
+        return np.where(admissible, flat, -1).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class InputMenu:
+    """A abstract inputs per cell, each with the lattice point it leads to.
+
+    Parameters
+    ----------
+    leads_to : (S, A) int32 array
+        Flat lattice point of each cell and input.
+    resting_law : (S,) int32 array
+        The input that stays nearest to the cell.
+    """
+
+    leads_to: NDArray[np.int32]
+    resting_law: Law
+
+    def blocks(self, size: int) -> list[NDArray[np.int64]]:
+        """All cells, in runs of ``size`` of them."""
+        return _bricks((len(self.leads_to),), size)
+
+    def points(self, law: Law) -> NDArray[Any]:
+        """Lattice points of a law."""
+        chosen = np.take_along_axis(self.leads_to, np.maximum(law, 0)[:, None], axis=1)[:, 0]
+        return np.where(law < 0, -1, chosen)
+
+
+Choices = TargetWindows | InputMenu
+
+
+def _bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:
+    """Cells of a grid, increasing, in cubes of at most ``size`` of them.
+
+    Examples
+    --------
+    >>> [brick.tolist() for brick in _bricks((2, 3), 4)]
+    [[0, 1, 3, 4], [2, 5]]
+    """
+    edge = max(1, int(size ** (1.0 / len(shape)) + 1e-9))
+    cells = np.arange(math.prod(shape)).reshape(shape)
+    corners = product(*(range(0, n, edge) for n in shape))
+    return [cells[tuple(slice(a, a + edge) for a in corner)].ravel() for corner in corners]
+
+
+def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+    """Admissible targets of the ``exact`` relation; windows are empty where the input reserve is used up.
+
+    ``z - mean = B v`` with ``|v|_j <= reserve_j`` bounds each axis; for a scaled permutation the box is the window.
+    """
+    means, reserve = relation.means(grid.centres), relation.reserve(grid.half_widths)
+    reach = np.maximum(reserve, 0.0) @ np.abs(relation.B).T
+    low, high = np.empty(means.shape, dtype=np.int32), np.empty(means.shape, dtype=np.int32)
+    for k, axis in enumerate(lattice):
+        low[:, k] = np.searchsorted(axis, means[:, k] - reach[:, k], side="left")
+        high[:, k] = np.searchsorted(axis, means[:, k] + reach[:, k], side="right")
+        if relation.is_box:  # the comparison above rounds; admissible is decided by one inequality everywhere
+            j = int(np.flatnonzero(relation.right_inverse[:, k])[0])
+            gain = abs(relation.right_inverse[j, k])
+            for index, step in ((low, 1), (high, -1)):
+                edge = np.clip(index[:, k] if step == 1 else index[:, k] - 1, 0, len(axis) - 1)
+                index[:, k] += step * (np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j])
+    high = np.where(np.any(reserve < 0, axis=1)[:, None], low, high)
+    return TargetWindows(grid, lattice, relation, low, high)
+
+
+Laws = tuple[NDArray[np.int32], ...]
+"""Per agent (T, Q, S_i): target of each cell by time and automaton state; -1 where none is admissible."""

@@ -1,0 +1,160 @@
+"""What dynamic programming needs of a problem: agent models, guards, masks and start, compiled once.
+
+The start is an occupancy like any other: the point or box of initial states as a product over agents, after the letter
+of time 0 has been read (``qbar_0 = next_state(q_0, l_0)``, THEORY section 0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ..cells import CellLabels, FloatArray, start_share
+from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
+from .abstraction import Abstraction, AgentModel
+from .guards import compile_guards
+
+
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """Agent models joined by the robust automaton.
+
+    Parameters
+    ----------
+    models : tuple of AgentModel
+    guards : Guards
+        Disjoint guards between automaton states.
+    masks : tuple of (K_i, S_i) arrays
+        Guards' factors on the cells of each agent.
+    start_guards, start_masks
+        The same for reading the letter of time 0, where the state is known to be in the cell itself.
+    accepting : (Q,) bool array
+    absorbing : (Q,) bool array
+        States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
+    horizon : int
+        Control steps T.
+    device : str
+        Where sweeps over the value tree compute (see ``arrays``); everything held here is held by numpy.
+    """
+
+    models: tuple[AgentModel, ...]
+    guards: Guards
+    masks: tuple[NDArray, ...]
+    start_guards: Guards
+    start_masks: tuple[NDArray, ...]
+    accepting: NDArray[np.bool_]
+    absorbing: NDArray[np.bool_]
+    horizon: int
+    device: str = HOST
+
+    @cached_property
+    def put(self) -> Callable[[NDArray], Array]:
+        """The function that takes arrays to the device."""
+        return device_put(self.device)
+
+    @cached_property
+    def relaxations(self) -> dict[object, Any]:
+        """Relaxations of the agents that have been computed (see ``relaxation``)."""
+        return {}
+
+    @property
+    def n_cells(self) -> tuple[int, ...]:
+        """Cells of each agent."""
+        return tuple(model.n_cells for model in self.models)
+
+    @property
+    def n_states(self) -> int:
+        """Automaton states Q."""
+        return len(self.accepting)
+
+
+def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> JointModel:
+    """Compile the guards of ``problem`` over the cells of ``abstraction``, for sweeps on ``device``."""
+    device_put(device)  # refuses what is not there before any work is done
+    automaton = problem.automaton
+    models = abstraction.models
+    guards = compile_guards(problem, [model.labels.sets for model in models])
+    start_guards = compile_guards(problem, [model.start_labels.sets for model in models], [automaton.initial])
+    return JointModel(
+        models=models,
+        guards=guards,
+        masks=cell_masks(guards, [model.labels for model in models]),
+        start_guards=start_guards,
+        start_masks=cell_masks(start_guards, [model.start_labels for model in models]),
+        accepting=np.asarray(automaton.accepting, dtype=bool),
+        absorbing=automaton.absorbing,
+        horizon=problem.horizon,
+        device=device,
+    )
+
+
+def start_of(problem: Problem, joint: JointModel) -> Occupancy:
+    """Occupancy at time 0 for the problem's initial states: points, or a uniform distribution over boxes.
+
+    The mass of a box is spread over the cells it overlaps; starts outside the workspace carry none.
+    """
+    boxes = [agent.initial for agent in problem.agents]
+    if all(np.array_equal(box.low, box.high) for box in boxes):
+        return point_start(problem, joint, [box.low for box in boxes])
+    pairs = zip(boxes, joint.models, strict=True)
+    factors = [start_share(m.grid, m.relation.coordinates, box.low, box.high) for box, m in pairs]
+    return _read_first_letter(problem, joint, factors)
+
+
+def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray]) -> Occupancy:
+    """Occupancy at time 0 for one joint state, a sequence of (d_i,) vectors; its true letter is read."""
+    automaton = problem.automaton
+    q = int(automaton.next_state(np.asarray(automaton.initial), problem.labeling.letter(states)))
+    factors = []
+    for agent, model, state in zip(problem.agents, joint.models, states, strict=True):
+        mass = np.zeros((1, model.n_cells))
+        if np.all((agent.workspace.low <= state) & (state <= agent.workspace.high)):
+            mass[0, _cell(model, state)] = 1.0
+        factors.append(mass)
+    alive = all(mass.any() for mass in factors) and not automaton.dead[q]
+    n_agents = len(factors)
+    rows = [np.zeros((int(alive and other == q), n_agents), dtype=np.int64) for other in range(joint.n_states)]
+    return Occupancy(Terms(tuple(factors), tuple(rows)), 0.0)
+
+
+def _cell(model: AgentModel, state: FloatArray) -> int:
+    """Cell of one state (d,)."""
+    return int(model.grid.cell_of(model.relation.to_grid(state)[:, None])[0])
+
+
+def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:
+    """Distribute a product over agents by the guards out of the automaton's initial state."""
+    initial = problem.automaton.initial
+    n_agents = len(factors)
+    if joint.absorbing[initial]:
+        alive = bool(joint.accepting[initial])
+        per_state = [np.zeros((int(alive and q == initial), n_agents), dtype=np.int64) for q in range(joint.n_states)]
+        return Occupancy(Terms(tuple(f[None] for f in factors), tuple(per_state)), 0.0)
+    masked = tuple(mask * factor for mask, factor in zip(joint.start_masks, factors, strict=True))
+    guards = joint.start_guards
+    index = []
+    for q in range(joint.n_states):
+        chosen = np.flatnonzero((guards.source == initial) & (guards.target == q))
+        rows = guards.mask[chosen].astype(np.int64)
+        alive_rows = np.ones(len(rows), dtype=bool)
+        for i, own in enumerate(masked):
+            alive_rows &= np.any(own != 0, axis=1)[rows[:, i]]
+        index.append(rows[alive_rows])
+    return Occupancy(Terms(masked, tuple(index)), 0.0)
+
+
+def cell_masks(guards: Guards, cells: Sequence[CellLabels]) -> tuple[NDArray, ...]:
+    """Per agent (K_i, S_i) indicator of each mask on the cells; cells that may be outside the workspace are 0."""
+    masks = []
+    for sets, labels in zip(guards.masks, cells, strict=True):
+        on_cells = np.zeros((len(sets), len(labels.number)), dtype=bool)
+        inside = labels.number >= 0
+        on_cells[:, inside] = sets[:, labels.number[inside]]
+        masks.append(on_cells)
+    return tuple(masks)

@@ -1,0 +1,230 @@
+"""Gaussian masses of grid cells, from below.
+
+The abstract agent moves from a mean ``z`` on a lattice to the cell that holds ``z + w`` with ``w ~ N(0, Sigma)``. With
+diagonal ``Sigma`` the mass of a cell is a product over axes, so one table ``(Z_k, S_k)`` per axis is the whole kernel;
+it depends on the mean alone and serves all cells and inputs: a backup smooths once and gathers afterwards.
+
+Every entry is a **lower bound** on the true mass (THEORY section 9): the difference is taken between the tails that
+are small, the error of the special function and of its argument is subtracted, negative results become 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ..values import UNIT, add_rows, empty, multiply_into, namespace, resident
+
+FloatArray = NDArray[Any]
+
+SMALLEST = 1e-60
+"""Masses below this are set to 0: a lower bound still, and no denormal numbers in the products."""
+
+
+def gaussian_masses(means: FloatArray, edges: FloatArray, std: float) -> tuple[FloatArray, float]:
+    """Lower bounds on ``P(edges[s] <= z + w < edges[s+1])`` for ``w ~ N(0, std**2)``.
+
+    Parameters
+    ----------
+    means : (Z,) array
+        Lattice of means z, in state units.
+    edges : (S + 1,) array
+        Increasing cell edges, in state units.
+    std : float
+        Standard deviation (not the variance), in state units; positive.
+
+    Returns
+    -------
+    masses : (Z, S) array
+        Lower bounds.
+    loss : float
+        Upper bound on what a row misses altogether, ``max_z sum_s (true - masses)``.
+
+    Notes
+    -----
+    The relative error of ``ndtr`` on the small tail ``F`` is below ``20 + 4 (1 + x*x)`` units (checked against 50
+    digits in the tests). Subtraction, division and the square root inside ``std`` give ``x`` a relative error of at
+    most 3 units, which moves ``F`` by at most ``3 |x| phi(x) <= 3 (1 + x*x) F`` units.
+    """
+    x = (edges[None, :] - means[:, None]) / std
+    tail = ndtr(-np.abs(x))
+    error = UNIT * (20.0 + 8.0 * (1.0 + x * x)) * tail
+    left, right = x[:, :-1] < 0, x[:, 1:] > 0
+    straddles = left & right
+    lower, upper = tail[:, :-1], tail[:, 1:]
+    mass = np.where(straddles, 1.0 - lower - upper, np.abs(upper - lower))
+    slack = error[:, :-1] + error[:, 1:] + 4.0 * UNIT * mass + 4.0 * UNIT * straddles
+    masses = mass - slack
+    masses[masses < SMALLEST] = 0.0
+    loss = float(np.max(np.sum(2.0 * slack, axis=1))) + SMALLEST * masses.shape[1]
+    return masses, loss
+
+
+@dataclass(frozen=True, eq=False)
+class AxisTable:
+    """Masses (Z, S) of one axis, stored where they are not 0: blocks of lattice points, each with a range of cells.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Lattice points Z and cells S.
+    blocks : tuple of (z0, z1, s0, s1, (z1 - z0, s1 - s0) array)
+        Entries of lattice points z0 .. z1 - 1 and cells s0 .. s1 - 1; the ranges of lattice points tile 0 .. Z.
+    """
+
+    shape: tuple[int, int]
+    blocks: tuple[tuple[int, int, int, int, NDArray], ...]
+
+    @classmethod
+    def dense(cls, table: NDArray) -> AxisTable:
+        """All entries in one block; any numeric dtype (``fractions.Fraction`` objects in exact tests)."""
+        return cls(table.shape, ((0, table.shape[0], 0, table.shape[1], table),))
+
+    def toarray(self) -> NDArray:
+        """The table as one (Z, S) array."""
+        table = np.zeros(self.shape, dtype=self.blocks[0][-1].dtype)
+        for z0, z1, s0, s1, entries in self.blocks:
+            table[z0:z1, s0:s1] = entries
+        return table
+
+    def smooth(self, values: NDArray) -> NDArray:
+        """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
+        if len(self.blocks) == 1:
+            _, _, s0, s1, entries = self.blocks[0]
+            return values[..., s0:s1] @ resident(entries, values).T
+        if values.ndim > 2:
+            return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
+        groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
+        if len(groups) == 1:
+            return self._smooth_range(values, *groups[0][1:])
+        smoothed = np.empty((len(values), self.shape[0]))
+        for rows, first, last in groups:
+            smoothed[rows] = self._smooth_range(values[rows], first, last)
+        return smoothed
+
+    def _smooth_range(self, values: NDArray, first: int, last: int) -> NDArray:
+        """Smooth rows (n, S) that are 0 outside the cells ``first .. last - 1``."""
+        smoothed = empty((len(values), self.shape[0]), values)
+        for z0, z1, s0, s1, entries in self.blocks:
+            a, b = max(s0, first), min(s1, last)
+            if a < b:
+                own = resident(entries, values)[:, a - s0 : b - s0]
+                multiply_into(values[:, a:b], own.T, smoothed[:, z0:z1])
+            else:
+                smoothed[:, z0:z1] = 0.0
+        return smoothed
+
+    def push(self, masses: NDArray) -> NDArray:
+        """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
+        pushed = empty((*masses.shape[:-1], self.shape[1]), masses)
+        pushed[...] = 0.0
+        products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
+        if products < LARGE or not isinstance(masses, np.ndarray):
+            for z0, z1, s0, s1, entries in self.blocks:
+                pushed[..., s0:s1] += masses[..., z0:z1] @ resident(entries, masses)
+            return pushed
+        used = np.flatnonzero(
+            (masses != 0).any(axis=tuple(range(masses.ndim - 1)))
+        )  # policies choose few of the points
+        ends = np.searchsorted(used, [z1 for _, z1, *_ in self.blocks])
+        for own, (z0, _, s0, s1, entries) in zip(np.split(used, ends[:-1]), self.blocks, strict=True):
+            if len(own):
+                pushed[..., s0:s1] += masses[..., own] @ entries[own - z0]
+        return pushed
+
+
+def _by_support(values: NDArray) -> list[tuple[NDArray[np.int64], int, int]]:
+    """Rows (n, S) in groups with about the same range of cells where they are not 0: (rows, first, last + 1)."""
+    n_cells = values.shape[-1]
+    present = values != 0
+    first = present.argmax(axis=1) // SUPPORT * SUPPORT
+    last = np.minimum(n_cells, -(-(n_cells - present[:, ::-1].argmax(axis=1)) // SUPPORT) * SUPPORT)
+    key = first * (n_cells + 1) + last
+    return [(np.flatnonzero(key == k), int(k // (n_cells + 1)), int(k % (n_cells + 1))) for k in np.unique(key)]
+
+
+SUPPORT = 64
+"""Ranges of nonzero cells are rounded outwards to multiples of this."""
+
+LARGE = 4_000_000
+"""Products from which it pays to look for the lattice points that carry mass before pushing it."""
+
+REACH = 9.0
+"""Standard deviations beyond which masses count as 0; both tails together hold less than 3e-19."""
+
+BLOCK = 128
+"""Lattice points per block of a table."""
+
+
+def gaussian_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[AxisTable, float]:
+    """Lower bounds on the cell masses around increasing ``means``, banded; else like ``gaussian_masses``."""
+    blocks, loss = [], 0.0
+    for z0 in range(0, len(means), BLOCK):
+        own = means[z0 : z0 + BLOCK]
+        s0 = max(0, int(np.searchsorted(edges, own[0] - REACH * std)) - 1)
+        s1 = min(len(edges) - 1, int(np.searchsorted(edges, own[-1] + REACH * std)))
+        s0, s1 = min(s0, len(edges) - 2), max(s1, 1)
+        masses, missing = gaussian_masses(own, edges[s0 : s1 + 1], std)
+        blocks.append((z0, z0 + len(own), s0, s1, masses))
+        loss = max(loss, missing)
+    return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss + 3e-19
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """Separable kernel from lattice points to cells, as one table per axis.
+
+    Parameters
+    ----------
+    tables : tuple of AxisTable
+        Lower bounds on the masses.
+    loss : float
+        Upper bound on the mass that one application loses to rounding, per row.
+    """
+
+    tables: tuple[AxisTable, ...]
+    loss: float = 0.0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells per axis."""
+        return tuple(table.shape[1] for table in self.tables)
+
+    @property
+    def lattice_shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(table.shape[0] for table in self.tables)
+
+    def smooth(self, factors: NDArray) -> NDArray:
+        """``sum_s P(s | z) v[s]`` for every lattice point z: (n, S) -> (n, Z)."""
+        return _along_axes(factors, self.shape, [table.smooth for table in self.tables])
+
+    def push(self, masses: FloatArray, law: NDArray[np.integer]) -> FloatArray:
+        """Distribution after one step: (n, S) masses under the lattice points ``law`` (S,) -> (n, S).
+
+        Cells with ``law = -1`` (no admissible input) lose their mass.
+        """
+        n_lattice = math.prod(self.lattice_shape)
+        slot = np.where(law < 0, n_lattice, law)  # one more point, thrown away
+        if len(masses) <= 4 and isinstance(masses, np.ndarray):
+            on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in masses])
+        else:
+            on_lattice = add_rows(masses.T, slot, n_lattice + 1).T
+        return _along_axes(on_lattice[:, :n_lattice], self.lattice_shape, [table.push for table in self.tables])
+
+
+def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[NDArray], NDArray]]) -> NDArray:
+    """Apply a linear map of the last axis to each axis of (n, prod(shape)) values in turn; returns (n, prod(out))."""
+    if len(maps) == 1:
+        return maps[0](values)
+    tensor = values.reshape(len(values), *shape)
+    xp = namespace(values)
+    for axis, transform in enumerate(maps, start=1):
+        tensor = xp.moveaxis(transform(xp.moveaxis(tensor, axis, -1)), -1, axis)
+    return tensor.reshape(len(values), math.prod(tensor.shape[1:]))

@@ -1,0 +1,38 @@
+"""What ties a continuous agent to its cells, and how surely it holds."""
+
+from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
+from .description import Relation, check_description, describe_relation, relation_from
+from .ellipsoid import Ellipsoid, ellipsoid_relation
+from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
+from .exact import ExactRelation, exact_relation
+from .rows import Row, product, rows_of, times
+from .scalar import paper_relation
+from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
+
+__all__ = [
+    "CoupledRelation",
+    "Ellipsoid",
+    "ExactRelation",
+    "Relation",
+    "Row",
+    "best_feedback",
+    "check_description",
+    "couple",
+    "coupling_failure",
+    "describe_relation",
+    "disturbance_of",
+    "ellipsoid_factor",
+    "ellipsoid_failure",
+    "ellipsoid_is_invariant",
+    "ellipsoid_relation",
+    "ellipsoid_support",
+    "exact_relation",
+    "joint_delta",
+    "paper_relation",
+    "product",
+    "relation_from",
+    "rows_of",
+    "times",
+    "tube_generators",
+    "tube_relation",
+]

@@ -1,0 +1,175 @@
+"""Relations in which the controller remembers the abstract state (``paper``, ``tube`` and ``ellipsoid``).
+
+Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise coupling ``what = w + F e``:
+
+    e' = (A + B K - F) e + beta,      |beta| <= half a cell (+ half a lattice spacing where means are snapped).
+
+A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E``; what bounds it, why it is
+invariant, and how likely the coupling fails is the business of ``relation_paper``, ``relation_tube`` and
+``relation_ellipsoid``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from .exact import apply
+from .rows import Row, rows_of, times
+
+FloatArray = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledRelation:
+    """Interface and coupling between an agent and its finite model, in grid coordinates.
+
+    Parameters
+    ----------
+    kind : str
+        ``"paper"``, ``"tube"`` or ``"ellipsoid"``.
+    A, B : (d, d), (d, m) arrays
+    drift : (d,) array
+        Affine term.
+    covariance : (d,) array
+        Variances of the noise along the grid axes.
+    feedback, coupling : (m, d), (d, d) arrays
+        K and F.
+    reach : (d,) array
+        Half widths of the box around E.
+    state_reach : (d,) array
+        Half widths of the box around E in state coordinates, for labels.
+    delta : float
+        Upper bound on the probability, per step, that the coupling fails.
+    inputs : (A, m) array
+        Abstract inputs uhat, all in U less K E.
+    input_low, input_high : (m,) arrays
+        Input box.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    is_cell : bool
+        Whether related states lie in the same cell.
+    snap : (d,) array
+        Half lattice spacings that means may be rounded by.
+    shape : (d, d) array or None
+        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None where E is judged by the box around it.
+    epsilon : float
+        Radius of the ellipsoid; 0 where there is none.
+    """
+
+    kind: str
+    A: FloatArray
+    B: FloatArray
+    drift: FloatArray
+    covariance: FloatArray
+    feedback: FloatArray
+    coupling: FloatArray
+    reach: FloatArray
+    state_reach: FloatArray
+    delta: float
+    inputs: FloatArray
+    input_low: FloatArray
+    input_high: FloatArray
+    coordinates: FloatArray
+    is_cell: bool = False
+    snap: FloatArray = field(default_factory=lambda: np.zeros(1))
+    shape: FloatArray | None = None
+    epsilon: float = 0.0
+
+    @property
+    def has_state_coordinates(self) -> bool:
+        """Whether grid coordinates are the state itself."""
+        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All numbers, for comparing relations."""
+        return (self.A, self.B, self.drift, self.covariance, self.feedback, self.coupling, self.reach, self.inputs,
+                self.input_low, self.input_high, self.coordinates, np.array([self.delta, self.epsilon]),
+                np.zeros((0, 0)) if self.shape is None else self.shape)  # fmt: skip
+
+    def to_grid(self, states: FloatArray) -> FloatArray:
+        """Grid coordinates (d, ...) of states (d, ...), a new array."""
+        if self.has_state_coordinates:
+            return np.array(states, dtype=float)
+        return apply(np.linalg.inv(self.coordinates), states)
+
+    def means(self, centres: FloatArray) -> FloatArray:
+        """(S, A, d) mean of the abstract successor of each cell centre (S, d) under each input."""
+        return (centres @ self.A.T + self.drift)[:, None, :] + (self.inputs @ self.B.T)[None]
+
+    def related(self, error: FloatArray) -> NDArray[np.bool_]:
+        """Whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
+
+        The last digits are forgiven: labels and inputs allow for a set larger by ``1e-9``.
+        """
+        if self.shape is not None:
+            size = error[0] * times(self._shape_rows[0], error)
+            for own, row in zip(error[1:], self._shape_rows[1:], strict=True):
+                size += own * times(row, error)
+            return np.asarray(size <= self.epsilon**2 * (1 + 1e-12))
+        result = np.ones(error.shape[1:], dtype=bool)
+        for own, reach in zip(error, (self.reach * (1 + 1e-12)).tolist(), strict=True):
+            result &= np.abs(own) <= reach
+        return result
+
+    @cached_property
+    def _shape_rows(self) -> tuple[Row, ...]:
+        assert self.shape is not None
+        return rows_of(self.shape)
+
+
+def coupling_failure(distance: float) -> float:
+    """Upper bound on the total variation distance of two standard normal laws whose means are ``distance`` apart.
+
+    ``2 Phi(distance / 2) - 1``, rounded up.
+
+    Examples
+    --------
+    >>> round(coupling_failure(0.005), 7)
+    0.0019947
+    """
+    if distance == 0.0:
+        return 0.0
+    return min(1.0, (1.0 - 2.0 * float(ndtr(-0.5 * distance))) * (1 + 1e-12) + 1e-15)
+
+
+def couple(whitened: FloatArray, move: FloatArray, uniform: FloatArray) -> FloatArray:
+    """Standard normal noise (d, ...) of the abstract system, equal to ``whitened + move`` as often as can be.
+
+    Maximal coupling by reflection: ``whitened + move`` is accepted with probability ``min(1, phi(whitened + move) /
+    phi(whitened))``, otherwise the noise is mirrored at 0 along ``move``.
+    """
+    along, length = whitened[0] * move[0], move[0] * move[0]
+    for own, by in zip(whitened[1:], move[1:], strict=True):
+        along += own * by
+        length += by * by
+    length *= 0.5
+    result, rejected = whitened + move, np.flatnonzero(~(uniform <= np.exp(-(along + length))))
+    if len(rejected):  # few, as a rule
+        noise, by = (own.reshape(len(own), -1).take(rejected, axis=1) for own in (whitened, move))
+        whole = 2.0 * length.take(rejected)
+        share = along.take(rejected) / np.where(whole > 0, whole, 1.0)
+        result.reshape(len(result), -1)[:, rejected] = noise - 2.0 * by * share
+    return result
+
+
+def joint_delta(deltas: Sequence[float]) -> float:
+    """Upper bound on the probability, per step, that any agent's relation is lost.
+
+    Examples
+    --------
+    >>> round(joint_delta([0.002, 0.002]), 6)
+    0.003996
+    """
+    if max(deltas) >= 1.0:
+        return 1.0
+    total = -math.expm1(sum(math.log1p(-delta) for delta in deltas))
+    return min(1.0, total * (1 + 1e-14 * (len(deltas) + 4)))

@@ -1,0 +1,172 @@
+"""Stochastic simulation relations between an agent and its finite model, and their verification.
+
+The ``exact`` relation (THEORY section 1): when ``B`` has full row rank, every mean can be commanded, so the abstract
+input is the *target mean* z. From any x of a cell the controller applies
+
+    u = u_mid + B^+ (z - A x - c - B u_mid),        so that        x' = z + w,
+
+whatever x was: the cell process is a Markov chain and delta = 0. The price is the input reserve: u must be admissible
+for every x of the cell, which shrinks the admissible targets of a cell with centre m and half widths h to
+
+    | B^+ (z - A m - c - B u_mid) |_j  <=  (half-width of U)_j - (|B^+ A| h)_j .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent
+
+FloatArray = NDArray[Any]
+
+MARGIN = 1e-12
+"""Relative reserve on inputs that keeps a computed input inside its box in spite of rounding; always restrictive."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExactRelation:
+    """Target-mean interface of an agent with full-row-rank ``B`` (exact relation: delta = 0, epsilon = half a cell).
+
+    All matrices are in grid coordinates ``x_grid`` with ``x = coordinates @ x_grid``.
+
+    Parameters
+    ----------
+    A, B : (d, d), (d, m) arrays
+        Dynamics.
+    right_inverse : (m, d) array
+        ``B^+`` with ``B B^+ = I``.
+    drift : (d,) array
+        ``c + B u_mid``, the mean from the origin under the central input.
+    input_centre, input_half_width : (m,) arrays
+        Input box.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    right_inverse: FloatArray
+    drift: FloatArray
+    input_centre: FloatArray
+    input_half_width: FloatArray
+    coordinates: FloatArray
+
+    kind = "exact"
+    delta = 0.0
+
+    def means(self, cells: FloatArray) -> FloatArray:
+        """Means (S, d) reached from the (S, d) points under the central input."""
+        return cells @ self.A.T + self.drift
+
+    def reserve(self, half_widths: FloatArray) -> FloatArray:
+        """Input half widths (S, m) left for the target once every x of a cell is catered for; may be negative."""
+        need = half_widths @ np.abs(self.right_inverse @ self.A).T
+        scale = np.abs(self.input_centre) + self.input_half_width
+        return self.input_half_width - need * (1 + MARGIN) - MARGIN * (scale + need)
+
+    @cached_property
+    def is_box(self) -> bool:
+        """Whether the admissible targets of a cell are a box in grid coordinates (scaled permutation)."""
+        used = self.right_inverse != 0
+        return bool(np.all(used.sum(axis=1) <= 1) and np.all(used.sum(axis=0) == 1))
+
+    def to_grid(self, states: FloatArray) -> FloatArray:
+        """Grid coordinates (d, ...) of states (d, ...), a new array."""
+        if self.has_state_coordinates:
+            return np.array(states, dtype=float)
+        return apply(np.linalg.inv(self.coordinates), states)
+
+    @property
+    def has_state_coordinates(self) -> bool:
+        """Whether grid coordinates are the state itself."""
+        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All matrices, for comparing relations."""
+        return (
+            self.A,
+            self.B,
+            self.right_inverse,
+            self.drift,
+            self.input_centre,
+            self.input_half_width,
+            self.coordinates,
+        )
+
+    def aims(self, targets: FloatArray) -> FloatArray:
+        """Target means (d, ...) less the drift, as ``inputs`` takes them."""
+        return np.asarray(targets - self.drift.reshape(-1, *[1] * (targets.ndim - 1)))
+
+    def inputs(self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray) -> FloatArray:
+        """Inputs (m, ...) that put the mean of the next grid state on target means, from ``states`` (d, ...).
+
+        They are ``B^+ (aims - A x) + u_mid``.
+        """
+        dynamics, inverse, centres = self._numbers
+        gaps = [aim - combined(row, states) for aim, row in zip(aims, dynamics, strict=True)]
+        inputs = np.empty((len(inverse), *gaps[0].shape))
+        for own, row, centre in zip(inputs, inverse, centres, strict=True):
+            np.add(combined(row, gaps), centre, out=own)
+        return inputs
+
+    @cached_property
+    def _numbers(self) -> tuple[list[list[float]], list[list[float]], list[float]]:
+        """A, B^+ and u_mid as plain numbers, which arrays are multiplied by sooner than by numpy's."""
+        return self.A.tolist(), self.right_inverse.tolist(), self.input_centre.tolist()
+
+
+def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
+    """Exact relation of an agent in the given grid coordinates.
+
+    Raises
+    ------
+    ValueError
+        If ``B`` has not full row rank: no input then reaches an arbitrary mean.
+    """
+    if np.linalg.matrix_rank(agent.B) < agent.n_states:
+        raise ValueError(
+            f"agent `{agent.name}`: the exact relation needs `B` with full row rank {agent.n_states}, "
+            f"got a {agent.B.shape[0]} x {agent.B.shape[1]} matrix of rank {np.linalg.matrix_rank(agent.B)}; "
+            "give the agent as many independent inputs as states"
+        )
+    inverse = np.linalg.inv(coordinates)
+    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    box = agent.input_box
+    centre = 0.5 * (box.low + box.high)
+    half = np.minimum(box.high - centre, centre - box.low)
+    return ExactRelation(
+        A=_clean(A),
+        B=_clean(B),
+        right_inverse=_clean(np.linalg.pinv(B)),
+        drift=inverse @ agent.offset + B @ centre,
+        input_centre=centre,
+        input_half_width=half,
+        coordinates=coordinates,
+    )
+
+
+def _clean(matrix: FloatArray) -> FloatArray:
+    """Set entries to 0 that are rounding noise next to the largest of the matrix (they only blur structure)."""
+    scale = np.max(np.abs(matrix), initial=0.0)
+    return np.where(np.abs(matrix) <= 1e-15 * scale, 0.0, matrix)
+
+
+def apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """``matrix @ vectors`` over the first axis, term by term, so that the result does not depend on the batch."""
+    return np.stack([combined(row, vectors) for row in matrix])
+
+
+def combined(row: Sequence[float] | FloatArray, vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """``row @ vectors``, a new array, term by term."""
+    total: FloatArray = row[0] * vectors[0]
+    for coefficient, component in zip(row[1:], vectors[1:], strict=True):
+        if coefficient != 0.0:
+            total = total + coefficient * component
+    return total

@@ -1,0 +1,213 @@
+"""Tube relation of a stabilisable agent: delta = 0, whatever the rank of B (THEORY section 1, row ``tube``).
+
+With a stabilising feedback K and F = 0 the error moves as ``e' = (A + B K) e + beta``, ``beta in W``, W the box of half
+a cell plus half a lattice spacing. If ``(A + B K)^s W inside alpha W``, the zonotope
+
+    E = (1 - alpha)^-1 sum_{k < s} (A + B K)^k W
+
+is invariant (``(A + B K) E + W inside E``), so ``x - xhat in E`` is kept for ever, with certainty. The price: labels
+and workspace shrink by E, the abstract inputs by K E.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solve_discrete_are
+
+from ...envs.agents import LinearAgent
+from ..cells import Grid
+from .coupled import CoupledRelation
+
+FloatArray = NDArray[Any]
+
+LONGEST = 400
+"""Most terms of the zonotope."""
+
+INFLATE = 1.0 + 1e-9
+"""Every bound of the tube is enlarged by this, far above rounding."""
+
+
+def tube_relation(
+    agent: LinearAgent,
+    grid: Grid,
+    coordinates: FloatArray,
+    feedback: FloatArray,
+    inputs: FloatArray | None = None,
+    snap: FloatArray | None = None,
+) -> CoupledRelation:
+    """Tube of an agent around its finite model under a given feedback.
+
+    Parameters
+    ----------
+    agent : LinearAgent
+    grid : Grid
+        Cells in grid coordinates.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    feedback : (m, d) array
+        K in grid coordinates; ``A + B K`` must be stable.
+    inputs : (A, m) array, optional
+        Abstract inputs; default: a grid over the reduced input box whose steps move the mean by cells.
+    snap : (d,) array, optional
+        Half lattice spacings that means are rounded by; default 0.
+
+    Raises
+    ------
+    ValueError
+        If the feedback does not stabilise, or the tube uses up the inputs.
+    """
+    inverse = np.linalg.inv(coordinates)
+    A, B, drift = inverse @ agent.A @ coordinates, inverse @ agent.B, inverse @ agent.offset
+    disturbance = disturbance_of(grid, snap)
+    generators = tube_generators(A + B @ feedback, disturbance)
+    if generators is None:
+        raise ValueError(f"agent `{agent.name}`: expected a feedback that stabilises `A`, got {feedback.tolist()}")
+    reach = np.abs(generators).sum(axis=0) * INFLATE
+    reserve = np.abs(generators @ feedback.T).sum(axis=0) * INFLATE
+    low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
+    if np.any(low > high):
+        raise ValueError(
+            f"agent `{agent.name}`: the tube needs an input reserve of {reserve.tolist()}, more than `input_low`, "
+            "`input_high` leave; ask for more `cells`"
+        )
+    widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
+    return CoupledRelation(
+        kind="tube",
+        A=A,
+        B=B,
+        drift=drift,
+        covariance=np.diag(inverse @ agent.noise_covariance @ inverse.T).copy(),
+        feedback=feedback,
+        coupling=np.zeros_like(A),
+        reach=reach,
+        state_reach=np.abs(generators @ coordinates.T).sum(axis=0) * INFLATE,
+        delta=0.0,
+        inputs=input_grid(low, high, B, widths) if inputs is None else inputs,
+        input_low=agent.input_box.low,
+        input_high=agent.input_box.high,
+        coordinates=coordinates,
+        snap=np.zeros(len(A)) if snap is None else snap,
+    )
+
+
+def disturbance_of(grid: Grid, snap: FloatArray | None) -> FloatArray:
+    """Half widths (d,) of W: half the largest cell, plus what snapping adds."""
+    half = grid.half_widths.max(axis=0) if grid.n_cells < 100_000 else _half_cells(grid)
+    return np.asarray((half + (0.0 if snap is None else snap)) * INFLATE)
+
+
+def _half_cells(grid: Grid) -> FloatArray:
+    return np.array([0.5 * float(np.max(np.diff(edges))) * (1 + 1e-12) for edges in grid.edges])
+
+
+def tube_generators(closed: FloatArray, disturbance: FloatArray) -> FloatArray | None:
+    """Generators (G, d) of the zonotope E of ``e' = closed e + beta``, ``|beta| <= disturbance``; None if not stable.
+
+    The number of terms is the one with the smallest tube.
+    """
+    powers, best, size = [np.diag(disturbance)], None, np.inf
+    mass = float(len(disturbance))  # of the terms so far, in units of the disturbance
+    for _ in range(LONGEST):
+        following = closed @ powers[-1]
+        scaled = np.abs(following) / disturbance[:, None]
+        alpha = float(np.max(scaled.sum(axis=1))) * INFLATE
+        if alpha < 1.0:
+            if mass / (1.0 - alpha) < size * (1 - 1e-6):
+                best, size = (len(powers), alpha), mass / (1.0 - alpha)
+            elif alpha < 1e-6 or mass >= size:
+                break
+        mass += float(scaled.sum())
+        if not np.isfinite(mass):
+            return None
+        powers.append(following)
+    if best is None:
+        return None
+    count, alpha = best
+    return np.concatenate([power.T for power in powers[:count]]) / (1.0 - alpha)
+
+
+def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> list[FloatArray]:
+    """Feedbacks (m, d) to try, by linear-quadratic design (grid coordinates).
+
+    Inputs from cheap to dear, and errors that weigh alike in cells, or those of one axis more or less than the others.
+
+    Raises
+    ------
+    ValueError
+        If the agent is not stabilisable.
+    """
+    inverse = np.linalg.inv(coordinates)
+    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    cells = disturbance_of(grid, None)
+    room = 0.5 * (agent.input_box.high - agent.input_box.low)
+    found = []
+    designs = list(product([np.zeros(len(A))], np.logspace(-2.0, 4.0, 13)))
+    if len(A) > 1:
+        one_axis = [share * axis for axis in np.eye(len(A)) for share in (-2.0, 2.0)]
+        designs += product(one_axis, np.logspace(-2.0, 4.0, 7))
+    for share, price in designs:
+        weight, cost = np.diag(10.0**share / cells**2), np.diag(price / np.maximum(room, 1e-9) ** 2)
+        try:
+            value = solve_discrete_are(A, B, weight, cost)
+        except (LinAlgError, ValueError):
+            continue
+        found.append(-np.linalg.solve(cost + B.T @ value @ B, B.T @ value @ A))
+    if not found:
+        raise ValueError(
+            f"agent `{agent.name}`: expected a stabilisable pair `A`, `B`, got one that no feedback stabilises; "
+            "give it an input that moves what is unstable"
+        )
+    return found
+
+
+def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_for_labels: FloatArray) -> FloatArray:
+    """The feedback that trades input reserve against label margin best, both as shares of what there is.
+
+    ``room_for_labels`` (d,) is the half width, per state, of the narrowest region that labels are to be kept in.
+    """
+    inverse = np.linalg.inv(coordinates)
+    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    room = np.maximum(0.5 * (agent.input_box.high - agent.input_box.low), 1e-9)
+    disturbance = disturbance_of(grid, None)
+    scored: list[tuple[float, int, FloatArray]] = []
+    for feedback in stabilising_feedbacks(agent, grid, coordinates):
+        generators = tube_generators(A + B @ feedback, disturbance)
+        if generators is not None:
+            reserve = np.max(np.abs(generators @ feedback.T).sum(axis=0) / room)
+            margin = np.max(np.abs(generators @ coordinates.T).sum(axis=0) / room_for_labels)
+            scored.append((float(reserve + margin), len(scored), feedback))
+    if not scored:
+        raise ValueError(
+            f"agent `{agent.name}`: no feedback that was tried keeps the error bounded; ask for more `cells`"
+        )
+    return min(scored)[2]
+
+
+def input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatArray) -> FloatArray:
+    """Abstract inputs (A, m): per input a symmetric grid whose steps move means by whole cells, and the extremes.
+
+    The extremes are rounded inwards to moves of half a cell, so that means stay on a lattice of few points.
+    """
+    axes = []
+    limit = {1: 41, 2: 13}.get(len(low), 5)
+    for j in range(len(low)):
+        middle, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
+        moves = np.abs(B[:, j]) > 1e-12
+        if half <= 0 or not moves.any():  # nothing to choose
+            axes.append(np.array([middle]))
+            continue
+        step = cell = float(np.min(widths[moves] / np.abs(B[moves, j])))
+        while 2 * half / step + 1 > limit:
+            step *= 2.0
+        while 2 * half / step + 1 < min(limit, 9) / 2:
+            step /= 2.0
+        count, unit = int(np.floor(half / step)), 0.5 * min(cell, step)
+        largest = unit * np.floor(half / unit)
+        offsets = step * np.arange(-count, count + 1)
+        extremes = [-largest, largest] if largest > count * step + 0.25 * step else []
+        axes.append(middle + np.unique(np.concatenate([offsets, extremes])))
+    return np.stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")], axis=-1)

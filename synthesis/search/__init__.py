@@ -1,0 +1,37 @@
+"""The search for policies: starts, coordinate ascent, relaxations."""
+
+from .ascent import Limits, Sweep, forward, start_value, sweep
+from .best_response import best_choices
+from .policy_search import FINAL, MANY_TERMS, Search, improve
+from .relaxation import Relaxation, favourable_successors, relax, relaxed_laws, upper_bound
+from .stationary import stationary_best, time_invariant
+from .train_ascent import TrainSweep
+from .train_backward import backward
+from .tree import Candidates, assemble, candidates, gather, terminal_terms
+
+__all__ = [
+    "Candidates",
+    "FINAL",
+    "Limits",
+    "MANY_TERMS",
+    "Relaxation",
+    "Search",
+    "Sweep",
+    "TrainSweep",
+    "assemble",
+    "backward",
+    "best_choices",
+    "candidates",
+    "favourable_successors",
+    "forward",
+    "gather",
+    "improve",
+    "relax",
+    "relaxed_laws",
+    "start_value",
+    "stationary_best",
+    "sweep",
+    "terminal_terms",
+    "time_invariant",
+    "upper_bound",
+]

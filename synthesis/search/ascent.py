@@ -1,0 +1,368 @@
+"""Occupancy-weighted coordinate ascent on decentralised policies.
+
+A sweep goes forward once under the current policies, keeping the alive mass ``mu_t,q = sum_k prod_i m_k,i``, and then
+backward through the value tree. With the masked next-step terms ``g_l`` of state q, agent i's exact best response at
+time t is, for every cell s (THEORY section 5),
+
+    argmax_u  sum_l omega_l(s) (P_u g_l,i)(s),     omega_l(s) = sum_k m_k,i(s) prod_{j != i} < m_k,j , P_j^pi g_l,j > .
+
+Agents answer in turn. Without pruning the value at the start never falls; with pruning it may, so callers keep the
+best policy and evaluate it with frozen laws before reporting anything (``sweep(..., improve=False)``).
+
+Terms are pruned by contribution, ``<mu_t,q , term>``; what is dropped is charged with the leftover mass of a truncated
+occupancy included, so that ``dropped`` is an upper bound on the loss at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import FloatArray
+from ..models import JointModel, Law, Laws
+from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
+from .best_response import best_choices
+from .occupancy import push
+from .tree import Candidates, Loss, assemble, candidates, gather, terminal_terms
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Outcome of one pass over all times.
+
+    Parameters
+    ----------
+    laws : Laws
+        Policies the value belongs to.
+    terms : Terms
+        Value function at time 0.
+    value : float
+        Value at the start (a lower bound up to rounding).
+    dropped : float
+        Upper bound on what pruning took from ``value``.
+    rank : int
+        Largest number of terms of one state at any time.
+    skeleton : tuple of Skeleton
+        The tree, by time.
+    """
+
+    laws: Laws
+    terms: Terms
+    value: float
+    dropped: float
+    rank: int
+    skeleton: tuple[Skeleton, ...]
+
+
+def resting_laws(joint: JointModel) -> Laws:
+    """Every agent stays where it is, at all times and states."""
+    shape = (joint.horizon, joint.n_states, 1)
+    return tuple(np.tile(model.choices.resting_law, shape) for model in joint.models)
+
+
+def forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Alive mass at times 0 .. T - 1, held by numpy."""
+    there = _forward(joint, laws, start, limits)
+    return [Occupancy(_everywhere(one.terms, to_host), one.leftover) for one in there]
+
+
+def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
+    """The same terms with all factors put elsewhere."""
+    return Terms(tuple(put(own) for own in terms.factors), terms.index)
+
+
+def _forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Alive mass at times 0 .. T - 1, on the device."""
+    occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
+    for t in range(joint.horizon - 1):
+        step = [law[t] for law in laws]
+        last = occupancies[-1]
+        occupancies.append(push(last, step, joint.guards, joint.masks, joint.models, limits.mass, limits.rank))
+    return occupancies
+
+
+def start_value(start: Occupancy, terms: Terms) -> float:
+    """``sum_q <mu_0,q , V_q>``."""
+    total = 0.0
+    for q, rows in enumerate(start.terms.index):
+        if len(rows) and len(terms.index[q]):
+            inner = [m @ v.T for m, v in zip(start.terms.factors, terms.factors, strict=True)]
+            total += float(inner_products(inner, rows, terms.index[q]).sum())
+    return total
+
+
+def sweep(
+    joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool, loss: Loss | None = None,
+    watch: Callable[[Stage], None] | None = None,
+) -> Sweep:  # fmt: skip
+    """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
+
+    Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
+    norms); the value is then reported as 0. ``watch`` is shown every (time, automaton state) once its laws are set.
+    """
+    nowhere = Terms(
+        tuple(np.zeros((0, n)) for n in joint.n_cells),
+        ((np.zeros((0, len(joint.models)), dtype=np.int64)),) * joint.n_states,
+    )
+    if start is None:
+        occupancies = [Occupancy(nowhere, 0.0)] * joint.horizon
+    else:
+        occupancies = _forward(joint, laws, start, limits)
+    laws = tuple(law.copy() for law in laws)
+    terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
+    dropped, rank, skeletons = 0.0, terms.rank, []
+    ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
+    for t in reversed(range(joint.horizon)):
+        occupancy = occupancies.pop()  # and forget it: early times have many terms, late ones much mass
+        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
+        parts, kept = [], []
+        for q in range(joint.n_states):
+            if joint.absorbing[q]:
+                rows = np.zeros((int(joint.accepting[q]), len(joint.models)), dtype=np.int64)
+                parts.append((ones, rows))
+                kept.append(np.zeros(0, dtype=np.int64))
+                continue
+            stage = Stage(joint, options, occupancy, q, [law[t, q] for law in laws])
+            if improve and len(stage.rows):
+                stage.improve()
+                for law, better in zip(laws, stage.laws, strict=True):
+                    law[t, q] = better
+            if watch is not None:
+                watch(stage)
+            keep, charge = stage.prune(limits)
+            dropped += charge
+            parts.append(stage.part(keep))
+            kept.append(options.row[q][keep])
+            del stage  # tables of the next time are made while these would still be held
+        terms = assemble(parts, joint.n_cells)
+        rank = max(rank, terms.rank)
+        skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+        del options
+    terms = _everywhere(terms, to_host)
+    value = 0.0 if start is None else start_value(start, terms)
+    return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much a sweep may leave out.
+
+    Parameters
+    ----------
+    contribution : float
+        Share of the value of one (time, state) that pruned terms may amount to.
+    elsewhere : float
+        A term is kept in spite of that if its share of the value averaged over all cells exceeds this.
+    mass : float
+        Share of the alive mass that may be dropped per step.
+    rank : int
+        Most terms per state, of the value and of the mass.
+    """
+
+    contribution: float = 1e-9
+    elsewhere: float = 1e-3
+    mass: float = 1e-9
+    rank: int = 400
+
+
+class Stage:
+    """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' laws."""
+
+    def __init__(
+        self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, laws: Sequence[Law]
+    ) -> None:
+        self.models, self.laws, self.leftover, self.q = joint.models, list(laws), occupancy.leftover, q
+        self.rows = options.index[q].copy()
+        self.smoothed, self.values = [], []
+        for i, law in enumerate(self.laws):
+            table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
+            self.smoothed.append(table)
+            self.values.append(gather(table, self.models[i].choices.points(law)))
+        self.mass_rows = occupancy.terms.index[q]
+        self.is_met = len(self.mass_rows) > 0
+        if self.is_met:
+            self.mass_rows = self.mass_rows.copy()
+            self.mass = []
+            for i, factors in enumerate(occupancy.terms.factors):
+                own, self.mass_rows[:, i] = compress(factors, self.mass_rows[:, i])
+                self.mass.append(own)
+        else:
+            pairs = zip(self.models, self.values, strict=True)
+            self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), own) for m, own in pairs]
+            self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
+
+    def improve(self) -> None:
+        """Let every agent answer once, in order.
+
+        Cells that the alive mass does not meet are weighed as if the other agents might be anywhere.
+        """
+        n_agents = len(self.models)
+        chosen = self._heaviest(n_agents)
+        met = self._met(chosen)
+        anywhere = _Others([_means(own)[self.rows[:, i]] for i, own in enumerate(self.values)])
+        answers: dict[tuple[int, bytes, bytes], Law] = {}
+        for i, model in enumerate(self.models):
+            n_values = len(self.values[i])
+            if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
+                table = to_host(self.smoothed[i])
+                key = (id(model), table.tobytes(), self.laws[i].tobytes())
+                if key not in answers:
+                    answers[key] = best_choices(model.choices, np.ones((model.n_cells, 1)), table, self.laws[i])
+                self.laws[i] = answers[key]
+            else:
+                weights = self._weights(i, met, chosen)
+                unmet = ~namespace(weights).any(weights > 0, axis=1)
+                if bool(unmet.any()):
+                    usual = np.bincount(self.rows[:, i], weights=anywhere.product(), minlength=n_values)
+                    if bool(unmet.all()):  # one objective for all cells: cheap, where windows slide
+                        weights = beside(usual[None], weights)
+                    else:
+                        weights[unmet] = beside(usual, weights)
+                self.laws[i] = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
+            self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
+            met.replace(self._inner_by_terms(i, chosen))
+            anywhere.replace(_means(self.values[i])[self.rows[:, i]])
+
+    def gain(self) -> float:
+        """Most that one agent alone could add to the value at the start by other choices here.
+
+        Mass that was left out of the occupancies is not counted.
+        """
+        if not self.is_met or len(self.rows) == 0:
+            return 0.0
+        most = 0.0
+        for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
+            better = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
+            added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
+            most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
+        return most
+
+    def weights(self) -> list[FloatArray]:
+        """Per agent (S, n), the weight of its value factors in its cells, the laws of the others as they are."""
+        chosen = self._heaviest(len(self.models))
+        met, result = self._met(chosen), []
+        for i in range(len(self.models)):
+            result.append(self._weights(i, met, chosen))
+            met.replace(self._inner_by_terms(i, chosen))
+        return result
+
+    def _met(self, chosen: IndexArray) -> _Others:
+        """Inner products of mass and value per agent, (mass terms, terms)."""
+        return _Others([self._inner_by_terms(i, chosen) for i in range(len(self.models))])
+
+    def _weights(self, i: int, met: _Others, chosen: IndexArray) -> FloatArray:
+        """(S, n) weight of agent i's value factors in its cells: the mass there, times what the other agents make."""
+        collected = _collect(met.product(), chosen[:, i], len(self.mass[i]), self.rows[:, i], len(self.values[i]))
+        weights: FloatArray = self.mass[i].T @ collected
+        return weights
+
+    def _heaviest(self, n_agents: int) -> IndexArray:
+        """Mass terms to weigh decisions with: all of them, unless the work arrays would not fit into memory."""
+        room = max(1, 30_000_000 // (n_agents * max(1, len(self.rows))))
+        if len(self.mass_rows) <= room:
+            return self.mass_rows
+        mass = np.ones(len(self.mass_rows))
+        for i, own in enumerate(self.mass):
+            mass *= to_host(namespace(own).sum(own, axis=1))[self.mass_rows[:, i]]
+        return self.mass_rows[np.sort(np.argsort(-mass, kind="stable")[:room])]
+
+    def _inner(self, i: int) -> FloatArray:
+        """(mass factors, value factors) inner products of agent i."""
+        inner: FloatArray = self.mass[i] @ self.values[i].T
+        return inner
+
+    def _inner_by_terms(self, i: int, chosen: IndexArray) -> FloatArray:
+        """The same by mass terms ``chosen`` and value terms."""
+        return take(take(self._inner(i), chosen[:, i]), self.rows[:, i], axis=1)
+
+    def prune(self, limits: Limits) -> tuple[IndexArray, float]:
+        """Terms to keep and an upper bound on the loss at the start."""
+        if len(self.rows) == 0:
+            return np.zeros(0, dtype=np.int64), 0.0
+        met = np.zeros(len(self.rows))
+        if self.is_met:
+            met = to_host(inner_products([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows))
+        anywhere = np.ones(len(self.rows))
+        for i, own in enumerate(self.values):
+            anywhere *= _means(own)[self.rows[:, i]]
+        drop = _small(met, limits.contribution) & (anywhere <= limits.elsewhere * anywhere.sum())
+        if (~drop).sum() > limits.rank:
+            importance = _share(met) + limits.elsewhere * _share(anywhere)
+            importance[drop] = -1.0
+            drop[np.argsort(-importance, kind="stable")[limits.rank :]] = True
+        keep = np.flatnonzero(~drop)
+        sup = np.ones(len(self.rows))
+        for i, own in enumerate(self.values):
+            sup *= to_host(namespace(own).max(own, axis=1))[self.rows[:, i]]
+        return keep, float(met[drop].sum() + self.leftover * min(1.0, sup[drop].sum()))
+
+    def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
+        """Factors of each agent and rows of the kept terms."""
+        rows, factors = self.rows[keep], []
+        for i, own in enumerate(self.values):
+            used, rows[:, i] = compress(own, rows[:, i])
+            factors.append(used)
+        return factors, rows
+
+
+class _Others:
+    """Products of per-agent arrays over all agents but one, the agents being replaced one after the other."""
+
+    def __init__(self, factors: Sequence[FloatArray]) -> None:
+        self.before = namespace(factors[0]).ones_like(factors[0])
+        self.after = [self.before]
+        for factor in reversed(factors[1:]):
+            self.after.append(self.after[-1] * factor)
+
+    def product(self) -> FloatArray:
+        """Product over the agents other than the current one."""
+        return self.before * self.after[-1]
+
+    def replace(self, factor: FloatArray) -> None:
+        """Set the current agent's factor and go on to the next agent."""
+        self.before = self.before * factor
+        self.after.pop()
+
+
+def inner_products(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
+    """``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
+    total = beside(np.zeros(len(rows)), inner[0])
+    chunk = max(1, 4_000_000 // max(1, len(rows)))
+    for first in range(0, len(mass_rows), chunk):
+        part = mass_rows[first : first + chunk]
+        product = take(take(inner[0], part[:, 0]), rows[:, 0], axis=1)
+        for i in range(1, len(inner)):
+            product *= take(take(inner[i], part[:, i]), rows[:, i], axis=1)
+        total += product.sum(axis=0)
+    return total
+
+
+def _means(factors: FloatArray) -> FloatArray:
+    """Mean of every factor over the cells, by numpy."""
+    return to_host(namespace(factors).mean(factors, axis=1))
+
+
+def _collect(values: FloatArray, rows: IndexArray, n_rows: int, columns: IndexArray, n_columns: int) -> FloatArray:
+    """Sum entries of ``values`` that share a row number and a column number: (K, L) -> (n_rows, n_columns)."""
+    if n_columns < len(columns) or not np.array_equal(columns, np.arange(n_columns)):
+        values = add_rows(values.T, columns, n_columns).T
+    if n_rows < len(rows) or not np.array_equal(rows, np.arange(n_rows)):
+        values = add_rows(values, rows, n_rows)
+    return values
+
+
+def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:
+    """The smallest values, as many as add up to at most ``share`` of the total."""
+    order = np.argsort(values, kind="stable")
+    small = np.zeros(len(values), dtype=bool)
+    small[order[np.cumsum(values[order]) <= share * values.sum()]] = True
+    return small
+
+
+def _share(values: FloatArray) -> FloatArray:
+    """Values as shares of their total."""
+    total = values.sum()
+    return values / total if total > 0 else values

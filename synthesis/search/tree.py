@@ -1,0 +1,194 @@
+"""The value tree: backward dynamic programming on sums of products.
+
+With ``t`` steps to go, ``V_q,t`` is a sum of products over agents. One step back under policies pi (THEORY
+section 3),
+
+    V_q,t+1 = sum over (guard, q') out of q, over terms z of V_q',t :  prod_i P_i^{pi_i(q,.)} [ mask_guard,i * v_z,i ] .
+
+The step is done in two halves, with everything that does not depend on the policy in the first:
+
+``candidates``  pairs guards with terms, masks the factors, unites equal ones, smooths each once: the value of *every*
+                target mean;
+``gather``      reads the smoothed factors at the targets that a policy chooses.
+
+Everything is batched over terms; factors are distinct per agent and smoothed for all agents of one kernel at once. The
+code also runs on arrays of ``fractions.Fraction``, which is how the tests compare it with dense joint programming.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models import AgentModel
+from ..values import (
+    Guards,
+    IndexArray,
+    Merges,
+    Terms,
+    beside,
+    compress,
+    concatenate,
+    distinct,
+    merge_rows,
+    namespace,
+    resident,
+    take,
+    to_host,
+)
+
+BATCH = 256
+"""Factors of several agents that are smoothed in one product."""
+
+Loss = Callable[[AgentModel, NDArray, NDArray], NDArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Masked and smoothed next-step terms of every automaton state, before a policy is chosen.
+
+    Parameters
+    ----------
+    smoothed : tuple of (n_i, Z_i) arrays
+        Distinct smoothed factors of each agent: value of each lattice point.
+    index : tuple of (L_q, I) int64 arrays
+        Terms per state, pointing at ``smoothed``.
+    origin : tuple of (N_q, 2) int64 arrays
+        (guard, term of the target state) of every row that was combined, united ones included.
+    merges : tuple of Merges
+        How the rows of ``origin`` were united; numbers are rows of ``origin``.
+    row : tuple of (L_q,) int64 arrays
+        Row of ``origin`` that each term stands for.
+    """
+
+    smoothed: tuple[NDArray, ...]
+    index: tuple[IndexArray, ...]
+    origin: tuple[IndexArray, ...]
+    merges: tuple[Merges, ...]
+    row: tuple[IndexArray, ...]
+
+
+def terminal_terms(accepting: NDArray[np.bool_], n_cells: Sequence[int], dtype: type = float) -> Terms:
+    """Value with no step to go: 1 in accepting states, 0 elsewhere."""
+    n_agents = len(n_cells)
+    ones: tuple[NDArray, ...] = tuple(np.ones((1, s), dtype=dtype) for s in n_cells)
+    rows = [np.zeros((int(accepted), n_agents), dtype=np.int64) for accepted in accepting]
+    return Terms(ones, tuple(rows))
+
+
+def candidates(
+    guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentModel], value: Terms, loss: Loss | None = None
+) -> Candidates:
+    """All products of a guard with a term of its target state, masked, united where possible, and smoothed.
+
+    ``loss`` turns a smoothed factor into a lower bound that holds in spite of lost relations (robust tree); it is
+    called with an agent's model, the masked factors (n, S) and the smoothed ones (n, Z).
+    """
+    n_states, n_agents = len(value.index), len(models)
+    counts = np.array([len(value.index[q]) for q in guards.target], dtype=np.int64)
+    guard = np.repeat(np.arange(len(counts)), counts)
+    child = np.concatenate([np.arange(n) for n in counts]) if len(counts) else np.zeros(0, dtype=np.int64)
+    below = [value.index[q] for q in guards.target]
+    child_rows = np.concatenate(below) if below else np.zeros((0, n_agents), dtype=np.int64)
+
+    factors: list[NDArray] = []
+    rows = np.zeros((len(guard), n_agents), dtype=np.int64)
+    alive = np.ones(len(guard), dtype=bool)
+    for i in range(n_agents):
+        key = guards.mask[guard, i].astype(np.int64) * len(value.factors[i]) + child_rows[:, i]
+        pairs, rows[:, i] = distinct(key)
+        mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
+        masked = take(resident(masks[i], value.factors[i]), mask) * take(value.factors[i], factor)
+        factors.append(masked)
+        alive &= to_host(namespace(masked).any(masked != 0, axis=1))[rows[:, i]]
+
+    guard, child, rows = guard[alive], child[alive], rows[alive]
+    kept, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
+    for i in range(n_agents):
+        factors[i], rows[kept, i] = compress(factors[i], rows[kept, i])
+    smoothed = _smooth(models, factors)
+    if loss is not None:
+        smoothed = tuple(
+            beside(loss(m, to_host(before), to_host(after)), after)
+            for m, before, after in zip(models, factors, smoothed, strict=True)
+        )
+    return _per_state(smoothed, n_states, guards, guard, child, rows, kept, merges)
+
+
+def _per_state(
+    smoothed: tuple[NDArray, ...], n_states: int, guards: Guards, guard: IndexArray, child: IndexArray,
+    rows: IndexArray, kept: IndexArray, merges: Merges,
+) -> Candidates:  # fmt: skip
+    """Sort the rows of all states into one table per state."""
+    source = guards.source[guard]
+    position = np.zeros(len(guard), dtype=np.int64)
+    origin, index, row, united = [], [], [], []
+    for q in range(n_states):
+        own = np.flatnonzero(source == q)
+        position[own] = np.arange(len(own))
+        origin.append(np.stack([guard[own], child[own]], axis=1))
+        mine = kept[source[kept] == q]
+        index.append(rows[mine])
+        row.append(position[mine])
+        ours = source[merges.into] == q
+        united.append(Merges(position[merges.into[ours]], position[merges.absorbed[ours]], merges.agent[ours]))
+    return Candidates(smoothed, tuple(index), tuple(origin), tuple(united), tuple(row))
+
+
+def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
+    """Smooth the factors of all agents, one product per distinct kernel."""
+    smoothed: list[NDArray | None] = [None] * len(models)
+    for kernel in {id(m.kernel): m.kernel for m in models}.values():
+        users = [i for i, m in enumerate(models) if m.kernel is kernel]
+        for group in _batches(users, factors):
+            stacked = kernel.smooth(concatenate([factors[i] for i in group]) if len(group) > 1 else factors[group[0]])
+            first = 0
+            for i in group:
+                smoothed[i] = stacked[first : first + len(factors[i])]
+                first += len(factors[i])
+    return tuple(part for part in smoothed if part is not None)
+
+
+def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
+    """Agents in batches of some hundred factors: enough for a fast product, few enough for memory."""
+    batches: list[list[int]] = []
+    size = 0
+    for i in users:
+        if not batches or size + len(factors[i]) > BATCH:
+            batches.append([])
+            size = 0
+        batches[-1].append(i)
+        size += len(factors[i])
+    return batches
+
+
+def gather(smoothed: NDArray, law: NDArray[np.integer]) -> NDArray:
+    """Read smoothed factors (n, Z) at the chosen lattice points (S,); cells without a target have value 0."""
+    values = take(smoothed, np.maximum(law, 0), axis=1)
+    if np.any(law < 0):
+        values[:, beside(law < 0, values)] = 0
+    return values
+
+
+def assemble(
+    parts: Sequence[tuple[Sequence[NDArray], IndexArray]], n_cells: Sequence[int], dtype: type = float
+) -> Terms:
+    """Terms from per-state (factors of each agent, rows), renumbered into one list of factors per agent."""
+    n_agents, like = len(n_cells), parts[0][0]
+    offsets = np.zeros(n_agents, dtype=np.int64)
+    stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
+    index = []
+    for factors, rows in parts:
+        index.append(rows + offsets if len(rows) else np.zeros((0, n_agents), dtype=np.int64))
+        if len(rows):
+            for i in range(n_agents):
+                stacks[i].append(factors[i])
+                offsets[i] += len(factors[i])
+    merged = (
+        concatenate(s) if s else beside(np.zeros((0, n), dtype=dtype), own)
+        for s, n, own in zip(stacks, n_cells, like, strict=True)
+    )
+    return Terms(tuple(merged), tuple(index))

@@ -1,0 +1,250 @@
+"""Nonnegative sums of products, one factor per agent, with shared factors.
+
+Value functions and alive masses are families ``f_q(s_1, .., s_I) = sum_r prod_i factors[i][index[q][r, i], s_i]``, one
+sum per automaton state q. Distinct factors are stored once per agent and terms point at them: agents that do not care
+about a guard contribute the same factor to many terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .devices import add_runs, concatenate, namespace, take, to_host
+
+IndexArray = NDArray[Any]
+"""Whole numbers that point at rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Sums of products per automaton state.
+
+    Parameters
+    ----------
+    factors : tuple of (n_i, S_i) arrays
+        Distinct nonnegative factors of agent i.
+    index : tuple of (R_q, I) int64 arrays
+        Term r of state q is the product of ``factors[i][index[q][r, i]]`` over the agents.
+    """
+
+    factors: tuple[NDArray, ...]
+    index: tuple[IndexArray, ...]
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms of one state."""
+        return max(len(rows) for rows in self.index)
+
+    def work(self, q: int) -> int:
+        """Numbers held per joint cell in ``at``."""
+        return len(self.index[q])
+
+    def total(self, q: int, weights: Sequence[NDArray]) -> float:
+        """``sum_r prod_i <weights[i], factor>`` for weights (S_i,) per agent."""
+        rows = self.index[q]
+        product = np.ones(len(rows), dtype=self.factors[0].dtype)
+        for i, weight in enumerate(weights):
+            product = product * (self.factors[i] @ weight)[rows[:, i]]
+        return product.sum() if len(rows) else product.dtype.type(0)
+
+    def at(self, q: int, cells: NDArray[np.integer]) -> NDArray:
+        """Values (M,) at joint cells (M, I)."""
+        rows = self.index[q]
+        product = np.ones((len(cells), len(rows)), dtype=self.factors[0].dtype)
+        for i, factors in enumerate(self.factors):
+            product = product * factors[rows[:, i]][:, cells[:, i]].T
+        return product.sum(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Merges:
+    """Which rows were united: row ``absorbed[k]`` was added to row ``into[k]`` in the factor of ``agent[k]``."""
+
+    into: IndexArray
+    absorbed: IndexArray
+    agent: IndexArray
+
+    @classmethod
+    def none(cls) -> Merges:
+        """No row was united."""
+        empty = np.zeros(0, dtype=np.int64)
+        return cls(empty, empty, empty)
+
+
+def merge_rows(factors: list[NDArray], rows: IndexArray, groups: IndexArray) -> tuple[IndexArray, IndexArray, Merges]:
+    """Sum terms of one group that differ in the factor of a single agent (exact).
+
+    Parameters
+    ----------
+    factors : list of (n_i, S_i) arrays
+        Extended in place by the sums.
+    rows : (L, I) array
+        Factor indices of the terms.
+    groups : (L,) array
+        Terms of different groups (automaton states) are never united.
+
+    Returns
+    -------
+    kept : (L',) array
+        Numbers of the rows that remain.
+    rows : (L, I) array
+        Factor indices, up to date for the rows in ``kept``.
+    merges : Merges
+        What was united, in order.
+    """
+    rows = rows.copy()
+    n_agents = rows.shape[1]
+    kept = np.arange(len(rows))
+    weights: NDArray[Any] = np.asarray(
+        np.random.default_rng(20251106).integers(1, 2**63, size=n_agents, dtype=np.uint64)
+    )
+    group_hash = groups.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    history: list[tuple[IndexArray, IndexArray, IndexArray]] = []
+    changed, stale = True, True
+    while changed and len(kept) > 1:
+        changed = False
+        for i in range(n_agents):
+            current: NDArray[Any] = rows[kept].astype(np.uint64)
+            if i == 0 or stale:
+                stale = False
+                whole: NDArray[Any] = (current * weights).sum(axis=1, dtype=np.uint64) + group_hash[kept]
+            _, first, inverse = np.unique(whole - current[:, i] * weights[i], return_index=True, return_inverse=True)
+            if len(first) == len(kept):
+                continue
+            into = kept[first[inverse]]
+            absorbed = np.flatnonzero(into != kept)
+            differs = rows[kept[absorbed]] != rows[into[absorbed]]  # a collision of hashes must not unite terms
+            differs[:, i] = groups[kept[absorbed]] != groups[into[absorbed]]
+            absorbed = absorbed[~np.any(differs, axis=1)]
+            if len(absorbed) == 0:
+                continue
+            changed = stale = True
+            pairs_into, pairs_from = into[absorbed], kept[absorbed]
+            _sum_factors(factors, rows, i, pairs_into, pairs_from)
+            history.append((pairs_into, pairs_from, np.full(len(absorbed), i)))
+            kept = np.delete(kept, absorbed)
+    if not history:
+        return kept, rows, Merges.none()
+    return kept, rows, Merges(*(np.concatenate(part) for part in zip(*history, strict=True)))
+
+
+def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArray, absorbed: IndexArray) -> None:
+    """Replace the factor of agent i in rows ``into`` by its sum with those of the rows absorbed into them."""
+    order = np.argsort(into, kind="stable")
+    into, absorbed = into[order], absorbed[order]
+    heads, starts = np.unique(into, return_index=True)
+    sums = add_runs(take(factors[i], rows[absorbed, i]), starts) + take(factors[i], rows[heads, i])
+    # the same set of summands gives the same factor, whichever state it belongs to
+    ends = np.append(starts[1:], len(into))
+    number: dict[tuple[int, ...], int] = {}
+    fresh: list[int] = []
+    for k, (head, a, b) in enumerate(zip(heads, starts, ends, strict=True)):
+        key = (int(rows[head, i]), *(int(r) for r in rows[absorbed[a:b], i]))
+        if key not in number:
+            number[key] = len(factors[i]) + len(fresh)
+            fresh.append(k)
+        rows[head, i] = number[key]
+    factors[i] = concatenate([factors[i], take(sums, np.array(fresh, dtype=np.int64))])
+
+
+def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]:
+    """Keep the factors that ``column`` points at; returns them and the column renumbered."""
+    if len(factors) == 1 and len(column):
+        return factors, column
+    used, renumbered = distinct(column)
+    return factors if len(used) == len(factors) else take(factors, used), renumbered
+
+
+def distinct(numbers: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Sorted distinct numbers, and the position of each number among them."""
+    if len(numbers) == 1:  # a single term per agent: the case of many agents, where it counts
+        return numbers, np.zeros(1, dtype=np.int64)
+    values, position = np.unique(numbers, return_inverse=True)
+    return values, position
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Which vertices the value tree kept at one time, enough to grow it again (see ``check``).
+
+    Per automaton state: rows (guard, term of the next step), how rows were united, and which rows became terms.
+    """
+
+    origin: tuple[IndexArray, ...]
+    merges: tuple[Merges, ...]
+    kept: tuple[IndexArray, ...]
+
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Guards:
+    """Guards out of every automaton state, over the label sets of each agent.
+
+    Parameters
+    ----------
+    masks : tuple of (K_i, n_i) bool arrays
+        Distinct sets of label sets of agent i that occur in guards.
+    source, target : (G,) int arrays
+        Automaton states that guard g connects; only targets from which acceptance can be reached.
+    mask : (G, I) int array
+        ``masks[i][mask[g, i]]`` is factor i of guard g.
+    """
+
+    masks: tuple[BoolArray, ...]
+    source: NDArray[np.int32]
+    target: NDArray[np.int32]
+    mask: NDArray[np.int32]
+
+    def out_of(self, q: int) -> NDArray[np.int64]:
+        """Numbers of the guards out of state q."""
+        return np.flatnonzero(self.source == q)
+
+
+def term_depths(
+    skeleton: Sequence[Skeleton], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], ...]:
+    """Steps to acceptance of every term at time 0, per automaton state; united terms carry the larger depth."""
+    depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in accepting]
+    for step in reversed(skeleton):
+        following = []
+        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
+            if absorbing[q]:
+                following.append(np.zeros(int(accepting[q]), dtype=np.int64))
+                continue
+            own = np.zeros(len(origin), dtype=np.int64)
+            targets = guards.target[origin[:, 0]]
+            for target in np.unique(targets):
+                here = targets == target
+                own[here] = depths[target][origin[here, 1]] + 1
+            for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
+                own[into] = max(own[into], own[absorbed])
+            following.append(own[kept])
+        depths = following
+    return tuple(depths)
+
+
+@dataclass(frozen=True, eq=False)
+class Occupancy:
+    """Alive mass per automaton state at one time; ``leftover`` bounds from above the mass that was dropped so far."""
+
+    terms: Terms
+    leftover: float
+
+    def masses(self, q: int) -> NDArray[np.float64]:
+        """(K_q,) mass of each term of state q."""
+        return _masses(self.terms.factors, self.terms.index[q])
+
+
+def _masses(factors: Sequence[NDArray], index: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Mass of each term: product over agents of the factor sums."""
+    product = np.ones(len(index))
+    for i, own in enumerate(factors):
+        product *= to_host(namespace(own).sum(own, axis=1))[index[:, i]]
+    return product

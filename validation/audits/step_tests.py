@@ -1,0 +1,235 @@
+"""Audit: does the value function rise as it must, step by step, along rollouts of the continuous system?
+
+Let ``Y_t = max(0, V_{T-t} - Delta Theta_{T-t})(q_t, xhat_t)`` at the controller's own cells, 0 after failure, 1 after
+acceptance, 0 from the step on in which a relation is lost, and the outcome itself at the horizon. A certificate is true
+only if ``E[Y_{t+1} - Y_t | past] >= 0`` at every step (THEORY section 10). Each pair (t, q) is tested with *bets*: with
+``D = Y_{t+1} - Y_t <= 1 - Y_t`` and a stake s fixed before the step, ``0 <= s (1 - Y_t) <= 1``, the wealth
+
+    W = prod over episodes (1 - s D)
+
+has expectation at most 1 while the hypothesis is true, so ``P(W >= 1/alpha) <= alpha`` exactly, for any number of
+episodes (Markov). W is averaged over a fixed set of stakes, in absolute size and in shares of ``1 / (1 - Y_t)``. The
+pairs go through Holm at half of the level; the other half is for the product over all steps, which sees defects too
+thin for any single pair. A false certificate shows here with far fewer rollouts than at the end points, and it shows
+where: the fall at a pair is divided among the agents (``agent_steps``), and split by the region that the agent is in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.dynamics import Dynamics
+from ...envs.dynamics import worlds as core
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate, checked_certificate
+from ...synthesis.values import Terms, Trains
+from ..simulation import (
+    CHUNK,
+    Batchable,
+    Executor,
+    Frame,
+    Loop,
+    arranged,
+    chunks_of,
+    frames,
+    in_order,
+    interrupts_at_checkpoints,
+)
+from ..statistics import check_confidence
+from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
+from .audit_report import AuditReport, report_of
+from .ledger import STAKES, Ledger
+from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
+
+SLACK = 1e-9
+"""Added to every increment: more than rounding takes from a true certificate, less than any test can see."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Setup:
+    """What every chunk of an audit needs."""
+
+    loop: Loop
+    certificate: Certificate
+    values: tuple[Terms | Trains, ...]
+    charge: Charge | None
+
+
+def audit(
+    certificate: Certificate,
+    episodes: int = 20_000,
+    seed: int = 0,
+    *,
+    problem: Problem | None = None,
+    controller: Batchable | None = None,
+    values: Sequence[Terms | Trains] | None = None,
+    charge: Charge | None = None,
+    confidence: float = 0.999,
+    chunk: int = CHUNK,
+    executor: Executor | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> AuditReport:
+    """Test a certificate step by step; a true one is refuted with probability at most ``1 - confidence``.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    episodes : int
+    seed : int
+    problem : Problem, optional
+        The continuous system, if it is not the certificate's own.
+    controller : optional
+        What drives it; default: the certificate's.
+    values : sequence of Terms or Trains, optional
+        Value functions at times 0 .. T - 1; default: ``claimed_values(certificate)``.
+    charge : Charge, optional
+        ``Delta * Theta``; default: that of the certificate, 0 unless its bound is the a-posteriori one. (With a charge
+        the start is not tested: the bound there may rest on a smaller Theta.)
+    confidence : float
+    chunk, executor, progress
+        As in ``validate``.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or the value functions are not one per step.
+    """
+    check_confidence(confidence)
+    problem = checked_certificate(certificate).problem if problem is None else problem
+    values = tuple(claimed_values(certificate) if values is None else values)
+    if len(values) != problem.horizon:
+        raise ValueError(f"`values`: expected one value function per step, {problem.horizon}, got {len(values)}")
+    loop = Loop(problem, certificate.controller if controller is None else controller, seed, chunk)
+    charge = charge_of(certificate, values) if charge is None else charge
+    setup, ledger, done, interrupted = _Setup(loop, certificate, values, charge), Ledger.empty(problem), 0, False
+    parts = in_order(audit_chunk, setup, chunks_of(episodes, chunk), executor)
+    try:
+        with interrupts_at_checkpoints() as checkpoint:
+            for count, part in parts:
+                ledger, done = ledger.plus(part), done + count
+                if progress is not None:
+                    progress(count)
+                checkpoint()
+    except KeyboardInterrupt:
+        if done == 0:
+            raise
+        interrupted = True
+    finally:
+        parts.close()
+    return report_of(problem, ledger, done, confidence, int(seed), int(chunk), interrupted)
+
+
+def audit_chunk(setup: _Setup, job: tuple[int, int]) -> tuple[int, Ledger]:
+    """Ledger of one chunk (number, episodes that count)."""
+    number, count = job
+    dynamics, policy = arranged(setup.loop)
+    ledger = Ledger.empty(setup.loop.problem)
+    before: _Moment | None = None
+    for frame in frames(setup.loop, dynamics, policy, number):
+        moment = _moment(setup, dynamics, frame, count, None if before is None else before.open)
+        if before is None and setup.charge is None:
+            certified = setup.certificate.lower_bound
+            ledger.start[:] = _wealth(moment.level - certified, np.full(count, 1.0 - certified)).sum(axis=0)
+        if before is not None and np.any(before.open):
+            _enter(setup, ledger, dynamics, before, moment)
+        before = moment
+    return count, ledger
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """A frame with its levels ``Y_t`` (n,), cells (n, I), and whether each episode is undecided and related so far."""
+
+    frame: Frame
+    level: NDArray[Any]
+    cells: NDArray[Any]
+    open: NDArray[np.bool_]
+
+
+def _moment(
+    setup: _Setup, dynamics: Dynamics, frame: Frame, count: int, was_open: NDArray[np.bool_] | None
+) -> _Moment:  # fmt: skip
+    worlds, time = frame.worlds, int(frame.worlds.time)
+    open_ = ~(worlds.failed | worlds.accepted)[:count]
+    if getattr(frame.memory, "lost", None) is not None:
+        open_ = open_ & ~np.asarray(frame.memory.lost)[:count]
+    if was_open is not None:
+        open_ = open_ & was_open
+    if time >= setup.loop.problem.horizon:
+        open_ = np.zeros(count, dtype=bool)
+    level = np.asarray(core.satisfied(dynamics, worlds), dtype=float)[:count]
+    cells = standing_cells(setup.certificate, dynamics, worlds, arranged(setup.loop)[1], frame.memory)[:count]
+    here = np.flatnonzero(open_)
+    if len(here):
+        value = values_at(setup.values[time], worlds.q[here], cells[here])
+        if setup.charge is not None:
+            value = value - setup.charge(time, worlds.q[here], cells[here])
+        level[here] = np.clip(value, 0.0, 1.0)
+    return _Moment(frame, level, cells, open_)
+
+
+def _wealth(increments: NDArray[Any], room: NDArray[Any]) -> NDArray[Any]:
+    """``log(1 - s D)`` (n, G) for every stake; ``room`` (n,) is the most that D can be."""
+    shares, absolute = np.split(STAKES, 2)
+    d = (increments + SLACK)[:, None]
+    relative = np.clip(d / np.maximum(room, 1e-3)[:, None], None, 1.0)
+    return np.concatenate([np.log1p(-shares * relative), np.log1p(-absolute * np.minimum(d, 1.0))], axis=1)
+
+
+def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, after: _Moment) -> None:
+    """Enter the step from one moment to the next, of the episodes that were undecided."""
+    rows, time, problem = np.flatnonzero(before.open), int(before.frame.worlds.time), setup.loop.problem
+    q, level = before.frame.worlds.q[rows].astype(np.int64), before.level[rows]
+    step = after.level[rows] - level
+    wealth = _wealth(step, 1.0 - level)
+    _add(q, wealth, step, ledger.wealth[time], ledger.worlds[time], ledger.increments[time])
+    parts, certificate, now = None, setup.certificate, setup.values[time]
+    following = setup.values[time + 1] if time + 1 < problem.horizon else terminal_values(certificate)
+    if (
+        isinstance(now, Terms)
+        and isinstance(following, Terms)
+        and not remembers(before.frame.memory)
+        and setup.charge is None
+        and tree_fits(certificate, time, now, following)
+    ):
+        parts = levels_by_agent(
+            certificate, time, now, following, q, before.cells[rows], after.cells[rows],
+            agents_outside(dynamics, after.frame.worlds)[rows],
+        )  # fmt: skip
+        parts = np.clip(parts, 0.0, 1.0)
+        wrong = after.level[rows] < parts[-1] * (1.0 - 1e-7) - SLACK
+        ledger.contradictions[time] += np.bincount(q[wrong], minlength=problem.automaton.n_states)
+    for i, (block, place) in enumerate(dynamics.position):
+        if parts is not None:
+            step = parts[i + 1] - parts[i]
+            wealth = _wealth(step, 1.0 - parts[i])
+        here = class_numbers(problem, i, before.frame.worlds.states[block][:, place, rows])
+        flat = (a[i][time] for a in (ledger.split, ledger.split_worlds, ledger.split_increments))
+        split, worlds, increments = (a.reshape(-1, *a.shape[2:]) for a in flat)
+        _add(q * len(problem.labeling.classes[i]) + here, wealth, step, split, worlds, increments)
+
+
+def _add(
+    keys: NDArray[Any], wealth: NDArray[Any], d: NDArray[Any], sums: NDArray[Any], worlds: NDArray[Any],
+    increments: NDArray[Any],
+) -> None:  # fmt: skip
+    """Add rows to the entries that ``keys`` name, in a fixed order."""
+    order = np.argsort(keys, kind="stable")
+    present, first = np.unique(keys[order], return_index=True)
+    sums[present] += np.add.reduceat(wealth[order], first, axis=0)
+    worlds[present] += np.bincount(keys, minlength=len(worlds))[present]
+    increments[present] += np.add.reduceat(d[order], first)
+
+
+def class_numbers(problem: Problem, i: int, states: NDArray[Any]) -> NDArray[np.int64]:
+    """Row of ``labeling.classes[i]`` that holds at each state (d, M) of agent i; 0 if none does (outside)."""
+    holds, classes = problem.labeling.class_at(i, states), problem.labeling.classes[i]
+    result = np.zeros(states.shape[1], dtype=np.int64)
+    for number, row in enumerate(classes):
+        result[np.all(holds == row[:, None], axis=0)] = number
+    return result

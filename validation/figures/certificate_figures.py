@@ -1,0 +1,296 @@
+"""Figures of certificates: value over a slice of starts, bound against horizon, rank growth, a look at the relation.
+
+Every function returns a matplotlib ``Figure``; ``figure_style.save_figure`` writes it. Rollouts over regions, automata
+and value trees are drawn in ``figure_scenes``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.pictures import coordinate_name
+from ...synthesis.certificates import Certificate, regrow_trains, shown_bound
+from ...synthesis.relations import CoupledRelation
+from ...synthesis.values import Trains
+from ..audits import standing_cells
+from ..simulation import Loop, arranged, frames
+from ..verdicts import ValidationReport, slice_starts, workspace_box
+from .figure_regions import bands, region_boxes
+from .figure_style import (  # fmt: skip
+    AT_LEAST,
+    BOUND,
+    INK,
+    MAP,
+    MARKS,
+    SERIES,
+    SOFT,
+    draw_bound,
+    draw_estimates,
+    legend_above,
+    whole_ticks,
+)
+from .figure_style import new_figure as _new
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVELS = (0.1, 0.5, 0.9, 0.99)
+"""Contours of a map of bounds."""
+
+
+STATES_SHOWN = 5
+"""Automaton states with a line and a name of their own in a figure of ranks; the others are grey."""
+
+
+def value_figure(
+    certificate: Certificate, axes: Sequence[int] | None = None, at: Any = None, points: int | None = None
+) -> Figure:
+    """The certified lower bound over a slice of initial states: a curve over one coordinate, or a map over two.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    axes : sequence of int, optional
+        One or two joint coordinates; default: the first coordinate of the first two agents.
+    at : array_like (D,), optional
+        Joint state that gives the other coordinates; default: the middle of the problem's start.
+    points : int, optional
+        Per axis; default 600 along a line, 160 per axis of a map.
+
+    Raises
+    ------
+    ValueError
+        If the axes are not one or two different joint coordinates, or matplotlib is missing.
+    """
+    shown = _coordinates(certificate, axes)
+    count = points or (600 if len(shown) == 1 else 160)
+    if count < 2:
+        raise ValueError(f"`points`: expected at least 2, got {count}")
+    states = slice_starts(certificate, shown, (count,) * len(shown), at)
+    bounds = certificate.at(states)
+    problem = certificate.problem
+    names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
+    title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
+    if certificate.rounding is not None:
+        title += ", 0 where runs from its start do not come"
+    if len(shown) == 1:
+        figure, (plot,) = _new(6.4, 3.8)
+        x = states[:, shown[0]]
+        draw_bound(plot, x, bounds, "certified lower bound", upper=1.0)
+        bands(plot, certificate, shown[0], across=True)
+        plot.set_ylim(-0.02, 1.04)
+        plot.set_xlim(*_limits(certificate, shown[0]))
+        plot.set_xlabel(names[0])
+        plot.set_ylabel("P(satisfied) at least")
+        legend_above(plot, 2)
+        plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)
+        return figure
+    return _map(certificate, shown, states, bounds.reshape(count, count).T, names, title)
+
+
+def _map(
+    certificate: Certificate, shown: Sequence[int], states: NDArray[Any], grid: NDArray[Any], names: Sequence[str],
+    title: str,
+) -> Figure:  # fmt: skip
+    """Bounds (N, N) over two coordinates, with contours that the scale repeats, and the regions."""
+    figure, (plot,) = _new(6.6, 5.0)
+    x, y = (np.unique(states[:, k]) for k in shown)
+    image = plot.pcolormesh(x, y, grid, cmap=MAP, vmin=0.0, vmax=1.0, shading="nearest", rasterized=True)
+    scale = figure.colorbar(image, ax=plot, label="certified lower bound on P(satisfied)", pad=0.02)
+    inside = [level for level in LEVELS if grid.min() < level < grid.max()]
+    if inside:
+        colors = ["white" if level < 0.7 else INK for level in inside]
+        scale.add_lines(plot.contour(x, y, grid, levels=inside, colors=colors, linewidths=0.9))
+        scale.set_ticks([0.0, *inside, *([1.0] if inside[-1] < 0.97 else [])])
+        scale.ax.yaxis.set_major_formatter("{x:g}")
+    rows = region_boxes(plot, certificate, shown)
+    for k, across in zip(shown, (True, False), strict=True):
+        if rows is None:
+            levels = bands(plot, certificate, k, across)
+            rows = levels if across else rows
+    plot.grid(visible=False)
+    plot.set_xlim(*_limits(certificate, shown[0]))
+    plot.set_ylim(*_limits(certificate, shown[1]))
+    plot.set_xlabel(names[0])
+    plot.set_ylabel(names[1])
+    plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=6 + 17 * (rows or 0))
+    return figure
+
+
+def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[ValidationReport]]) -> Figure:
+    """Certified bounds and what rollouts show, against the horizon; several series by name.
+
+    Parameters
+    ----------
+    reports : sequence of ValidationReport, or mapping from a name to one
+        As ``sweep_horizons`` returns them.
+
+    Raises
+    ------
+    ValueError
+        If there is no report, or matplotlib is missing.
+    """
+    series = reports if isinstance(reports, Mapping) else {"": reports}
+    if not series or not all(len(own) for own in series.values()):
+        raise ValueError("`reports`: expected at least one report per series, got none; see `sweep_horizons`")
+    figure, (plot,) = _new(6.8, 4.2)
+    several = len(series) > 1
+    for k, (name, own) in enumerate(series.items()):
+        color = SERIES[k % len(SERIES)]
+        x = [report.horizon for report in own]
+        prefix = f"{name}: " if name else ""
+        lower = [report.lower_bound for report in own]
+        upper = None if several else [r.lower_bound + r.gap if r.gap is not None else 1.0 for r in own]
+        label = f"{prefix}probability (exact)" if all(r.exact for r in own) else f"{prefix}certified: at least"
+        draw_bound(plot, x, lower, label, color, upper, marker=AT_LEAST, markersize=5)
+        low, high = [report.ci_low for report in own], [report.ci_high for report in own]
+        label = f"{prefix}rollouts, {100 * own[0].confidence:g} % limits"
+        shade = color if several else "#D55E00"
+        offset = 0.13 * (k + 1)
+        draw_estimates(plot, np.array(x) + offset, [r.estimate for r in own], low, high, label, shade)
+    first = next(iter(series.values()))[0]
+    plot.set_ylim(-0.02, 1.04)
+    whole_ticks(plot.xaxis)
+    plot.set_xlabel("horizon T (control steps)")
+    plot.set_ylabel("P(satisfied)")
+    legend_above(plot, 2)
+    plot.set_title(first.problem, loc="left", fontsize=10, color=SOFT, pad=24 + 14 * (len(series) - 1))
+    return figure
+
+
+def rank_figure(certificate: Certificate) -> Figure:
+    """Terms of the value function by automaton state against the steps left: kept ones, and those that were formed.
+
+    What lies between the two was united exactly or dropped; every kept term counts, none is an estimate.
+    """
+    problem = certificate.problem
+    left = problem.horizon - np.arange(problem.horizon)
+    figure, (plot,) = _new(6.6, 4.0)
+    kept, formed = _counts(certificate)
+    order = [q for q in np.argsort(-kept.max(axis=1), kind="stable") if kept[q].any()]
+    for q in order[STATES_SHOWN:]:
+        plot.plot(left, np.where(kept[q] > 0, kept[q], np.nan), color="#b6bcc6", linewidth=0.9)
+    for number, q in enumerate(order[:STATES_SHOWN]):
+        color, mark = SERIES[number % len(SERIES)], MARKS[number % len(MARKS)]
+        plot.plot(left, np.where(formed[q] > 0, formed[q], np.nan), color=color, linewidth=1.2, linestyle=(0, (4, 2)))
+        label = f"state {problem.automaton.state_names[q]}: kept"
+        plot.plot(
+            left, np.where(kept[q] > 0, kept[q], np.nan), color=color, linewidth=2, marker=mark, ms=4, label=label
+        )
+    rest = len(order) - STATES_SHOWN
+    if rest > 0:
+        plot.plot([], [], color="#b6bcc6", linewidth=0.9, label=f"{rest} other states: kept")
+    plot.plot([], [], color=SOFT, linewidth=1.2, linestyle=(0, (4, 2)), label="formed, before uniting and dropping")
+    peak = int(formed.max(initial=1))
+    if peak > 200:
+        plot.set_yscale("log")
+    else:
+        plot.set_ylim(0, peak * 1.08 + 0.5)
+        whole_ticks(plot.yaxis)
+    whole_ticks(plot.xaxis)
+    plot.set_xlabel("steps left (control steps)")
+    plot.set_ylabel("terms of the value function")
+    legend_above(plot, 2)
+    rows = -(-(min(len(order), STATES_SHOWN) + 1 + (rest > 0)) // 2)
+    title = f"{problem.name}, horizon {problem.horizon}: rank {certificate.rank}"
+    plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=10 + 14 * rows)
+    return figure
+
+
+def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Terms (Q, T) that each automaton state keeps at each time, and those that were formed."""
+    if certificate.rounding is not None:
+        columns: list[list[int]] = []
+
+        def note(time: int, value: Trains) -> None:
+            columns.append([0 if train is None else train.rank for train in value.states])
+
+        regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding, note)
+        ranks = np.array(columns[::-1]).T
+        return ranks, ranks
+    steps, states = certificate.skeleton, range(certificate.problem.automaton.n_states)
+    kept = [[len(step.kept[q]) for step in steps] for q in states]
+    return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
+
+
+def relation_figure(certificate: Certificate, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
+    """One episode of one agent: its state, the cell that its finite model is in, and the set the relation keeps it in.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    agent, coordinate : int
+        Which agent, and which of its grid coordinates.
+    seed : int
+        Of the episode.
+    """
+    problem = certificate.problem
+    if not 0 <= agent < problem.n_agents or not 0 <= coordinate < problem.agents[agent].n_states:
+        raise ValueError(f"`agent`, `coordinate`: expected one of {problem.n_agents} agents and its coordinates")
+    times, states, centres, reach = _followed(certificate, agent, coordinate, seed)
+    kind = certificate.agents[agent].relation["kind"]
+    figure, (plot,) = _new(6.8, 3.8)
+    for t, centre, half in zip(times, centres, reach, strict=True):
+        plot.fill_between([t - 0.38, t + 0.38], centre - half, centre + half, color=BOUND, alpha=0.22, linewidth=0,
+                          label="kept by the relation" if t == 0 else None)  # fmt: skip
+    plot.plot(times, centres, color=BOUND, marker="_", markersize=16, markeredgewidth=2, linestyle="none",
+              label="finite model (cell centre)")  # fmt: skip
+    plot.plot(times, states, color=SERIES[1], marker="o", markersize=4.5, linewidth=1.4, label="continuous agent")
+    name = problem.agents[agent].name
+    part = f"[{coordinate}]" if problem.agents[agent].n_states > 1 else ""
+    whole_ticks(plot.xaxis)
+    plot.set_xlabel("control step")
+    plot.set_ylabel(f"{name}{part} (state units)")
+    legend_above(plot)
+    title = f"{problem.name}: {kind} relation, {shown_bound(certificate.lower_bound, None)}"
+    plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)
+    return figure
+
+
+def _followed(
+    certificate: Certificate, agent: int, k: int, seed: int
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Times, states, cell centres and half widths of the relation, up to the step that decides the episode."""
+    from ...envs.dynamics import worlds as core
+
+    loop = Loop(certificate.problem, certificate.controller, seed, 1)
+    dynamics, policy = arranged(loop)
+    first = sum(a.n_states for a in certificate.problem.agents[:agent])
+    controller = certificate.controller.agents[agent]
+    found = []
+    for time, frame in enumerate(frames(loop, dynamics, policy, 0)):
+        if frame.memory is None:
+            break
+        joint = core.joint(dynamics, frame.worlds)
+        cells = standing_cells(certificate, dynamics, frame.worlds, policy, frame.memory)
+        cell = int(cells[0, agent])
+        here = joint[0, first : first + certificate.problem.agents[agent].n_states]
+        point = controller.relation.to_grid(here[:, None])[k, 0]
+        relation, half = controller.relation, controller.grid.half_widths[cell][k]
+        if isinstance(relation, CoupledRelation):
+            half = relation.reach[k]
+        found.append((time, point, controller.grid.centres[cell][k], half))
+    times, states, centres, reach = np.array(found).T
+    return times, states, centres, reach
+
+
+def _coordinates(certificate: Certificate, axes: Sequence[int] | None) -> tuple[int, ...]:
+    problem = certificate.problem
+    if axes is None:
+        first = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
+        return (int(first[0]), int(first[1])) if problem.n_agents > 1 else tuple(range(min(2, problem.n_states)))
+    if not 1 <= len(axes) <= 2 or len(set(axes)) != len(axes) or not all(0 <= k < problem.n_states for k in axes):
+        raise ValueError(
+            f"`axes`: expected one or two different joint coordinates from 0 to {problem.n_states - 1}, "
+            f"got {list(axes)}"
+        )
+    return tuple(int(k) for k in axes)
+
+
+def _limits(certificate: Certificate, k: int) -> tuple[float, float]:
+    low, high = workspace_box(certificate.problem)
+    return float(low[k]), float(high[k])

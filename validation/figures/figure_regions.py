@@ -1,0 +1,130 @@
+"""Regions beside and inside maps of starts, and the panels of rollouts over regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.pictures import Panel
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate
+from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Interval = tuple[float, float]
+
+
+def intervals(problem: Problem, k: int) -> dict[str, Interval]:
+    """Regions that restrict joint state coordinate k, by name, cut to the workspace."""
+    first = 0
+    for agent in problem.agents:
+        if k < first + agent.n_states:
+            break
+        first += agent.n_states
+    low, high = float(agent.state_low[k - first]), float(agent.state_high[k - first])
+    found = {}
+    for name, region in problem.propositions.items():
+        if region.agent != agent.name:
+            continue
+        for row, a, b in zip(agent.output_matrix, region.low, region.high, strict=True):
+            if row[k - first] == 1.0 and np.count_nonzero(row) == 1:
+                cut = max(low, float(a)), min(high, float(b))
+                if cut != (low, high):
+                    found[name] = cut
+    return found
+
+
+def bands(plot: Axes, certificate: Certificate, k: int, across: bool) -> int:
+    """Draw the regions of joint coordinate k as bars along the upper (``across``) or right edge; returns their rows."""
+    taken: list[tuple[int, float, float]] = []
+    for number, (name, (a, b)) in enumerate(intervals(certificate.problem, k).items()):
+        level = next(n for n in range(len(taken) + 1) if all(n != m or b <= c or d <= a for m, c, d in taken))
+        taken.append((level, a, b))
+        place, color = 1.015 + 0.055 * level, REGIONS[number % len(REGIONS)]
+        bar, middle = ([a, b], [place, place]), (0.5 * (a + b), place + 0.008)
+        style: dict[str, Any] = {"color": color, "linewidth": 3, "clip_on": False, "solid_capstyle": "butt"}
+        words: dict[str, Any] = {"fontsize": 8, "color": INK, "clip_on": False}
+        if across:
+            plot.plot(*bar, transform=plot.get_xaxis_transform(), **style)
+            plot.text(*middle, name, transform=plot.get_xaxis_transform(), ha="center", va="bottom", **words)
+        else:
+            words |= {"ha": "left", "va": "center", "rotation": 90}
+            plot.plot(*bar[::-1], transform=plot.get_yaxis_transform(), **style)
+            plot.text(*middle[::-1], name, transform=plot.get_yaxis_transform(), **words)
+    return 1 + max((level for level, _, _ in taken), default=-1)
+
+
+def region_boxes(plot: Axes, certificate: Certificate, shown: Sequence[int]) -> int | None:
+    """Outline the regions where both coordinates belong to one agent; None if they do not."""
+    problem = certificate.problem
+    owner = np.repeat(np.arange(problem.n_agents), [agent.n_states for agent in problem.agents])
+    if owner[shown[0]] != owner[shown[1]]:
+        return None
+    from matplotlib.patches import Rectangle
+
+    first, second = (intervals(problem, k) for k in shown)
+    for name in first:
+        if name in second:
+            (a, b), (c, d) = first[name], second[name]
+            plot.add_patch(Rectangle((a, c), b - a, d - c, fill=False, edgecolor="white", linewidth=1.6))
+            plot.add_patch(Rectangle((a, c), b - a, d - c, fill=False, edgecolor=INK, linewidth=0.8, linestyle="--"))
+            box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7}
+            plot.text(a, d, name, fontsize=7.5, color=INK, va="bottom", bbox=box)
+    return 0
+
+
+def rollouts_panel(
+    plot: Axes, panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], horizon: int
+) -> None:  # fmt: skip
+    """Paths (T + 1, M, D) of episodes over the regions of a panel; those that fail end in a cross."""
+    _regions(plot, panel)
+    for curve in panel.curves:
+        track = states @ curve.rows.T
+        color = SERIES[curve.number % len(SERIES)]
+        for m in range(track.shape[1]):
+            here = track[~np.isnan(track[:, m]).any(axis=1), m]
+            x = here[:, 0] if panel.is_map else np.arange(len(here))
+            label = curve.name if m == 0 and len(panel.curves) <= 8 else None
+            line: dict[str, Any] = {"linewidth": 1.0, "alpha": 0.55, "label": label}
+            mark: dict[str, Any] = {"color": color, "marker": "o", "ms": 3.5, "mew": 0.5}
+            if not success[m]:
+                line |= {"alpha": 0.9, "linestyle": (0, (3, 2))}
+                mark = {"color": FAILURE, "marker": "X", "ms": 7, "mew": 0.7}
+            plot.plot(x, here[:, -1], color=color, **line)
+            plot.plot(x[-1:], here[-1:, -1], mec="white", zorder=4, clip_on=False, **mark)
+    if panel.is_map:
+        plot.set_xlim(panel.low[0], panel.high[0])
+        plot.set_aspect("equal")
+        plot.set_xlabel("first coordinate (state units)")
+        plot.set_ylabel("second coordinate (state units)")
+    else:
+        plot.set_xlim(0, horizon)
+        whole_ticks(plot.xaxis)
+        plot.set_xlabel("control step")
+        plot.set_ylabel("position (state units)")
+    plot.set_ylim(panel.low[-1], panel.high[-1])
+    if len(panel.curves) <= 8:
+        legend_above(plot, 4)
+
+
+def _regions(plot: Axes, panel: Panel) -> None:
+    from matplotlib.patches import Rectangle
+
+    for number, region in enumerate(panel.regions):
+        color = REGIONS[number % len(REGIONS)]
+        if panel.is_map:
+            size = [b - a for a, b in zip(region.low, region.high, strict=True)]
+            corner = region.low[0], region.low[1]
+            plot.add_patch(Rectangle(corner, *size, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5))
+            plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6))
+            plot.text(region.low[0], region.high[1], f" {region.name}", fontsize=8, color=INK, va="top", zorder=5)
+        else:
+            plot.axhspan(region.low[0], region.high[0], facecolor=color, alpha=0.16, linewidth=0, zorder=0.5)
+            middle = 0.5 * (region.low[0] + region.high[0])
+            place: dict[str, Any] = {"transform": plot.get_yaxis_transform(), "va": "center", "clip_on": False}
+            plot.text(1.015, middle, region.name, fontsize=8, color=INK, **place)

@@ -1,0 +1,211 @@
+"""Figures of what happens: rollouts over the regions, the task automaton, the value tree behind a bound."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...envs.logic import Automaton
+from ...envs.pictures import edges, panels, places
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate, shown_bound
+from ..simulation import Loop, paths
+from .figure_regions import rollouts_panel
+from .figure_style import FAILURE, INK, SERIES, SOFT, legend_above, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+MOST_PANELS = 4
+"""Panels of one figure; agents beyond are left out, and the title says so."""
+
+MOST_VERTICES = 400
+"""Largest value tree that is drawn."""
+
+
+def rollouts_figure(certificate: Certificate, episodes: int = 40, seed: int = 0) -> Figure:
+    """Episodes of the continuous system under the certified controllers, over the regions.
+
+    Planar agents are drawn on a map, others over time. Episodes that do not satisfy the task end in a cross.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    episodes : int
+    seed : int
+    """
+    if episodes < 1:
+        raise ValueError(f"`episodes`: expected at least 1, got {episodes}")
+    problem = certificate.problem
+    states, success = paths(Loop(problem, certificate.controller, seed, episodes), episodes)
+    all_panels = panels(problem)
+    shown = all_panels[:MOST_PANELS]
+    columns = 1 if len(shown) == 1 or not shown[0].is_map else 2
+    rows = -(-len(shown) // columns)
+    height = 2.6 * rows + 0.6
+    if shown[0].is_map and len(shown) == 1:
+        sides = np.subtract(shown[0].high, shown[0].low)
+        height = float(np.clip(6.0 * sides[1] / sides[0], 2.0, 6.5)) + 1.0
+    figure, plots = new_figure(6.8, height, rows, columns)
+    for panel, plot in zip(shown, plots, strict=False):
+        rollouts_panel(plot, panel, states, success, problem.horizon)
+    for plot in plots[len(shown) :]:
+        plot.set_visible(False)
+    rest = len(all_panels) - len(shown)
+    more = f"; {rest} more panels not shown" if rest else ""
+    claim = shown_bound(certificate.lower_bound, None)
+    title = f"{problem.name}: certified {claim}; {success.sum()} of {len(success)} rollouts satisfied{more}"
+    figure.suptitle(title, fontsize=10, color=SOFT, x=0.02, ha="left")
+    return figure
+
+
+def automaton_figure(problem: Problem) -> Figure:
+    """The task automaton: states, transitions with their numbers, and the letters that take them below.
+
+    Accepting states have a double rim, states without a way to acceptance are grey. The transitions are those that a
+    letter of the workspace can take; long guards are cut.
+    """
+    drawn, automaton = edges(problem), problem.automaton
+    spots = {q: (x / 62.0, -y / 62.0) for q, (x, y) in places(automaton, drawn).items()}
+    low, high = np.min(list(spots.values()), axis=0), np.max(list(spots.values()), axis=0)
+    words = [_guard_line(n, e.guard, automaton.state_names, e.source, e.target) for n, e in enumerate(drawn, 1)]
+    words = [*words[:14], *(["..."] if len(words) > 14 else [])]
+    width = float(max(high[0] - low[0] + 2.2, 0.075 * max(map(len, words)) + 0.3))
+    foot = 0.9 + 0.155 * len(words)  # one unit is an inch
+    figure, (plot,) = new_figure(width, float(high[1] - low[1]) + 1.35 + foot)
+    figure.set_layout_engine("none")
+    plot.set_position((0.0, 0.0, 1.0, 1.0))
+    plot.axis("off")
+    plot.set_xlim(low[0] - 1.1, low[0] - 1.1 + width)
+    plot.set_ylim(low[1] - foot, high[1] + 1.35)
+    disks = {q: _state(plot, *spots[q], automaton, q) for q in spots}
+    numbered = automaton.n_states <= 9
+    for number, edge in enumerate(drawn, 1):
+        if (automaton.n_states > 5 and automaton.dead[edge.target]) or (not numbered and edge.source == edge.target):
+            continue
+        past = automaton.n_states <= 5 and abs(spots[edge.source][0] - spots[edge.target][0]) > 3.0
+        _arrow(plot, disks[edge.source], disks[edge.target], str(number) if numbered else "", -0.32 if past else 0.2)
+    x, y = spots[automaton.initial]
+    plot.annotate("", (x - 0.31, y), (x - 0.85, y), arrowprops={"arrowstyle": "-|>", "color": INK})
+    title = f"{problem.name}: {automaton.semantics} task"
+    plot.text(low[0] - 1.0, high[1] + 1.15, title, fontsize=10, color=SOFT, va="center")
+    plot.text(low[0] - 1.0, low[1] - 0.75, "\n".join(words), fontsize=8, va="top", family="monospace", color=INK)
+    return figure
+
+
+def _guard_line(number: int, guard: str, names: Any, source: int, target: int) -> str:
+    words = f"{number:>2}  {names[source]} -> {names[target]}: {guard}"
+    return words if len(words) <= 88 else words[:84] + " ..."
+
+
+def _state(plot: Axes, x: float, y: float, automaton: Automaton, q: int) -> Circle:
+    """The disk of a state, with its name."""
+    from matplotlib.patches import Circle
+
+    accepting, dead, name = automaton.accepting[q], automaton.dead[q], automaton.state_names[q]
+    rim, fill = ("#9aa1ab", "#eceef1") if dead else (INK, "#dcefe7" if accepting else "white")
+    disk = Circle((x, y), 0.31, facecolor=fill, edgecolor=rim, linewidth=1.4, zorder=3)
+    plot.add_patch(disk)
+    if accepting:
+        plot.add_patch(Circle((x, y), 0.255, fill=False, edgecolor=rim, linewidth=1.2, zorder=3))
+    height = y if len(name) <= 4 else y - 0.45
+    plot.text(x, height, name, ha="center", va="center", fontsize=9, color=SOFT if dead else INK, zorder=4)
+    return disk
+
+
+def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
+    """An arrow between two states; a negative bend takes it below those on the way."""
+    from matplotlib.patches import FancyArrowPatch
+
+    style: dict[str, Any] = {"arrowstyle": "-|>", "color": SOFT, "mutation_scale": 11, "linewidth": 1.1, "zorder": 2}
+    (x0, y0), (x1, y1) = a.center, b.center
+    if a is b:
+        left, right = (x0 - 0.14, y0 + 0.28), (x0 + 0.14, y0 + 0.28)
+        plot.add_patch(FancyArrowPatch(left, right, connectionstyle="arc3,rad=-1.9", **style))
+        spot = (x0, y0 + 0.63)
+    else:
+        style |= {"patchA": a, "patchB": b, "shrinkA": 1, "shrinkB": 1}
+        plot.add_patch(FancyArrowPatch((x0, y0), (x1, y1), connectionstyle=f"arc3,rad={-bend}", **style))
+        spot = (0.5 * (x0 + x1) - 0.5 * bend * (y1 - y0), 0.5 * (y0 + y1) + 0.5 * bend * (x1 - x0))
+    if number:
+        box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none"}
+        plot.text(*spot, number, fontsize=8, color=FAILURE, ha="center", va="center", zorder=5, bbox=box)
+
+
+def tree_figure(certificate: Certificate) -> Figure:
+    """The value tree: a vertex per kept term, right to left from acceptance, an edge per guard, coloured by state.
+
+    A term of the value function with k steps left is a guard applied to a term with k - 1 steps left; the bound is the
+    sum over the terms on the left.
+
+    Raises
+    ------
+    ValueError
+        If the tree has more vertices than can be drawn; take a shorter horizon.
+    """
+    problem, horizon = certificate.problem, certificate.problem.horizon
+    layers = _layers(certificate)
+    total = sum(len(layer) for layer in layers)
+    if total > MOST_VERTICES:
+        raise ValueError(
+            f"`certificate`: expected a value tree of at most {MOST_VERTICES} vertices to draw, got {total}; "
+            "synthesize it with a shorter horizon"
+        )
+    figure, (plot,) = new_figure(6.8, max(3.0, min(8.0, 0.24 * max(map(len, layers)) + 1.6)))
+    row = [{vertex: r - 0.5 * (len(layer) - 1) for r, vertex in enumerate(layer)} for layer in layers]
+    for t, layer in enumerate(layers[:-1]):
+        for vertex in layer:
+            for child in layer[vertex]:
+                plot.plot([t, t + 1], [row[t][vertex], row[t + 1][child]], color="#b6bcc6", linewidth=0.8, zorder=1)
+    names = problem.automaton.state_names
+    for number, q in enumerate(sorted({q for layer in layers for q, _ in layer})):
+        points = np.array([(t, r) for t, own in enumerate(row) for (s, _), r in own.items() if s == q])
+        color = SERIES[number % len(SERIES)]
+        plot.scatter(
+            points[:, 0],
+            points[:, 1],
+            s=46,
+            color=color,
+            edgecolor="white",
+            zorder=3,
+            label=f"automaton state {names[q]}",
+        )
+    plot.set_yticks([])
+    plot.spines["left"].set_visible(False)
+    plot.grid(visible=False)
+    plot.set_xticks(range(horizon + 1), [str(horizon - t) for t in range(horizon + 1)])
+    plot.set_xlabel("steps left (control steps)")
+    legend_above(plot, 3)
+    claim = shown_bound(certificate.lower_bound, None)
+    plot.set_title(f"{problem.name}: value tree behind {claim}", loc="left", fontsize=10, color=SOFT, pad=24)
+    return figure
+
+
+Vertex = tuple[int, int]
+
+
+def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
+    """Per time the vertices (automaton state, term) that the start leads to, each with its children."""
+    automaton, skeleton = certificate.problem.automaton, certificate.skeleton
+    roots = [(int(q), k) for q in dict.fromkeys(certificate.start_target.tolist())
+             for k in range(len(certificate.tree.index[q]))]  # fmt: skip
+    layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
+    for step in skeleton:
+        following: dict[Vertex, list[Vertex]] = {}
+        for (q, k), children in layers[-1].items():
+            if automaton.finished[q]:
+                children.append((q, 0))
+            else:
+                kept = int(step.kept[q][k])
+                merged = [
+                    b for a, b in zip(step.merges[q].into.tolist(), step.merges[q].absorbed.tolist()) if a == kept
+                ]
+                for row in (kept, *merged):
+                    guard, term = (int(v) for v in step.origin[q][row])
+                    children.append((int(certificate.guard_target[guard]), term))
+            following.update({child: [] for child in children})
+        layers.append(dict(sorted(following.items())))
+    return layers

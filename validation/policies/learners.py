@@ -1,0 +1,150 @@
+"""Worlds of a problem as a ``VecEnv`` of Stable-Baselines3 (the extra ``rl``).
+
+All worlds move in one batch (``envs.vector_env``); a view makes rows of them, one per world and agent for a shared
+decentralised policy, or one per world. Rows of a world share its reward and its ends. The contract kept:
+
+- a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
+- ``infos[row]["TimeLimit.truncated"]`` says whether it ended at the horizon, undecided;
+- ``infos[row]["is_success"]`` whether the task was satisfied, ``infos[row]["episode"]`` return and length;
+- dones are Booleans, rewards float32, ``seed(n)`` decides every number drawn from the next ``reset`` on.
+
+Time left is in the observation, so that the horizon really ends the decision problem: learners that add the value of
+what would come after a truncation add what cannot come. ``horizon_ends="terminated"`` reports it as an end like any
+other, and ``train`` uses that; the default follows the environments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from ...envs.interfaces import ProblemVectorEnv, checked_option
+from ...envs.problem import Problem
+from .views import CentralView, SharedView, View
+
+HORIZON_ENDS = ("truncated", "terminated")
+
+
+class WorldsVecEnv(VecEnv):
+    """Worlds of one problem as rows; see the module docstring.
+
+    Parameters
+    ----------
+    view : SharedView or CentralView
+    worlds : int
+        Worlds M; there are ``M * view.rows`` rows.
+    reward : "sparse" or "shaped"
+    discount : float
+        Of the learner, for the shaped reward.
+    horizon_ends : "truncated" or "terminated"
+
+    Examples
+    --------
+    >>> import certigym as cg
+    >>> env = shared_vec_env(cg.make_problem("reach-avoid-v0"), worlds=3)
+    >>> env.seed(0)[0], env.reset().shape
+    (0, (6, 7))
+    """
+
+    def __init__(
+        self,
+        view: View,
+        worlds: int = 64,
+        *,
+        reward: str = "shaped",
+        discount: float = 1.0,
+        horizon_ends: str = "truncated",
+    ) -> None:
+        self.view = view
+        self.render_mode = None
+        self.worlds = ProblemVectorEnv(
+            view.problem, worlds, autoreset_mode="SameStep", reward=reward, discount=discount, actions="unit"
+        )
+        self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
+        self._returns, self._lengths = np.zeros(worlds), np.zeros(worlds, dtype=np.int64)
+        self._actions: NDArray[Any] = np.zeros(0)
+        observed = spaces.Box(-1.0, 1.0, (view.size,), dtype=np.float32)
+        super().__init__(worlds * view.rows, observed, spaces.Box(-1.0, 1.0, (view.n_actions,), dtype=np.float32))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin episodes in all worlds; the seed of the last ``seed`` counts once."""
+        _, infos = self.worlds.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return self._observed(infos)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seed that the next ``reset`` uses; one generator serves all rows."""
+        self._seeds = [seed] * self.num_envs
+        return list(self._seeds)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take the actions (rows, m) of the next step."""
+        self._actions = np.array(actions)
+
+    def step_wait(self) -> Any:
+        """Move all worlds; observations, rewards, dones (rows,) and infos."""
+        joint = self.view.joint_actions(self._actions)
+        _, rewards, terminated, truncated, infos = self.worlds.step(joint)
+        ended = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        rows: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if ended.any():
+            self._fill(rows, ended, truncated, infos["final_info"])
+            self._returns[ended], self._lengths[ended] = 0.0, 0
+        per = self.view.rows
+        return self._observed(infos), np.repeat(rewards, per).astype(np.float32), np.repeat(ended, per), rows
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """One attribute, the same for all rows."""
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of all rows."""
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Refused: rows are no environments of their own."""
+        raise ValueError(f"`method_name`: rows share their worlds and have no method {method_name!r} of their own")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Never."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def _observed(self, infos: dict[str, Any]) -> NDArray[np.float32]:
+        return self.view.observations(infos["state"], infos["automaton_state"], infos["time"])
+
+    def _fill(
+        self, rows: list[dict[str, Any]], ended: NDArray[Any], truncated: NDArray[Any], final: dict[str, Any]
+    ) -> None:
+        """Write the infos of the rows that end."""
+        last, per = self._observed(final), self.view.rows
+        for world in np.flatnonzero(ended):
+            episode = {"r": float(self._returns[world]), "l": int(self._lengths[world]), "t": 0.0}
+            for row in range(world * per, (world + 1) * per):
+                rows[row].update({
+                    "terminal_observation": last[row],
+                    "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
+                    "is_success": bool(final["satisfied"][world]),
+                    "episode": episode,
+                })  # fmt: skip
+
+
+def shared_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:
+    """Worlds x agents as rows, for one policy that all agents share (arguments as ``WorldsVecEnv``)."""
+    return WorldsVecEnv(SharedView(problem), worlds, **arguments)
+
+
+def central_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:
+    """Worlds as rows, for one policy of the joint state (arguments as ``WorldsVecEnv``)."""
+    return WorldsVecEnv(CentralView(problem), worlds, **arguments)

@@ -1,0 +1,117 @@
+"""Policies for batched rollouts: decentralised ones of any form, random inputs, no effort.
+
+All of them serve ``rollout`` and ``compare``, and say what information they use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.dynamics import Dynamics, Worlds
+from ...envs.problem import Problem
+from ...synthesis.controllers import LOCAL, Decentralised, Policy, decentralised
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalController:
+    """Decentralised policies as they are ("raw"), for batched rollouts; inputs beyond the box saturate there."""
+
+    policy: Decentralised
+
+    information = LOCAL
+
+    def batch(self, dynamics: Dynamics) -> LocalBatch:
+        """The policy for batches of ``dynamics``."""
+        return LocalBatch(self.policy, dynamics)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalBatch:
+    """Decentralised policies arranged for batches; nothing is remembered."""
+
+    policy: Decentralised
+    dynamics: Dynamics
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
+        """Nothing."""
+        return None
+
+    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
+        """Inputs (m, n, M) per block; decided worlds, whose states may be anything, get the input 0."""
+        going = np.flatnonzero(~(worlds.failed | worlds.accepted))
+        q, time, result = worlds.q[going], int(worlds.time), []
+        for block, states in zip(self.dynamics.blocks, worlds.states, strict=True):
+            inputs = np.zeros((block.B.shape[1], len(block.agents), worlds.n_worlds))
+            for k, agent in enumerate(block.agents):
+                inputs[:, k, going] = self.policy.inputs(int(agent), states[:, k, going], q, time)
+            result.append(inputs)
+        return tuple(result), None
+
+
+@dataclass(frozen=True, eq=False)
+class RandomController:
+    """Inputs drawn uniformly from the input boxes, from the auxiliary stream of the rollouts."""
+
+    information = "none (uniformly random inputs)"
+
+    def batch(self, dynamics: Dynamics) -> RandomBatch:
+        """The policy for batches of ``dynamics``."""
+        return RandomBatch(dynamics)
+
+
+@dataclass(frozen=True, eq=False)
+class RandomBatch:
+    """Random inputs; the memory is the generator."""
+
+    dynamics: Dynamics
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> np.random.Generator:
+        """The generator."""
+        return rng
+
+    def act(self, worlds: Worlds, memory: np.random.Generator) -> tuple[tuple[Array, ...], np.random.Generator]:
+        """Inputs (m, n, M) per block."""
+        drawn = []
+        for block in self.dynamics.blocks:
+            share = memory.random((*block.input_low.shape[:2], worlds.n_worlds))
+            inputs = block.input_low + (block.input_high - block.input_low) * share
+            drawn.append(np.minimum(inputs, block.input_high))
+        return tuple(drawn), memory
+
+
+@dataclass(frozen=True, eq=False)
+class IdleController:
+    """The middle of every input box, always."""
+
+    information = "none (central input)"
+
+    def batch(self, dynamics: Dynamics) -> IdleBatch:
+        """The policy for batches of ``dynamics``."""
+        return IdleBatch(dynamics)
+
+
+@dataclass(frozen=True, eq=False)
+class IdleBatch:
+    """Central inputs; nothing is remembered."""
+
+    dynamics: Dynamics
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
+        """Nothing."""
+        return None
+
+    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
+        """Inputs (m, n, M) per block."""
+        middles = [0.5 * block.input_low + 0.5 * block.input_high for block in self.dynamics.blocks]
+        return tuple(np.repeat(middle, worlds.n_worlds, axis=-1) for middle in middles), None
+
+
+def as_controller(problem: Problem, policy: Policy) -> LocalController:
+    """Decentralised policies of any form (``synthesis.decentralised``) for ``rollout`` and ``compare``."""
+    return LocalController(decentralised(problem, policy))

@@ -1,0 +1,237 @@
+"""Baselines that learn: PPO and SAC of Stable-Baselines3 on the worlds of a problem (the extra ``rl``).
+
+``ppo``          decentralised: one network for all agents, each sees its own state, the automaton state, the time left
+                 and which agent it is; the same information as certified policies.
+``central-ppo``  one learner sees all states and moves all agents.
+``sac``          the same, off policy.
+
+Training is on the problem's own start and dynamics. A seed decides everything: network, worlds, batches; the same seed,
+versions and machine give the same actor.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...envs.problem import Problem
+from .actors import Actor, Network, actor_of, save_actor
+from .views import CentralView, SharedView, View
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+ALGORITHMS = ("ppo", "central-ppo", "sac")
+STEPS = {"ppo": 100_000, "central-ppo": 200_000, "sac": 20_000}
+"""Default numbers of world steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """A trained actor and how it was trained.
+
+    Parameters
+    ----------
+    problem : Problem
+    algorithm : str
+    seed : int
+    steps : int
+        World steps taken.
+    seconds : float
+        Wall-clock time of learning.
+    curve : tuple of dict
+        Since the point before: ``steps``, ``success`` (share of episodes ended, exploration included), ``episodes``,
+        ``return``; and ``seconds`` since the beginning.
+    actor : Actor
+    settings : dict
+    model : BaseAlgorithm
+        The learner, for going on with Stable-Baselines3.
+    """
+
+    problem: Problem
+    algorithm: str
+    seed: int
+    steps: int
+    seconds: float
+    curve: tuple[dict[str, float], ...]
+    actor: Actor
+    settings: dict[str, Any]
+    model: BaseAlgorithm
+
+    @property
+    def information(self) -> str:
+        """What the actor sees."""
+        return self.actor.information
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but actor and model, as JSON values."""
+        return {
+            "problem": self.problem.name, "fingerprint": self.problem.fingerprint, "algorithm": self.algorithm,
+            "information": self.information, "seed": self.seed, "steps": self.steps, "seconds": self.seconds,
+            "settings": self.settings, "curve": list(self.curve),
+        }  # fmt: skip
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``actor.npz``, ``training.json`` and Stable-Baselines3's own ``model.zip``; return the first's path."""
+        target = Path(folder)
+        target.mkdir(parents=True, exist_ok=True)
+        record = self.to_dict()
+        save_actor(
+            self.actor, target / "actor.npz", **{k: record[k] for k in ("algorithm", "seed", "steps", "seconds")}
+        )
+        (target / "training.json").write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        self.model.save(target / "model.zip")
+        return target / "actor.npz"
+
+
+def train(
+    problem: Problem,
+    algorithm: str = "ppo",
+    steps: int | None = None,
+    seed: int = 0,
+    *,
+    worlds: int | None = None,
+    reward: str = "shaped",
+    progress: Callable[[int, float], None] | None = None,
+    **settings: Any,
+) -> Training:
+    """Train a baseline.
+
+    Parameters
+    ----------
+    problem : Problem
+    algorithm : "ppo", "central-ppo" or "sac"
+    steps : int, optional
+        World steps, in all worlds together; by default ``STEPS``. The learner ends the round it is in.
+    seed : int
+    worlds : int, optional
+        Worlds side by side; default 64 for PPO, 16 for SAC.
+    reward : "shaped" or "sparse"
+        Shaped keeps the optimal policies and is needed from three agents on.
+    progress : callable, optional
+        Called with the world steps taken since the last call and the latest success rate.
+    **settings
+        Replace settings of the learner.
+
+    Raises
+    ------
+    ValueError
+        If an argument is unknown or out of range, or Stable-Baselines3 is not installed.
+    """
+    count = worlds or (16 if algorithm == "sac" else 64)
+    _check(algorithm, seed, steps=steps, worlds=worlds)
+    view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)
+    used = {**_defaults(algorithm, problem, view, count), **settings}
+    model = _learner(algorithm, view, count, reward, seed, used)
+    wanted = STEPS[algorithm] if steps is None else steps
+    watcher = _watcher(view.rows, max(1, wanted // 50), progress)
+    began = time.perf_counter()
+    model.learn(wanted * view.rows, callback=watcher)
+    seconds = time.perf_counter() - began
+    taken = int(model.num_timesteps) // view.rows
+    settled = {**used, "worlds": count, "reward": reward}
+    actor = actor_of(view, network_of(model))
+    return Training(problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, settled, model)
+
+
+def _check(algorithm: str, seed: int, **counts: int | None) -> None:
+    if algorithm not in ALGORITHMS:
+        raise ValueError(f"`algorithm`: expected {', '.join(map(repr, ALGORITHMS))}, got {algorithm!r}")
+    for name, value, least in (("seed", seed, 0), *((name, value, 1) for name, value in counts.items())):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+            raise ValueError(f"`{name}`: expected a whole number of at least {least}, got {value!r}")
+
+
+def _learner(algorithm: str, view: View, worlds: int, reward: str, seed: int, used: dict[str, Any]) -> BaseAlgorithm:
+    """The untrained learner of Stable-Baselines3 on its worlds, on one thread of the processor."""
+    try:
+        import torch
+        from stable_baselines3 import PPO, SAC
+
+        from .learners import WorldsVecEnv
+    except ImportError as error:
+        raise ValueError('training needs Stable-Baselines3: install "certigym[rl]"') from error
+    torch.set_num_threads(1)
+    env = WorldsVecEnv(view, worlds, reward=reward, discount=float(used["gamma"]), horizon_ends="terminated")
+    made = {name: value for name, value in used.items() if name not in ("hidden", "log_std_init")}
+    made |= {"learning_rate": _falling(float(used["learning_rate"])), "policy_kwargs": _networks(used)}
+    kind: Any = SAC if algorithm == "sac" else PPO
+    model: BaseAlgorithm = kind("MlpPolicy", env, seed=seed, device="cpu", **made)
+    return model
+
+
+def network_of(model: BaseAlgorithm) -> Network:
+    """The deterministic actor of a PPO or SAC learner with an ``MlpPolicy``, as numbers."""
+    import torch
+
+    policy: Any = model.policy
+    squashed = hasattr(policy, "actor") and hasattr(policy.actor, "mu")
+    hidden, last = (policy.actor.latent_pi, policy.actor.mu) if squashed else (
+        policy.mlp_extractor.policy_net, policy.action_net)  # fmt: skip
+    layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
+    kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
+    if kinds not in ({"Tanh"}, {"ReLU"}):
+        raise ValueError(f"`model`: expected an MLP with tanh or relu between its layers, got {sorted(kinds)}")
+    weights = tuple(layer.weight.detach().numpy().copy() for layer in layers)
+    biases = tuple(layer.bias.detach().numpy().copy() for layer in layers)
+    return Network(weights, biases, kinds.pop().lower(), squashed)
+
+
+def _defaults(algorithm: str, problem: Problem, view: View, worlds: int) -> dict[str, Any]:
+    """Settings that learn the small problems of the suite in minutes."""
+    if algorithm == "sac":
+        return {"learning_rate": 1e-3, "gamma": 1.0, "buffer_size": 200_000, "batch_size": 256, "train_freq": 1,
+                "gradient_steps": 8, "learning_starts": 1000, "ent_coef": "auto_0.1", "target_entropy": -2.0 *
+                view.n_actions, "hidden": [64, 64]}  # fmt: skip
+    rounds = int(np.clip(2 * problem.horizon, 16, 64))
+    batch = max(64, worlds * rounds * view.rows // 8)
+    return {"learning_rate": 2e-3, "gamma": 1.0, "gae_lambda": 0.95, "n_steps": rounds, "batch_size": batch,
+            "n_epochs": 8, "ent_coef": 0.0, "clip_range": 0.2, "hidden": [64, 64], "log_std_init": -1.0}  # fmt: skip
+
+
+def _networks(used: dict[str, Any]) -> dict[str, Any]:
+    """Networks: hidden layers, and for PPO the logarithm of the first deviation (1 is half of the input box)."""
+    first = {"log_std_init": float(used["log_std_init"])} if "log_std_init" in used else {}
+    return {"net_arch": list(used["hidden"]), **first}
+
+
+def _falling(first: float) -> Callable[[float], float]:
+    """A learning rate that falls linearly to a tenth."""
+    return lambda left: first * (0.1 + 0.9 * left)
+
+
+def _watcher(rows: int, every: int, progress: Callable[[int, float], None] | None) -> Any:
+    """A callback that keeps the training curve, a point about every ``every`` world steps."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Watcher(BaseCallback):
+        """Counts episodes by the infos of the first row of each world."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.curve: list[dict[str, float]] = []
+            self.ended: list[tuple[bool, float]] = []
+            self.began, self.last = time.perf_counter(), 0
+
+        def _on_step(self) -> bool:
+            infos = self.locals["infos"][::rows]
+            self.ended += [(i["is_success"], i["episode"]["r"]) for i in infos if "is_success" in i]
+            steps = self.num_timesteps // rows
+            if steps - self.last >= every and self.ended:
+                success, gained = np.mean(np.array(self.ended, dtype=float), axis=0)
+                self.curve.append(
+                    {"steps": steps, "success": float(success), "episodes": len(self.ended), "return": float(gained),
+                     "seconds": time.perf_counter() - self.began}
+                )  # fmt: skip
+                if progress is not None:
+                    progress(steps - self.last, float(success))
+                self.ended, self.last = [], steps
+            return True
+
+    return Watcher()

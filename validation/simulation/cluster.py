@@ -1,0 +1,123 @@
+"""Executors for rollouts: local processes, and Dask distributed (the extra ``distributed``).
+
+Both give the same numbers as no executor at all, bit by bit. Dask runs again whatever a killed worker had in hand.
+"""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+from .spread import Executor
+
+
+@dataclass(frozen=True, eq=False)
+class DaskExecutor:
+    """An executor on a Dask cluster.
+
+    Parameters
+    ----------
+    client : distributed.Client
+
+    Examples
+    --------
+    ``validate(certificate, executor=DaskExecutor(Client("tcp://head:8786")))``
+    """
+
+    client: Any
+
+    def share(self, shared: Any) -> Any:
+        """An object for all jobs, as a task: if the worker that holds it is lost, another one makes it again."""
+        data = pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="(?s)Sending large graph", category=UserWarning)
+            return self.client.submit(pickle.loads, data, pure=False)
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
+        """Start ``function(*arguments)`` on some worker."""
+        return self.client.submit(function, *arguments, pure=False, retries=3)
+
+
+@contextmanager
+def dask_cluster(address: str, workers: int | None = None) -> Iterator[DaskExecutor]:
+    """Executor on the scheduler at ``address``, or on worker processes of this machine if it says ``local``.
+
+    Raises
+    ------
+    ValueError
+        If Dask distributed is not installed, or the number of workers is wrong.
+    OSError
+        If no scheduler answers.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ValueError("`--dask`: needs Dask distributed; pip install 'certigym[distributed]'") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # lost workers are expected, and dealt with
+    if address != "local":
+        with Client(address, timeout="15s", set_as_default=False) as client:
+            yield DaskExecutor(client)
+        return
+    settings = {"n_workers": _checked_workers(workers), "threads_per_worker": 1, "processes": True}
+    with LocalCluster(**settings, dashboard_address=":0") as local, Client(local, set_as_default=False) as client:
+        client.run(_ignore_interrupts)
+        yield DaskExecutor(client)
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Executor]:
+    """Executor on ``workers`` new processes of this machine; Ctrl-C reaches this process alone."""
+    count = _checked_workers(workers)
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
+    try:
+        with _inherited_deafness():
+            for started in [pool.submit(int) for _ in range(workers)]:  # a process each: none is idle yet
+                started.result()
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def executor_for(dask: str | None, workers: int | None) -> Iterator[Executor | None]:
+    """The executor that ``--dask`` and ``--workers`` ask for; None for this process alone."""
+    if dask is not None:
+        with dask_cluster(dask, workers) as cluster:
+            yield cluster
+    elif (count := _checked_workers(workers)) is not None and count > 1:
+        with processes(count) as pool:
+            yield pool
+    else:
+        yield None
+
+
+@contextmanager
+def _inherited_deafness() -> Iterator[None]:
+    """Processes started meanwhile ignore Ctrl-C, which a terminal sends to all of them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _checked_workers(workers: int | None) -> int | None:
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise ValueError(f"`workers`: expected a whole number of at least 1, got {workers!r}")
+    return workers

@@ -1,0 +1,28 @@
+"""Exact limits and e-processes for success rates. Imports nothing of ours."""
+
+from .binomial import (
+    CONFIRMED,
+    CONSISTENT,
+    REFUTED,
+    check_confidence,
+    clopper_pearson,
+    holm,
+    p_at_least,
+    p_at_most,
+    verdict,
+)
+from .sequential import SequentialState, confidence_sequence
+
+__all__ = [
+    "CONFIRMED",
+    "CONSISTENT",
+    "REFUTED",
+    "SequentialState",
+    "check_confidence",
+    "clopper_pearson",
+    "confidence_sequence",
+    "holm",
+    "p_at_least",
+    "p_at_most",
+    "verdict",
+]

@@ -1,0 +1,103 @@
+"""Sets of joint initial states at which a certificate is tested: corners, slices, random points.
+
+Points lie inside the workspaces, and where a slice samples cells it takes their centres: the bound is constant over a
+joint cell, and one start stands for it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate
+
+Box = tuple[Any, Any]
+
+
+def workspace_box(problem: Problem) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Corners (D,) of the product of all workspaces."""
+    boxes = [agent.workspace for agent in problem.agents]
+    return np.concatenate([box.low for box in boxes]), np.concatenate([box.high for box in boxes])
+
+
+def start_box(problem: Problem) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Corners (D,) of the start box; equal for a point."""
+    boxes = [agent.initial for agent in problem.agents]
+    return np.concatenate([box.low for box in boxes]), np.concatenate([box.high for box in boxes])
+
+
+def corner_starts(problem: Problem, most: int = 64, box: Box | None = None) -> NDArray[Any]:
+    """Corners (N, D) of a box (default: all workspaces), moved inwards by 1e-6 of its width; ``most`` at most.
+
+    With more corners than that, every second of them in a fixed order is left out until they fit.
+    """
+    low, high = _checked_box(problem, box)
+    inset = 1e-6 * (high - low)
+    n = min(len(low), 62)
+    numbers = np.unique(np.linspace(0, 2**n - 1, min(most, 2**n)).astype(np.int64))
+    chosen = (numbers[:, None] >> np.arange(len(low))[None, :] % 62) & 1
+    return np.where(chosen == 1, high - inset, low + inset)
+
+
+def random_starts(problem: Problem, count: int, seed: int = 0, box: Box | None = None) -> NDArray[Any]:
+    """Uniform random states (count, D) of a box (default: all workspaces)."""
+    low, high = _checked_box(problem, box)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31,)))
+    return np.asarray(low + (high - low) * rng.random((count, len(low))))
+
+
+def slice_starts(
+    certificate: Certificate, axes: Sequence[int], shape: Sequence[int], base: Any = None, box: Box | None = None
+) -> NDArray[Any]:
+    """Grid (prod(shape), D) of states that differ from ``base`` in one or two joint coordinates.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    axes : sequence of int
+        Which joint coordinates vary.
+    shape : sequence of int
+        Points per axis; they are the centres of so many equal parts.
+    base : optional
+        Joint state (D,) that gives the other coordinates; default: the middle of the problem's start.
+    box : (low, high), optional
+        Range (D,) of the axes; default: all workspaces.
+    """
+    problem = certificate.problem
+    low, high = _checked_box(problem, box)
+    if len(axes) != len(shape) or not axes or any(not 0 <= axis < problem.n_states for axis in axes):
+        raise ValueError(f"`axes`: expected joint coordinates from 0 to {problem.n_states - 1}, got {list(axes)}")
+    middle = 0.5 * np.sum(start_box(problem), axis=0) if base is None else np.asarray(base, dtype=float)
+    if middle.shape != (problem.n_states,):
+        raise ValueError(f"`base`: expected a joint state of {problem.n_states} numbers, got shape {middle.shape}")
+    lines = [low[a] + (high[a] - low[a]) * (np.arange(n) + 0.5) / n for a, n in zip(axes, shape, strict=True)]
+    points = np.tile(middle, (int(np.prod(shape)), 1))
+    for row, values in enumerate(itertools.product(*lines)):
+        points[row, list(axes)] = values
+    return points
+
+
+def neighbours(certificate: Certificate, states: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
+    """One state next to each of (N, D): a random coordinate moved by up to two of its cells, inside the workspace."""
+    low, high = workspace_box(certificate.problem)
+    width = np.concatenate([2.0 * part.grid.half_widths.max(axis=0) for part in certificate.agents])
+    moved, rows = states.copy(), np.arange(len(states))
+    axis = rng.integers(states.shape[1], size=len(states))
+    moved[rows, axis] += 2.0 * width[axis] * rng.uniform(-1.0, 1.0, size=len(states))
+    return np.clip(moved, low, high)
+
+
+def _checked_box(problem: Problem, box: Box | None) -> tuple[NDArray[Any], NDArray[Any]]:
+    if box is None:
+        return workspace_box(problem)
+    low, high = (np.asarray(corner, dtype=float) for corner in box)
+    if low.shape != (problem.n_states,) or high.shape != low.shape or np.any(low > high):
+        raise ValueError(
+            f"`box`: expected corners low <= high of {problem.n_states} numbers each, got {low} and {high}"
+        )
+    return low, high
