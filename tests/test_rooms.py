@@ -35,7 +35,8 @@ MAY_IMPORT = {
     "synthesis.relations": f"{ENVS} synthesis.cells",
     "synthesis.models": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
     "synthesis.search": f"{ENVS} synthesis.values synthesis.cells synthesis.models",
-    "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.models synthesis.search",
+    "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.models "
+    "synthesis.search",
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
     "synthesis.checking": f"{ENVS} {CERTIFICATES}",
