@@ -12,6 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing.cell_budget import cells_at, snapping_loss
 from certigym.synthesis.choosing.cell_choice import refine
 from certigym.synthesis.models.abstraction import abstract
@@ -131,7 +132,7 @@ def test_the_largest_bound_of_all_runs_is_kept() -> None:
         try:
             return SimpleNamespace(certificate=SimpleNamespace(lower_bound=next(bounds)))
         except StopIteration:
-            raise ValueError("no more") from None
+            raise RelationRefused("no more") from None
 
     best, record = refine(cg.make_problem("reach-avoid-v0"), run, "auto", 2e7, None)
     assert best.certificate.lower_bound == record["lower_bound"] == 0.5

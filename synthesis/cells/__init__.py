@@ -4,8 +4,10 @@ from .agent_grids import Cells, agent_grid, cells_of_agent, label_room, region_b
 from .grid import FloatArray, Grid, start_share
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
+from .refusal import RelationRefused
 
 __all__ = [
+    "RelationRefused",
     "CellLabels",
     "Cells",
     "FloatArray",

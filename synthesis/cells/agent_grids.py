@@ -9,6 +9,7 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from .grid import FloatArray, Grid, aligned_edges
+from .refusal import RelationRefused
 
 DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
@@ -42,7 +43,7 @@ def _noise_coordinates(agent: LinearAgent) -> FloatArray:
     covariance = agent.noise_covariance
     smallest = float(np.min(np.linalg.eigvalsh(covariance)))
     if smallest <= 1e-12 * float(np.max(np.diag(covariance))):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
             f"eigenvalue {smallest:.3g}; give every state some noise"
         )

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .refusal import RelationRefused
+
 FloatArray = NDArray[Any]
 """Floating-point numbers (rationals in exact tests)."""
 
@@ -135,7 +137,7 @@ def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[floa
     points = np.array([low, *inside, high])
     lengths = np.diff(points)
     if cells < len(lengths):
-        raise ValueError(
+        raise RelationRefused(
             f"`cells`: expected at least {len(lengths)} on [{low:g}, {high:g}], whose region boundaries cut it into "
             f"that many parts, got {cells}; ask for more cells"
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem
 from .grid import FloatArray, Grid
+from .refusal import RelationRefused
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ def _labels(problem: Problem, agent: int, low: FloatArray, high: FloatArray, out
     possible = problem.labeling.box_classes(agent, low, high)
     sets, number = np.unique(possible[~outside], axis=0, return_inverse=True)
     if len(sets) == 0:
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{problem.agent_names[agent]}`: every cell may reach beyond the workspace; ask for more `cells` "
             "or a smaller `epsilon`"
         )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...envs.problem import Problem
+from ..cells import RelationRefused
 from ..models import Relations
 from .cell_budget import MOST, AgentCells, base_bytes, cells_at, snapping_loss
 
@@ -170,7 +171,7 @@ def _attempt(search: _Search, run: Run, cells: Mapping[str, AgentCells], resolut
     try:
         found = run({name: own.shape for name, own in cells.items()})
         peak = float(tracemalloc.get_traced_memory()[1] - before)
-    except ValueError as error:
+    except RelationRefused as error:
         entry["refused"] = " ".join(str(error).split())
         return None
     finally:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...envs.problem import Problem
-from ..cells import cells_of_agent
+from ..cells import RelationRefused, cells_of_agent
 from ..certificates import rounded_up
 from ..models import (
     Abstraction,
@@ -112,14 +112,14 @@ def _on_cells(problem: Problem, cells: Cells, asked: str, members: tuple[int, ..
     first, names = problem.agents[members[0]], [problem.agents[i].name for i in members]
     own = cells_of_agent(first, cells)
     chosen = cells is not None and (not isinstance(cells, Mapping) or first.name in cells)
-    refused: list[ValueError] = []
+    refused: list[RelationRefused] = []
     for k in range(1 if chosen else 1 + DOUBLINGS):
         finer = tuple(n << k for n in own)
         if refused and math.prod(finer) > MOST_CELLS:
             break
         try:
             return _group(problem, dict.fromkeys(names, finer), asked, members, settings)
-        except ValueError as error:
+        except RelationRefused as error:
             refused.append(error)
     raise refused[0]
 
@@ -131,7 +131,7 @@ def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...],
     for relation in wanted.get(asked, (asked,)):
         try:
             found = models_of(problem, cells, dict.fromkeys(members, relation), settings)
-        except ValueError as error:
+        except RelationRefused as error:
             refused[relation] = " ".join(str(error).split())
             continue
         kinds = {model.relation.kind for model in found.values()}
@@ -141,10 +141,10 @@ def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...],
     if not models:
         reasons = dict.fromkeys(refused.values())
         if len(reasons) == 1:
-            raise ValueError(*reasons)
+            raise RelationRefused(*reasons)
         name = problem.agents[members[0]].name
         listed = "; ".join(f"{relation}: {reason}" for relation, reason in refused.items())
-        raise ValueError(f"`relation`: expected one that applies to agent `{name}`, got none: {listed}")
+        raise RelationRefused(f"`relation`: expected one that applies to agent `{name}`, got none: {listed}")
     return Group(members, models, refused)
 
 
@@ -197,7 +197,7 @@ class Tries:
             abstraction = Abstraction(ordered, self.settings.used_by(ordered))
             try:
                 self._joined[combination] = abstraction, join(self.problem, abstraction, self.device)
-            except ValueError as error:  # labels that are not certain can mean too many guards
+            except RelationRefused as error:  # labels that are not certain can mean too many guards
                 self._joined[combination] = " ".join(str(error).split())
         return self._joined[combination]
 
@@ -266,7 +266,7 @@ class Tries:
             where = "" if len(self.groups) == 1 else f" for {self.problem.agents[group.members[0]].name}"
             tried |= {f"{relation}{where}": reason for relation, reason in group.refused.items()}
         if best is None:
-            raise ValueError("; ".join(dict.fromkeys(map(str, tried.values()))))
+            raise RelationRefused("; ".join(dict.fromkeys(map(str, tried.values()))))
         return best, tried
 
     def _options(self) -> list[tuple[int, str]]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid
+from ..cells import FloatArray, Grid, RelationRefused
 from ..relations import (
     CoupledRelation,
     Relation,
@@ -52,7 +52,7 @@ def cheapest_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_
         return exact
     try:
         return tube_model(agent, grid, coordinates, room)
-    except ValueError:  # no tube fits into the inputs either
+    except RelationRefused:  # no tube fits into the inputs either
         return exact
 
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from ...envs.agents import LinearAgent
+from ..cells import RelationRefused
 
 FloatArray = NDArray[Any]
 
@@ -138,7 +139,7 @@ def _solver() -> Any:
     try:
         import cvxpy
     except ImportError as error:
-        raise ValueError(
+        raise RelationRefused(
             "`relation`: expected the package cvxpy for `ellipsoid`, got none; install it with "
             '`pip install "certigym[lmi]"` or choose the relation `tube`'
         ) from error

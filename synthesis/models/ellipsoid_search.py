@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid
+from ..cells import Grid, RelationRefused
 from ..relations import Ellipsoid, disturbance_of, ellipsoid_failure, ellipsoid_is_invariant
 from .ellipsoid_program import Answer, EllipsoidProgram
 
@@ -77,7 +77,7 @@ def find_ellipsoid(
     inverse = np.linalg.inv(coordinates)
     noise = np.diag(inverse @ agent.noise_covariance @ inverse.T)
     if delta > 0 and np.any(noise <= 0):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: `delta` > 0 needs a positive definite `noise_covariance`, got a singular one; "
             "give every state some noise or ask for `delta` = 0"
         )
@@ -89,7 +89,7 @@ def find_ellipsoid(
         limits = np.full(len(half), LEVELS[0])
         best = _refined(program, float(share), limits, _coarse(program, float(share), limits))
     if best is None:
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: expected a pair `A`, `B` with an ellipsoid that the inputs can keep at `delta` = "
             f"{delta:g}, got one for which none was found; ask for more `cells`, a larger `delta`, or give the agent "
             "inputs that stabilise it"
@@ -183,7 +183,7 @@ def _proved(
     smallest = _smallest(found, closed, half)
     if smallest is not None and ellipsoid_failure(shape, smallest.epsilon, coupling, noise) <= delta:
         return smallest
-    raise ValueError(
+    raise RelationRefused(
         f"agent `{agent.name}`: expected an ellipsoid that can be proved invariant at `delta` = {delta:g}, got one "
         "from the solver that cannot; ask for other `cells` or another `delta`"
     )

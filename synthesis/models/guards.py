@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.problem import Problem
+from ..cells import RelationRefused
 from ..values import BoolArray, Guards
 
 OPTIMAL_LIMIT = 8
@@ -159,7 +160,7 @@ class _RobustAutomaton:
                 if self._is_live_terminal(f):
                     found.append((self.diagrams.value(f), self._cube(path)))
                     if len(found) > MAX_GUARDS:
-                        raise ValueError(
+                        raise RelationRefused(
                             f"`specification`: one automaton state needs more than {MAX_GUARDS} disjoint guards; "
                             "write the task with fewer agents that matter at the same time"
                         )

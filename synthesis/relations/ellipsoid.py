@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid
+from ..cells import Grid, RelationRefused
 from .coupled import CoupledRelation, coupling_failure
 from .tube import INFLATE, input_grid
 
@@ -98,13 +98,13 @@ def ellipsoid_relation(
     reserve = ellipsoid.support(ellipsoid.feedback)
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: expected an ellipsoid whose input reserve fits into `input_low`, `input_high`, got "
             f"a reserve of {reserve.tolist()}; ask for more `cells` or a larger `delta`"
         )
     least = _failure(agent, ellipsoid, variances)
     if delta is not None and not least <= delta <= 1:
-        raise ValueError(f"`delta`: expected a number from {least:.7g} (what F costs) to 1, got {delta!r}")
+        raise RelationRefused(f"`delta`: expected a number from {least:.7g} (what F costs) to 1, got {delta!r}")
     widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
     return CoupledRelation(
         kind="ellipsoid",
@@ -132,7 +132,7 @@ def _failure(agent: LinearAgent, ellipsoid: Ellipsoid, variances: FloatArray) ->
     if not np.any(ellipsoid.coupling):
         return 0.0
     if np.any(variances <= 0):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: a coupling F needs a positive definite `noise_covariance`, got a singular one; "
             "give every state some noise or ask for `delta` = 0"
         )

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
+from ..cells import RelationRefused
 
 FloatArray = NDArray[Any]
 
@@ -131,7 +132,7 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
         If ``B`` has not full row rank: no input then reaches an arbitrary mean.
     """
     if np.linalg.matrix_rank(agent.B) < agent.n_states:
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: the exact relation needs `B` with full row rank {agent.n_states}, "
             f"got a {agent.B.shape[0]} x {agent.B.shape[1]} matrix of rank {np.linalg.matrix_rank(agent.B)}; "
             "give the agent as many independent inputs as states"

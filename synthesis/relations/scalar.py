@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
+from ..cells import RelationRefused
 from .coupled import CoupledRelation, coupling_failure
 
 FloatArray = NDArray[Any]
@@ -55,7 +56,7 @@ def paper_relation(
         is smaller than the closed form.
     """
     if (agent.n_states, agent.n_inputs, agent.n_outputs) != (1, 1, 1):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: the `paper` relation is for scalar agents, got {agent.n_states} states; "
             "take `exact` or `tube`"
         )
@@ -64,7 +65,7 @@ def paper_relation(
     is_cell = bool(abs(epsilon - 0.5 * width) <= 1e-9 * width and widths.min() >= width * (1 - 1e-9))
     epsilon = 0.5 * width if is_cell else float(epsilon)
     if not epsilon >= width / 2:
-        raise ValueError(
+        raise RelationRefused(
             f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}; give a larger one, or "
             "more `cells`"
         )
@@ -75,7 +76,7 @@ def paper_relation(
     reserve = abs(feedback) * epsilon * (1 + 1e-12)
     low, high = float(agent.input_box.low[0]) + reserve, float(agent.input_box.high[0]) - reserve
     if low > high:
-        raise ValueError(
+        raise RelationRefused(
             f"`feedback`: expected |K| epsilon within the inputs of agent `{agent.name}`, got K = {feedback!r}"
         )
     coupling = float(np.sign(closed)) * max(0.0, abs(closed) - 1.0 + width / (2 * epsilon) + 1e-15)
@@ -83,7 +84,7 @@ def paper_relation(
         coupling_failure(abs(coupling) * epsilon / float(np.sqrt(variance))) if variance > 0 else float(coupling != 0)
     )
     if delta is not None and not least <= delta <= 1:
-        raise ValueError(f"`delta`: expected a number from {least:.7g} (the closed form) to 1, got {delta!r}")
+        raise RelationRefused(f"`delta`: expected a number from {least:.7g} (the closed form) to 1, got {delta!r}")
     grid = np.linspace(low, high, inputs) if inputs > 1 else np.array([0.5 * (low + high)])
     return CoupledRelation(
         kind="paper",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid
+from ..cells import Grid, RelationRefused
 from .coupled import CoupledRelation
 
 FloatArray = NDArray[Any]
@@ -65,12 +65,12 @@ def tube_relation(
     disturbance = disturbance_of(grid, snap)
     generators = tube_generators(A + B @ feedback, disturbance)
     if generators is None:
-        raise ValueError(f"agent `{agent.name}`: expected a feedback that stabilises `A`, got {feedback.tolist()}")
+        raise RelationRefused(f"agent `{agent.name}`: expected a feedback that stabilises `A`, got {feedback.tolist()}")
     reach = np.abs(generators).sum(axis=0) * INFLATE
     reserve = np.abs(generators @ feedback.T).sum(axis=0) * INFLATE
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: the tube needs an input reserve of {reserve.tolist()}, more than `input_low`, "
             "`input_high` leave; ask for more `cells`"
         )
@@ -157,7 +157,7 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
             continue
         found.append(-np.linalg.solve(cost + B.T @ value @ B, B.T @ value @ A))
     if not found:
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: expected a stabilisable pair `A`, `B`, got one that no feedback stabilises; "
             "give it an input that moves what is unstable"
         )
@@ -181,7 +181,7 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
             margin = np.max(np.abs(generators @ coordinates.T).sum(axis=0) / room_for_labels)
             scored.append((float(reserve + margin), len(scored), feedback))
     if not scored:
-        raise ValueError(
+        raise RelationRefused(
             f"agent `{agent.name}`: no feedback that was tried keeps the error bounded; ask for more `cells`"
         )
     return min(scored)[2]
