@@ -19,7 +19,7 @@ from typing import Any
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import Limits, Sweep, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, Sweep, resting_policies, sweep
 from measuring import Rows, save, show
 from targets import DELIVERY_START
 
@@ -48,10 +48,13 @@ def rows_of(name: str, cells: int, changes: dict[str, Any], devices: list[str]) 
     abstraction = abstract(problem, cells)
     rows: Rows = []
     here = join(problem, abstraction)
-    start, laws = start_of(problem, here), sweep(here, resting_laws(here), None, Limits(), improve=True).laws
+    start, policies = (
+        start_of(problem, here),
+        sweep(here, resting_policies(here), None, Limits(), improve=True).policies,
+    )
     for device in ("numpy", *devices):
         joint = join(problem, abstraction, device)
-        seconds, found = wall(lambda joint=joint: sweep(joint, laws, start, Limits(), improve=True))
+        seconds, found = wall(lambda joint=joint: sweep(joint, policies, start, Limits(), improve=True))
         rows.append({"task": name, "cells": cells, "device": device, "seconds": seconds, "value": found.value})
         rows[-1]["ratio"] = seconds / rows[0]["seconds"]
         rows[-1]["relative difference"] = abs(found.value / rows[0]["value"] - 1.0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from certigym import Problem
 from certigym.synthesis.bounds.dense import joint_outcomes
 from certigym.synthesis.models.abstraction import AgentModel
-from certigym.synthesis.models.choices import Laws, TargetWindows
+from certigym.synthesis.models.choices import Policies, TargetWindows
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ class Explicit:
         return value
 
 
-def chain_under(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> Explicit:
-    """The Markov chain of a co-safe task under time-dependent laws; state ``(t Q + q) S + s`` and the failure last."""
+def chain_under(problem: Problem, models: Sequence[AgentModel], policies: Policies) -> Explicit:
+    """Markov chain of a co-safe task under time-dependent policies: states ``(t Q + q) S + s``, the failure last."""
     outcome = _outcomes(problem, models)
     n_states, n_joint = outcome.shape
     layer = n_states * n_joint
@@ -56,7 +56,7 @@ def chain_under(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> E
     rows = []
     for t in range(problem.horizon):
         for q in range(n_states):
-            factors = [_law_rows(model, law[t, q]) for model, law in zip(models, laws)]
+            factors = [_law_rows(model, policy[t, q]) for model, policy in zip(models, policies)]
             rows.append(_landing(_kron(factors), outcome[q], (t + 1) * layer, failure))
     rows.append(_selves(np.arange(problem.horizon * layer, failure + 1), failure + 1))
     accepting = np.repeat(np.asarray(problem.automaton.accepting), n_joint)
@@ -80,8 +80,8 @@ def decision_process(problem: Problem, models: Sequence[AgentModel]) -> Explicit
             rows.append(_selves(np.repeat(np.arange(q * n_joint, (q + 1) * n_joint), counts), failure + 1))
             continue
         points = np.array([point for own in choices for point in own or [(-1,) * len(models)]])
-        law = _kron_rows([table[points[:, i]] for i, table in enumerate(tables)])
-        rows.append(_landing(law * (points[:, :1] >= 0), outcome[q], 0, failure))
+        policy = _kron_rows([table[points[:, i]] for i, table in enumerate(tables)])
+        rows.append(_landing(policy * (points[:, :1] >= 0), outcome[q], 0, failure))
     rows.append(_selves(np.array([failure]), failure + 1))
     first = np.concatenate([[0], np.cumsum([*counts * n_states, 1])])
     goal = np.append(np.repeat(np.asarray(problem.automaton.accepting), n_joint), False)
@@ -100,9 +100,9 @@ def _windows(model: AgentModel) -> list[range]:
     return [range(int(low[0]), int(high[0])) for low, high in zip(model.choices.low, model.choices.high)]
 
 
-def _law_rows(model: AgentModel, law: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Transition rows (S, S) of one agent under a law; 0 where there is no choice."""
-    points = model.choices.points(law)
+def _law_rows(model: AgentModel, policy: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Transition rows (S, S) of one agent under a policy; 0 where there is no choice."""
+    points = model.choices.points(policy)
     return np.asarray(model.kernel.tables[0].toarray()[np.maximum(points, 0)] * (points >= 0)[:, None])
 
 
@@ -117,15 +117,17 @@ def _kron_rows(factors: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     return joint
 
 
-def _landing(law: NDArray[np.float64], outcome: NDArray[np.int64], offset: int, failure: int) -> scipy.sparse.csr_array:
-    """Rows (n, failure + 1) of laws over joint cells, each cell's letter read; the rest goes to the failure."""
+def _landing(
+    policy: NDArray[np.float64], outcome: NDArray[np.int64], offset: int, failure: int
+) -> scipy.sparse.csr_array:
+    """Rows (n, failure + 1) of policies over joint cells, each cell's letter read; the rest goes to the failure."""
     n_joint = len(outcome)
-    kept = np.where(outcome >= 0, law, 0.0)
+    kept = np.where(outcome >= 0, policy, 0.0)
     row, cell = np.nonzero(kept)
     lost = np.maximum(0.0, 1.0 - kept.sum(axis=1))
-    columns = np.concatenate([offset + outcome[cell] * n_joint + cell, np.full(len(law), failure)])
-    entries, rows = np.concatenate([kept[row, cell], lost]), np.concatenate([row, np.arange(len(law))])
-    return scipy.sparse.csr_array((entries, (rows, columns)), (len(law), failure + 1))
+    columns = np.concatenate([offset + outcome[cell] * n_joint + cell, np.full(len(policy), failure)])
+    entries, rows = np.concatenate([kept[row, cell], lost]), np.concatenate([row, np.arange(len(policy))])
+    return scipy.sparse.csr_array((entries, (rows, columns)), (len(policy), failure + 1))
 
 
 def _selves(states: NDArray[np.int64], size: int) -> scipy.sparse.csr_array:

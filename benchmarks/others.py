@@ -21,9 +21,9 @@ import numpy as np
 import certigym as cg
 from certigym.synthesis.bounds.dense import MAX_ENTRIES, dense_value
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
 from certigym.synthesis.values.terms import Terms
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import Explicit, chain_under, decision_process
@@ -50,22 +50,22 @@ def spread(terms: Terms, n_cells: tuple[int, ...], q: int) -> np.ndarray:
     return np.concatenate([terms.at(q, part) for part in np.array_split(where, 1 + len(where) // 20_000)])
 
 
-def evaluated(joint: JointModel, laws: Laws, problem: cg.Problem) -> Terms:
-    """Value of given laws as a tree, nothing dropped."""
-    return sweep(joint, laws, start_of(problem, joint), EVERYTHING, improve=False).terms
+def evaluated(joint: JointModel, policies: Policies, problem: cg.Problem) -> Terms:
+    """Value of given policies as a tree, nothing dropped."""
+    return sweep(joint, policies, start_of(problem, joint), EVERYTHING, improve=False).terms
 
 
 def dense_row(n_agents: int, cells: int) -> Row:
-    """The same laws evaluated by the tree and on the joint grid; where the latter stops, what it needs at least."""
+    """The same policies evaluated by the tree and on the joint grid; where the latter stops, what it needs at least."""
     problem = cg.make_problem("reach-avoid-n-v0", n_agents=n_agents)
     joint = join(problem, abstract(problem, cells, relation="exact"))
-    laws = sweep(joint, resting_laws(joint), None, Limits(), improve=True).laws
+    policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
 
     def by_tree() -> Terms:
-        return evaluated(joint, laws, problem)
+        return evaluated(joint, policies, problem)
 
     def on_grid() -> np.ndarray:
-        return dense_value(problem, joint.models, laws)
+        return dense_value(problem, joint.models, policies)
 
     tree, terms = cpu(by_tree, 1)
     row = {"agents": n_agents, "cells": cells, "rank": terms.rank, "tree ms": 1e3 * tree, "tree MiB": peak_mib(by_tree)}
@@ -85,17 +85,17 @@ def against_dense() -> Rows:
 
 
 def storm_rows(cells: int, horizon: int) -> Rows:
-    """Bounded reachability on the chain of our laws, and, if small, on the decision process of the abstraction.
+    """Bounded reachability on the chain of our policies, and, if small, on the decision process of the abstraction.
 
     On the process Storm finds the optimum over joint policies, ours takes one sweep of a search for decentralised ones.
     """
     problem = cg.make_problem("reach-avoid-v0", horizon=horizon)
     joint = join(problem, abstract(problem, cells, relation="exact"))
-    ours, laws = cpu(lambda: sweep(joint, resting_laws(joint), None, EVERYTHING, improve=True).laws, 1)
-    tree, terms = cpu(lambda: evaluated(joint, laws, problem))
+    ours, policies = cpu(lambda: sweep(joint, resting_policies(joint), None, EVERYTHING, improve=True).policies, 1)
+    tree, terms = cpu(lambda: evaluated(joint, policies, problem))
     value = np.concatenate([spread(terms, joint.n_cells, q) for q in range(joint.n_states)])
     row = {"model": "chain", "cells": cells, "T": horizon, "ours ms": 1e3 * tree}
-    rows = [row | _in_storm(lambda: chain_under(problem, joint.models, laws), horizon, tree, value)]
+    rows = [row | _in_storm(lambda: chain_under(problem, joint.models, policies), horizon, tree, value)]
     if cells <= 12:
         plain = decision_process(problem, joint.models).reach_within(horizon)
         row = {"model": "process", "cells": cells, "T": horizon, "ours ms": 1e3 * ours}

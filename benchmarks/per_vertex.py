@@ -26,7 +26,7 @@ def per_vertex_steps(joint: JointModel, robust: bool) -> Iterator[list[list[Vert
     tables = [model.kernel.tables[0].toarray() for model in joint.models]
     ones = tuple(np.ones(n) for n in joint.n_cells)
     vertices = [[ones] if accepted else [] for accepted in joint.accepting]
-    laws = [[np.zeros(n, dtype=np.int64) for n in joint.n_cells] for _ in range(joint.n_states)]
+    policies = [[np.zeros(n, dtype=np.int64) for n in joint.n_cells] for _ in range(joint.n_states)]
     for _ in range(joint.horizon):
         grown = []
         for q in range(joint.n_states):
@@ -34,8 +34,8 @@ def per_vertex_steps(joint: JointModel, robust: bool) -> Iterator[list[list[Vert
                 grown.append([ones] if joint.accepting[q] else [])
                 continue
             smoothed = list(_children(joint, tables, vertices, q, robust))
-            laws[q] = _heuristic(joint, smoothed, laws[q])
-            at = [_at(joint, laws[q], vertex) for vertex in smoothed]
+            policies[q] = _heuristic(joint, smoothed, policies[q])
+            at = [_at(joint, policies[q], vertex) for vertex in smoothed]
             grown.append([own for own in at if _largest(own) > ALIVE])
         vertices = grown
         yield vertices
@@ -73,19 +73,19 @@ def _menus(joint: JointModel) -> list[NDArray[np.int64]]:
     return menus
 
 
-def _at(joint: JointModel, laws: list[NDArray[np.int64]], vertex: Vertex) -> Vertex:
-    """Factors of a vertex under the laws, read at the lattice points these lead to."""
-    pairs = zip(vertex, _menus(joint), laws)
-    return tuple(own[menu[np.arange(len(law)), law]] for own, menu, law in pairs)
+def _at(joint: JointModel, policies: list[NDArray[np.int64]], vertex: Vertex) -> Vertex:
+    """Factors of a vertex under the policies, read at the lattice points these lead to."""
+    pairs = zip(vertex, _menus(joint), policies)
+    return tuple(own[menu[np.arange(len(policy)), policy]] for own, menu, policy in pairs)
 
 
 def _largest(vertex: Vertex) -> float:
     return float(np.prod([own.max() for own in vertex]))
 
 
-def _heuristic(joint: JointModel, smoothed: list[Vertex], laws: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
-    """New law of every agent: the other agents' 1-norms under the old laws are the weights."""
-    old = [_at(joint, laws, vertex) for vertex in smoothed]
+def _heuristic(joint: JointModel, smoothed: list[Vertex], policies: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+    """New policy of every agent: the other agents' 1-norms under the old policies are the weights."""
+    old = [_at(joint, policies, vertex) for vertex in smoothed]
     chosen = []
     for i, menu in enumerate(_menus(joint)):
         objective = np.zeros(menu.shape)

@@ -19,7 +19,7 @@ import numpy as np
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
 from certigym.synthesis.search.tree import candidates, gather
 from certigym.synthesis.values.terms import Terms
 from certigym.validation.figures.figure_style import MARKS, SERIES, new_figure
@@ -29,11 +29,11 @@ Curve = list[tuple[int, float]]
 
 
 def sweep_seconds(problem: cg.Problem, cells: int) -> float:
-    """One improving sweep from the laws of an earlier one."""
+    """One improving sweep from the policies of an earlier one."""
     joint = join(problem, abstract(problem, cells, relation="exact"))
     start = start_of(problem, joint)
-    laws = sweep(joint, resting_laws(joint), start, Limits(), improve=True).laws
-    return cpu(lambda: sweep(joint, laws, start, Limits(), improve=True), 2)[0]
+    policies = sweep(joint, resting_policies(joint), start, Limits(), improve=True).policies
+    return cpu(lambda: sweep(joint, policies, start, Limits(), improve=True), 2)[0]
 
 
 def backup_seconds(rank: int) -> float:
@@ -44,12 +44,12 @@ def backup_seconds(rank: int) -> float:
     factors = tuple(rng.random((rank, n)) for n in joint.n_cells)
     rows = np.repeat(np.arange(rank)[:, None], len(factors), axis=1)
     index = tuple(rows[:1] if absorbed else rows for absorbed in joint.absorbing)
-    laws = [model.choices.points(model.choices.resting_law) for model in joint.models]
+    policies = [model.choices.points(model.choices.resting_choice) for model in joint.models]
 
     def backup() -> None:
         options = candidates(joint.guards, joint.masks, joint.models, Terms(factors, index))
-        for smoothed, law in zip(options.smoothed, laws):
-            gather(smoothed, law)
+        for smoothed, policy in zip(options.smoothed, policies):
+            gather(smoothed, policy)
 
     return cpu(backup, 2)[0]
 

@@ -24,7 +24,7 @@ import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_masses, gaussian_table
-from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
 from certigym.synthesis.values.devices import UNIT
 from measuring import Row, Rows, cpu, options, save, show
 
@@ -119,11 +119,11 @@ def sweep_row(name: str, cells: int, **settings: int) -> Row:
     problem = cg.make_problem(name, **settings)
     joint = join(problem, abstract(problem, cells, relation="exact"))
     start = start_of(problem, joint)
-    laws = sweep(joint, resting_laws(joint), None, Limits(), improve=True).laws
-    whole, _ = cpu(lambda: sweep(joint, laws, start, Limits(), improve=True), 2)
+    policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
+    whole, _ = cpu(lambda: sweep(joint, policies, start, Limits(), improve=True), 2)
     met: list[Array] = []
     with mock.patch.object(AxisTable, "smooth", _recording(met)):
-        sweep(joint, laws, start, Limits(), improve=True)
+        sweep(joint, policies, start, Limits(), improve=True)
     model = joint.models[0]
     table, width = model.kernel.tables[0], float(np.diff(model.lattice[0]).mean())
     dense, per_cell = table.toarray(), round(float(np.diff(model.grid.edges[0]).mean()) / width)

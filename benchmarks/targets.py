@@ -26,7 +26,7 @@ from certigym.synthesis.controllers.controller import Controller
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
 from certigym.validation.simulation.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 
@@ -49,8 +49,8 @@ def delivery_sweep() -> float:
     problem = cg.make_problem("package-delivery-v0").replace(initial_state=DELIVERY_START)
     joint = join(problem, abstract(problem, 1200, relation="exact"))
     start = start_of(problem, joint)
-    laws = sweep(joint, resting_laws(joint), start, Limits(), improve=True).laws
-    return cpu(lambda: sweep(joint, laws, start, Limits(), improve=True))[0]
+    policies = sweep(joint, resting_policies(joint), start, Limits(), improve=True).policies
+    return cpu(lambda: sweep(joint, policies, start, Limits(), improve=True))[0]
 
 
 def guards_row(n_agents: int) -> Row:

@@ -37,4 +37,4 @@ while env.agents:
     observations, rewards, terminations, truncations, infos = env.step(controller.act(observations, infos))
 print("satisfied" if infos["agent_0"]["satisfied"] else "not satisfied")
 one: cg.AgentController = controller.agents[0]
-print(f"{one.name} decides by {one.law.shape} (time, automaton state, cell)")
+print(f"{one.name} decides by {one.policy.shape} (time, automaton state, cell)")

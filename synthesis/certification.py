@@ -1,7 +1,7 @@
 """What a synthesis gives: policies with their certificate, and what is known of how they were found.
 
-``certificate_of`` turns policies that were evaluated with frozen laws into a certificate: it takes the largest bound
-that applies, and, where nothing is lost, says how far above it the probability may be.
+``certificate_of`` turns the last evaluation of policies into a certificate: it takes the largest bound that applies,
+and, where nothing is lost, says how far above it the probability may be.
 """
 
 from __future__ import annotations
@@ -25,11 +25,33 @@ from .bounds import (
     train_bound,
     undecided_steps,
 )
-from .certificates import EXACT_GAP, AgentPart, Certificate
+from .certificates import EXACT_GAP, AgentPart, Certificate, Synthesis
 from .models import Abstraction, InputMenu, JointModel, start_of
 from .relations import describe_relation
-from .search import FINAL, Relaxation, Sweep, TrainSweep, forward, sweep, time_invariant
+from .search import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep
 from .values import start_above
+
+
+def certified(
+    problem: Problem,
+    abstraction: Abstraction,
+    joint: JointModel,
+    found: Found,
+    best: Sweep | TrainSweep,
+    settings: dict[str, Any],
+    search: str,
+) -> Synthesis:
+    """What a search has ``found``, certified for its ``best`` policies, with what is known from above."""
+    certificate = certificate_of(problem, abstraction, joint, best, settings, search)
+    stats: dict[str, object] = {
+        "sweeps": found.values,
+        "starts": found.starts,
+        "rank": certificate.rank,
+        "dropped": best.dropped,
+        "unilateral_gain": None if best.stationary else found.unilateral_gain,
+        **bounds_from_above(problem, joint, found.relaxations, certificate),
+    }
+    return Synthesis(certificate, certificate.controller, stats)
 
 
 def certificate_of(
@@ -45,7 +67,7 @@ def certificate_of(
     if isinstance(best, TrainSweep):
         above = None
         if abstraction.is_exact:
-            above = start_above(start_of(problem, joint), evaluate_above(joint, best.laws, best.rounding))
+            above = start_above(start_of(problem, joint), evaluate_above(joint, best.policies, best.rounding))
         grown, bound = best, train_bound(joint, best, above)
         bounds = {bound.name: bound.lower}
     else:
@@ -59,7 +81,7 @@ def certificate_of(
             lattice=model.lattice,
             masks=joint.masks[i],
             start_masks=joint.start_masks[i],
-            law=time_invariant(best.laws[i]),
+            policy=best.policies[i][:1] if best.stationary else best.policies[i],
             menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
         )
         parts.append(part)
@@ -94,13 +116,15 @@ def best_bound(
     """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
     if all(model.delta == 0.0 for model in joint.models):
         stranded = 0.0
-        if abstraction.is_exact and any(np.any(model.choices.resting_law < 0) for model in joint.models):
-            stranded = stranded_mass(joint, best.laws, forward(joint, best.laws, start_of(problem, joint), FINAL))
+        if abstraction.is_exact and any(np.any(model.choices.resting_choice < 0) for model in joint.models):
+            stranded = stranded_mass(
+                joint, best.policies, forward(joint, best.policies, start_of(problem, joint), FINAL)
+            )
         bound = nominal_bound(joint, best, abstraction.is_exact, stranded)
         return best, bound, {bound.name: bound.lower}
     start = start_of(problem, joint)
-    undecided = undecided_steps(joint, forward(joint, best.laws, start, FINAL))
-    robust = sweep(joint, best.laws, start, FINAL, improve=False, loss=robust_loss)
+    undecided = undecided_steps(joint, forward(joint, best.policies, start, FINAL))
+    robust = sweep(joint, best.policies, start, FINAL, improve=False, loss=robust_loss)
     found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
     grown, bound = max(found, key=lambda pair: pair[1].lower)
     return grown, bound, {other.name: other.lower for _, other in found}

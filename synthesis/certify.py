@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,24 +22,22 @@ from numpy.typing import NDArray
 
 from ..envs.agents import LinearAgent
 from ..envs.problem import Problem, checked_problem
-from .cells import FloatArray
+from .cells import Cells, FloatArray
 from .certificates import Synthesis
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .models import (
     Abstraction,
     AgentModel,
-    Cells,
     JointModel,
-    Laws,
+    Policies,
     Relations,
     TargetWindows,
     abstract,
-    check_settings,
     join,
     start_of,
 )
-from .search import FINAL, Limits, Sweep, sweep
+from .search import FINAL, Limits, Search, Sweep, sweep
 
 
 def certify(
@@ -70,11 +69,11 @@ def certify(
     ValueError
         If the policy has an unknown form or answers with anything but finite inputs, or the relation does not apply.
     """
-    began = time.perf_counter()
-    abstraction, joint, laws = _wrapped(problem, policy, cells, relation, settings)
-    abstracted = time.perf_counter()
-    best = sweep(joint, laws, start_of(problem, joint), FINAL, improve=False)
-    return _synthesis(problem, abstraction, joint, best, [], "given policy on the cells", (began, abstracted))
+    clock = _Clock()
+    wrapped = _wrapped(problem, policy, cells, relation, settings)
+    clock.abstracted()
+    best = sweep(wrapped.joint, wrapped.policies, start_of(problem, wrapped.joint), FINAL, improve=False)
+    return _synthesis(problem, wrapped, best, [], "given policy on the cells", clock, {})
 
 
 def improve(
@@ -90,7 +89,7 @@ def improve(
 ) -> Synthesis:
     """The best policies that coordinate ascent finds from ``policy``, with their certificate.
 
-    The bound is at least that of ``certify`` with the same cells and settings: policies evaluated with frozen laws are
+    The bound is at least that of ``certify`` with the same cells and settings: the two policies are evaluated alike and
     compared, the wrapped policy among them.
 
     Parameters
@@ -104,44 +103,43 @@ def improve(
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     """
-    began = time.perf_counter()
-    if isinstance(max_sweeps, bool) or not isinstance(max_sweeps, int) or max_sweeps < 0:
-        raise ValueError(f"`max_sweeps`: expected a whole number of at least 0, got {max_sweeps!r}")
-    abstraction, joint, laws = _wrapped(problem, policy, cells, relation, settings)
-    abstracted = time.perf_counter()
-    start, search = start_of(problem, joint), Limits() if limits is None else limits
-    best = sweep(joint, laws, start, FINAL, improve=False)
-    values, found, top = [best.value], best, best
+    clock = _Clock()
+    search = Search(max_sweeps, Limits() if limits is None else limits, progress=progress)
+    wrapped = _wrapped(problem, policy, cells, relation, settings)
+    joint, start = wrapped.joint, start_of(problem, wrapped.joint)
+    clock.abstracted()
+    best = sweep(joint, wrapped.policies, start, FINAL, improve=False)
+    values, last, top = [best.value], best, best
     for _ in range(max_sweeps):
-        last, found = found.value, sweep(joint, found.laws, start, search, improve=True)
-        values.append(found.value)
-        top = max(top, found, key=lambda one: one.value)
-        if progress is not None:
-            progress("from the given policy", max(values))
-        if found.value <= last * (1 + 1e-7):
+        before, last = last.value, sweep(joint, last.policies, start, search.limits, improve=True)
+        values.append(last.value)
+        top = max(top, last, key=lambda found: found.value)
+        search.tell("from the given policy", max(values))
+        if last.value <= before * (1 + 1e-7):
             break
-    frozen = sweep(joint, top.laws, start, FINAL, improve=False)
-    best = max(best, frozen, key=lambda one: one.value)
+    # pruning may have flattered a sweep: what counts is the value of frozen policies, pruned as little as can be
+    frozen = sweep(joint, top.policies, start, FINAL, improve=False)
+    best = max(best, frozen, key=lambda found: found.value)
     name = "coordinate ascent from a given policy"
-    return _synthesis(problem, abstraction, joint, best, values, name, (began, abstracted), max_sweeps=max_sweeps)
+    return _synthesis(problem, wrapped, best, values, name, clock, {"max_sweeps": max_sweeps})
 
 
-def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> Laws:
-    """Laws (T, Q, S) per agent: the admissible choice whose mean is nearest to that of the policy's input.
+def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> Policies:
+    """Policy tables (T, Q, S), one per agent: admissible choices with the mean nearest to that of the policy's input.
 
     Choices are compared at the centre of each cell, by Euclidean distance in grid coordinates divided by the cell
     widths; -1 where no choice is admissible.
     """
-    n_q, laws = problem.automaton.n_states, []
+    n_q, tables = problem.automaton.n_states, []
     for i, (agent, model) in enumerate(zip(problem.agents, abstraction.models, strict=True)):
-        law = np.empty((problem.horizon, n_q, model.n_cells), dtype=np.int32)
+        table = np.empty((problem.horizon, n_q, model.n_cells), dtype=np.int32)
         centres = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ model.grid.centres.T)
         for t in range(problem.horizon):
             for q in range(n_q):
-                given = policy.inputs(i, centres, np.full(model.n_cells, q), t)
-                law[t, q] = nearest_choices(model, _means(agent, model, centres, given))
-        laws.append(law)
-    return tuple(laws)
+                inputs = policy.inputs(i, centres, np.full(model.n_cells, q), t)
+                table[t, q] = nearest_choices(model, _means(agent, model, centres, inputs))
+        tables.append(table)
+    return tuple(tables)
 
 
 def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
@@ -167,13 +165,12 @@ def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArra
         near = np.where(means[k] - axis[below] <= axis[above] - means[k], below, above)
         indices.append(np.clip(near, windows.low[:, k], np.maximum(windows.high[:, k] - 1, windows.low[:, k])))
     empty = np.any(windows.low >= windows.high, axis=1)
-    law = np.ravel_multi_index([np.where(empty, 0, own) for own in indices], windows.shape)
-    cells = np.arange(len(law))
-    law = np.where(empty, -1, law)
-    wrong = np.flatnonzero(~empty & ~windows.admissible(cells, np.maximum(law, 0)))
+    targets = np.ravel_multi_index([np.where(empty, 0, index) for index in indices], windows.shape)
+    targets = np.where(empty, -1, targets)
+    wrong = np.flatnonzero(~empty & ~windows.admissible(np.arange(len(targets)), np.maximum(targets, 0)))
     for s in wrong:
-        law[s] = _search(windows, int(s), means[:, s], scale)
-    return law.astype(np.int32)
+        targets[s] = _search(windows, int(s), means[:, s], scale)
+    return targets.astype(np.int32)
 
 
 def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArray) -> int:
@@ -197,22 +194,48 @@ def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: Fl
     return model.relation.to_grid(agent.A @ states + agent.B @ used + np.asarray(agent.offset)[:, None])
 
 
-def _wrapped(
-    problem: Problem, policy: Policy, cells: Cells, relation: Relations, settings: dict[str, Any]
-) -> tuple[Abstraction, JointModel, Laws]:
+@dataclass(frozen=True)
+class _Wrapped:
+    """A given policy put on cells: finite models, alone and joined, and the policy tables of all agents."""
+
+    abstraction: Abstraction
+    joint: JointModel
+    policies: Policies
+
+
+def _wrapped(problem: Problem, policy: Policy, cells: Cells, relation: Relations, settings: dict[str, Any]) -> _Wrapped:
+    """Put a policy on the cells of finite models."""
     given = decentralised(checked_problem(problem), policy)
-    check_settings(settings)
     abstraction = abstract(problem, cells, relation=relation, **settings)
-    return abstraction, join(problem, abstraction), wrap(problem, abstraction, given)
+    return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, given))
+
+
+class _Clock:
+    """Seconds that the finite models took, and the rest."""
+
+    def __init__(self) -> None:
+        self.began = self.middle = time.perf_counter()
+
+    def abstracted(self) -> None:
+        """The finite models are there."""
+        self.middle = time.perf_counter()
+
+    def seconds(self) -> dict[str, float]:
+        """Seconds until the models were there, and since."""
+        return {"abstract": self.middle - self.began, "synthesize": time.perf_counter() - self.middle}
 
 
 def _synthesis(
-    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep, values: list[float], name: str,
-    clock: tuple[float, float], **used: Any,
-) -> Synthesis:  # fmt: skip
-    settings = {**abstraction.settings, **used, "final_limits": vars(FINAL)}
-    certificate = certificate_of(problem, abstraction, joint, best, settings, name)
-    began, abstracted = clock
-    seconds = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
-    stats = {"seconds": seconds, "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
+    problem: Problem,
+    wrapped: _Wrapped,
+    best: Sweep,
+    values: list[float],
+    name: str,
+    clock: _Clock,
+    used: dict[str, Any],
+) -> Synthesis:
+    """Certificate and statistics of the best policy."""
+    settings = {**wrapped.abstraction.settings, **used, "final_limits": vars(FINAL)}
+    certificate = certificate_of(problem, wrapped.abstraction, wrapped.joint, best, settings, name)
+    stats = {"seconds": clock.seconds(), "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}
     return Synthesis(certificate, certificate.controller, stats)

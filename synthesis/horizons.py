@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ..envs.problem import Problem, checked_problem
+from .cells import Cells
 from .certificates import Synthesis
-from .models import Cells
 from .synthesize import synthesize
 
 TOLERANCE = 1e-6

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..envs.problem import Problem
-from .certificates import nameless, product_certificate, relations_tried
-from .models import Cells, Relations, check_names
+from .cells import Cells
+from .certificates import Synthesis, nameless, product_certificate, relations_tried
+from .models import Relations, check_names
 from .values import UNIT
 
-if TYPE_CHECKING:
-    from .certificates import Synthesis
+SynthesizeTask = Callable[[Problem, Cells, Relations], Synthesis]
+"""Synthesis of one task, given its cells and relations."""
 
 
-def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, one: Callable[..., Synthesis]) -> Synthesis:
-    """Synthesize every part with ``one(task, cells, relation=)``, those that differ in names alone once."""
-    from .certificates import Synthesis
-
+def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, synthesize_task: SynthesizeTask) -> Synthesis:
+    """Synthesize every independent task, those that differ in names alone once, and put the certificates together."""
     check_names("cells", cells, problem)
     found: dict[tuple[str, str], Synthesis] = {}
     parts = []
@@ -27,7 +26,7 @@ def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, one: C
         asked = [[o.get(a) for a in task.agent_names] if isinstance(o, Mapping) else o for o in (own, kinds)]
         key = (nameless(task), str(asked))
         if key not in found:
-            found[key] = one(task, own, relation=kinds)
+            found[key] = synthesize_task(task, own, kinds)
         parts.append(found[key])
     certificate = product_certificate(problem, tuple(part.certificate for part in parts))
     each: list[dict[str, Any]] = [part.stats for part in found.values()]

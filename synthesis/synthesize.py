@@ -3,33 +3,55 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..envs.problem import Problem, checked_problem
+from .cells import Cells
 from .certificates import Certificate, Synthesis, checked_certificate
-from .certification import bounds_from_above, certificate_of
-from .choosing import Tries, groups_of, laws_from, refine
+from .certification import certified
+from .choosing import Budget, Tries, groups_of, policies_from, refine
 from .models import (
     Abstraction,
-    Cells,
     JointModel,
-    Laws,
+    Policies,
     Relations,
     Settings,
-    abstract,
+    abstraction_of,
     check_names,
     check_settings,
     join,
     relations_of,
 )
 from .parts import synthesize_parts
-from .search import FINAL, Limits, Search, improve, stationary_best
+from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best
 from .values import HOST, device_put
 
+Clock = tuple[float, float]
+"""When the work began, and when the finite models were there, in seconds of ``perf_counter``."""
 
+
+@dataclass(frozen=True)
+class Plan:
+    """How a task is to be synthesized, apart from its cells and relations.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the relations.
+    search : Search
+        For policies.
+    budget : Budget or None
+        If given, cells are made finer until it is used up.
+    """
+
+    settings: Settings
+    search: Search
+    budget: Budget | None
+
+
+# The door of the package: its options are flat, as users and the command line have them, and become records at once.
 def synthesize(
     problem: Problem,
     cells: Cells = None,
@@ -52,7 +74,7 @@ def synthesize(
     Parameters
     ----------
     problem : Problem
-        Agents with positive definite noise, to whom the relation applies. A task that falls apart into independent ones
+        Agents with positive definite noise, to whom the relation applies. A task that decomposes into independent tasks
         (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; more of them cost time and raise the bound. Default: by dimension (see ``abstract``), doubled
@@ -77,7 +99,7 @@ def synthesize(
         are made finer until one of them is used up; how they were chosen is in ``stats["cells"]`` (see ``refine``).
     device : str
         Where sweeps over the value tree compute: ``"numpy"``, or a library and its device, such as ``"torch:cuda"``
-        (extra ``device``; see ``arrays``). Results agree to rounding, for which every bound has a reserve.
+        (extra ``device``; see ``devices``). Results agree to rounding, for which every bound has a reserve.
     restarts : int
         Further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
@@ -86,7 +108,7 @@ def synthesize(
     stationary : bool
         Policies that do not look at the time, for tasks without a deadline (see ``without_deadline``).
     **settings
-        Further settings of the relation, passed to ``abstract``.
+        Further settings of the relation (see ``Settings``).
 
     Returns
     -------
@@ -99,63 +121,74 @@ def synthesize(
     ValueError
         If the problem has no start, the relation does not apply to an agent, or the device is not there.
     """
-    search = Search(max_sweeps, Limits() if limits is None else limits, value, restarts, progress)
+    pruning = Limits() if limits is None else limits
+    search = Search(max_sweeps, pruning, value, restarts, progress, stationary, device)
     check_settings(settings)
     device_put(device)  # refuses what is not there before any work is done
-    how = {"max_sweeps": max_sweeps, "limits": limits, "value": value, "restarts": restarts, "progress": progress,
-           "stationary": stationary, "device": device, **settings}  # fmt: skip
+    budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
+    plan = Plan(Settings(**settings), search, budget)
     if checked_problem(problem).groups:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
-        one = partial(synthesize, memory=memory, accuracy=accuracy, **how)
-        return synthesize_parts(problem, cells, relation, one)
-    asked = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
-    compare = partial(_compared, problem, asked=asked, settings=Settings(**settings), search=search, device=device,
-                      stationary=stationary)  # fmt: skip
-    if memory is not None or accuracy is not None:
+        return synthesize_parts(problem, cells, relation, lambda task, own, kinds: _of_task(task, own, kinds, plan))
+    return _of_task(problem, cells, relation, plan, start)
+
+
+def _of_task(
+    problem: Problem, cells: Cells, relation: Relations, plan: Plan, start: Certificate | None = None
+) -> Synthesis:
+    """Synthesis of one task, by the procedure that relations, budget and start ask for."""
+    kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
+    if plan.budget is not None:
         _refuse_start(start, "a budget")
         if cells is not None:
             raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-        return _within(problem, memory, accuracy, asked, how, compare)
+        return _within(problem, kinds, plan, plan.budget)
     if start is not None:
         if relation == "best":
             _refuse_start(start, "several relations")
-        kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
-        if cells is None and len(kinds) == problem.n_agents:
-            cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
-        if len(kinds) == len(asked) and "auto" in asked:
-            asked = [kind if own == "auto" else own for own, kind in zip(asked, kinds, strict=True)]
-            settings = _taken(settings, asked)
+        return _continued(problem, cells, kinds, plan, start)
+    if {"auto", "best"} & {*kinds}:
+        return _compared(problem, cells, kinds, plan)
+    return _plain(problem, cells, kinds, plan)
+
+
+def _plain(
+    problem: Problem, cells: Cells, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
+) -> Synthesis:
+    """Synthesis on given cells under one given relation per agent."""
     began = time.perf_counter()
-    if {"auto", "best"} & {*asked} and start is None:
-        return compare(cells)
-    abstraction = abstract(problem, cells, relation=_one_or_each(problem, asked), **settings)
+    abstraction = abstraction_of(problem, cells, kinds, plan.settings)
     abstracted = time.perf_counter()
-    given = {} if start is None else laws_from(start, problem, abstraction)
-    result = _on(problem, abstraction, join(problem, abstraction, device), search, given, stationary)
-    result.stats["seconds"] = {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
-    return result
+    given = {} if start is None else policies_from(start, problem, abstraction)
+    result = _on(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, given)
+    return replace(result, stats={**result.stats, "seconds": _seconds((began, abstracted))})
 
 
-def _one_or_each(problem: Problem, asked: list[str]) -> Relations:
-    """What is asked for of all agents alike, or of each."""
-    return asked[0] if len({*asked}) == 1 else dict(zip(problem.agent_names, asked, strict=True))
+def _continued(problem: Problem, cells: Cells, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
+    """Synthesis that begins with the policies of a certificate; what is not asked for is as it is there."""
+    theirs = [part.relation["kind"] for part in checked_certificate(start).agents]
+    if cells is None and len(theirs) == problem.n_agents:
+        cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
+    if len(theirs) == len(kinds) and "auto" in kinds:
+        kinds = [other if kind == "auto" else kind for kind, other in zip(kinds, theirs, strict=True)]
+        plan = replace(plan, settings=plan.settings.of_kinds(kinds))
+    return _plain(problem, cells, kinds, plan, start)
 
 
 def _compared(
-    problem: Problem, cells: Cells, known: Synthesis | None = None, *, asked: list[str], settings: Settings,
-    search: Search, device: str, stationary: bool,
-) -> Synthesis:  # fmt: skip
+    problem: Problem, cells: Cells, kinds: Sequence[str], plan: Plan, known: Synthesis | None = None
+) -> Synthesis:
     """The synthesis with the largest bound among relations that apply; what was tried is kept with the certificate."""
     began = time.perf_counter()
-    tries = Tries(problem, groups_of(problem, cells, asked, settings), settings, device)
+    tries = Tries(problem, groups_of(problem, cells, kinds, plan.settings), plan.settings, plan.search.device)
     abstracted = time.perf_counter()
 
-    def run(abstraction: Abstraction, joint: JointModel) -> Synthesis:
-        return _on(problem, abstraction, joint, search, {}, stationary)
+    def run(abstraction: Abstraction, joint: JointModel, relaxations: tuple[Relaxation, ...]) -> Synthesis:
+        return _on(problem, abstraction, joint, plan.search, {}, relaxations)
 
-    best, tried = tries.best(run, known, "best" in asked)
-    stats = {**best.stats, "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}}
+    best, tried = tries.best(run, known, every="best" in kinds)
+    stats = {**best.stats, "seconds": _seconds((began, abstracted))}
     certificate = best.certificate
     if len(tried) > 1:
         stats["tried"] = tried
@@ -163,57 +196,46 @@ def _compared(
     return Synthesis(certificate, certificate.controller, stats)
 
 
-def _on(
-    problem: Problem, abstraction: Abstraction, joint: JointModel, search: Search, given: dict[str, Laws],
-    stationary: bool,
-) -> Synthesis:  # fmt: skip
-    """Search, from the ``given`` policies if there are any, and certify."""
-    found = improve(problem, joint, search, given)
-    best = found.best
-    if stationary:
-        best = stationary_best(problem, joint, found, search.limits)
-    used = {**abstraction.settings, "max_sweeps": search.max_sweeps, "restarts": search.restarts,
-            "stationary": stationary, "limits": vars(search.limits), "final_limits": vars(FINAL)}  # fmt: skip
-    name = f"{'stationary policies from ' if stationary else ''}occupancy-weighted coordinate ascent"
-    certificate = certificate_of(problem, abstraction, joint, best, used, name)
-    stats: dict[str, object] = {
-        "sweeps": found.values,
-        "starts": found.starts,
-        "rank": certificate.rank,
-        "dropped": best.dropped,
-        "unilateral_gain": None if stationary else found.unilateral_gain,
-        **bounds_from_above(problem, joint, found.relaxations, certificate),
-    }
-    return Synthesis(certificate, certificate.controller, stats)
-
-
-def _taken(settings: dict[str, Any], kinds: list[str]) -> dict[str, Any]:
-    """Settings without those that were for relations which are not among the chosen ones."""
-    foreign = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
-    return {name: value for name, value in settings.items() if foreign.get(name, {*kinds}) & {*kinds}}
-
-
-def _refuse_start(start: Certificate | None, what: str) -> None:
-    if start is not None:
-        raise ValueError(f"`start`: expected none for {what}, got a certificate; leave it out")
-
-
-def _within(
-    problem: Problem, memory: float | None, accuracy: float | None, asked: list[str], how: dict[str, Any],
-    compare: Callable[[Cells, Synthesis], Synthesis],
-) -> Synthesis:  # fmt: skip
+def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
     """The best synthesis within a budget; the record of its cells is kept with the settings of the certificate.
 
     Relations are compared on the last cells only; what led to them is the quick choice.
     """
-    quick = ["quick" if own in ("auto", "best") else own for own in asked]
-    first = _one_or_each(problem, quick)
-    how = _taken(how, quick)
-    best, record = refine(problem, lambda own: synthesize(problem, own, relation=first, **how), first, memory, accuracy)
-    if quick != asked:
+    quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
+    first = replace(plan, settings=plan.settings.of_kinds(quick))
+    best, record = refine(problem, lambda cells: _plain(problem, cells, quick, first), quick, budget)
+    if quick != kinds:
         parts = zip(problem.agent_names, best.certificate.agents, strict=True)
-        best = compare({name: part.grid.shape for name, part in parts}, best)
+        best = _compared(problem, {name: part.grid.shape for name, part in parts}, kinds, plan, best)
     certificate = best.certificate
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
     return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
+
+
+def _on(
+    problem: Problem,
+    abstraction: Abstraction,
+    joint: JointModel,
+    search: Search,
+    given: dict[str, Policies],
+    relaxations: tuple[Relaxation, ...] | None = None,
+) -> Synthesis:
+    """Search on finite models, from the ``given`` policies if there are any, and certify what was found."""
+    found = find_policies(problem, joint, search, given, relaxations)
+    best = stationary_best(problem, joint, found, search.limits) if search.stationary else found.best
+    name = f"{'stationary policies from ' if search.stationary else ''}occupancy-weighted coordinate ascent"
+    used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
+    return certified(problem, abstraction, joint, found, best, used, name)
+
+
+def _seconds(clock: Clock) -> dict[str, float]:
+    """Seconds that the finite models took, and the rest until now."""
+    began, abstracted = clock
+    return {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
+
+
+def _refuse_start(start: Certificate | None, what: str) -> None:
+    """Refuse policies to begin with where none can be taken."""
+    if start is not None:
+        raise ValueError(f"`start`: expected none for {what}, got a certificate; leave it out")

@@ -76,7 +76,7 @@ def one_step_too_many(c: Certificate) -> AuditReport:
 
 
 def policy_one_step_late(c: Certificate) -> AuditReport:
-    late = [replace(a, law=np.concatenate([a.law[:1], a.law[:-1]])) for a in c.controller.agents]
+    late = [replace(a, policy=np.concatenate([a.policy[:1], a.policy[:-1]])) for a in c.controller.agents]
     return audit(c, EPISODES, seed=5, controller=replace(c.controller, agents=tuple(late)), confidence=CONFIDENCE)
 
 

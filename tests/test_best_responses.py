@@ -46,9 +46,9 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
     kernel_size = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(0)
     table = rng.integers(0, 6, size=(n_objectives, kernel_size)).astype(float)
-    n_cells = len(choices.resting_law)
+    n_cells = len(choices.resting_choice)
     weights = rng.integers(1, 4, size=(n_cells, n_objectives)).astype(float)
-    found = best_choices(choices, weights, table, choices.resting_law)
+    found = best_choices(choices, weights, table, choices.resting_choice)
     for s in range(n_cells):
         if isinstance(choices, InputMenu):
             options = choices.leads_to[s]
@@ -74,9 +74,9 @@ def test_the_incumbent_stays_where_nothing_is_better() -> None:
     choices = abstract(problem, 40).models[0].choices
     assert isinstance(choices, TargetWindows)
     flat = np.ones((1, int(np.prod(choices.shape))))
-    law = choices.resting_law
-    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat, law), law)
-    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat * (1 + 1e-14), law), law)
+    policy = choices.resting_choice
+    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat, policy), policy)
+    np.testing.assert_array_equal(best_choices(choices, np.ones((40, 1)), flat * (1 + 1e-14), policy), policy)
 
 
 @pytest.mark.parametrize("relation", ["exact", "tube"])
@@ -89,13 +89,13 @@ def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation
     choices = abstract(problem, [40, 30], relation=relation).models[0].choices
     points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(1)
-    table, law = rng.random((3, points)), choices.resting_law.copy()
+    table, policy = rng.random((3, points)), choices.resting_choice.copy()
     weights = rng.random((1200, 3))
-    everywhere = best_choices(choices, weights, table, law)
+    everywhere = best_choices(choices, weights, table, policy)
     weights[100:] = 0.0
-    without = law.copy()
+    without = policy.copy()
     without[500] = -1
     found = best_choices(choices, weights, table, without)
     np.testing.assert_array_equal(found[:100], everywhere[:100])
-    np.testing.assert_array_equal(np.delete(found, 500)[100:], np.delete(law, 500)[100:])
+    np.testing.assert_array_equal(np.delete(found, 500)[100:], np.delete(policy, 500)[100:])
     assert found[500] >= 0

@@ -14,7 +14,7 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing.cell_budget import cells_at, snapping_loss
-from certigym.synthesis.choosing.cell_choice import refine
+from certigym.synthesis.choosing.cell_choice import Budget, refine
 from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
 
@@ -23,7 +23,7 @@ from problems import two_agents
 def test_means_of_position_and_velocity_fall_on_the_lattice(resolution: float) -> None:
     """All cells equal, regions on edges, and as few lattice points per cell as were foreseen."""
     problem = cg.make_problem("reach-avoid-kinematic-v0")
-    found = cells_at(problem, resolution)["agent_0"]
+    found = cells_at(problem, resolution, ["auto"] * problem.n_agents)["agent_0"]
     model = abstract(problem, found.shape).models[0]
     assert max(found.per_cell) <= 2
     for edges, lattice, n, per_cell in zip(model.grid.edges, model.lattice, found.shape, found.per_cell, strict=True):
@@ -43,7 +43,7 @@ def test_lattices_of_numbers_that_do_not_fit_are_larger() -> None:
 def test_equal_agents_get_equal_cells_and_share_their_kernel() -> None:
     """Their regions differ; the numbers fit the regions of both."""
     problem = two_agents()
-    cells = cells_at(problem, 3.0)
+    cells = cells_at(problem, 3.0, ["auto"] * problem.n_agents)
     assert cells["one"] == cells["two"]
     models = abstract(problem, {name: own.shape for name, own in cells.items()}).models
     assert models[0].kernel is models[1].kernel
@@ -95,7 +95,7 @@ def test_relations_that_need_finer_cells_are_recorded_and_passed() -> None:
 def test_the_cost_of_snapping_is_bounded_from_above() -> None:
     """By hand: 40 cells of .2 with two targets each are .1 apart, so r = .05 / .5 = .1 whitened units at most."""
     problem = two_agents(horizon=1)
-    cells = cells_at(problem, 2.5)
+    cells = cells_at(problem, 2.5, ["auto"] * problem.n_agents)
     assert cells["one"].shape == (40,)
     eta = 0.0398776  # 2 Phi(.05) - 1
     assert snapping_loss(problem, cells) == pytest.approx(1 - (1 - eta) ** 2, rel=1e-4)
@@ -134,5 +134,5 @@ def test_the_largest_bound_of_all_runs_is_kept() -> None:
         except StopIteration:
             raise RelationRefused("no more") from None
 
-    best, record = refine(cg.make_problem("reach-avoid-v0"), run, "auto", 2e7, None)
+    best, record = refine(cg.make_problem("reach-avoid-v0"), run, ["auto"] * 2, Budget(memory=2e7))
     assert best.certificate.lower_bound == record["lower_bound"] == 0.5

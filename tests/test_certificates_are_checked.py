@@ -60,7 +60,7 @@ def test_the_bound_elsewhere_is_that_of_the_dense_value(certificate: Certificate
 
     problem = certificate.problem
     models = abstract(problem, 64).models
-    dense = dense_value(problem, models, tuple(part.law for part in certificate.agents))
+    dense = dense_value(problem, models, tuple(part.policy for part in certificate.agents))
     rng = np.random.default_rng(1)
     states = rng.uniform(-4, 4, size=(200, 2))
     bounds = certificate.at(states)
@@ -80,13 +80,13 @@ def raise_the_bound(c: Certificate) -> Certificate:
 
 
 def command_beyond_the_inputs(c: Certificate) -> Certificate:
-    return with_agent(c, 0, law=np.where(c.agents[0].law >= 0, 0, -1).astype(np.int32))
+    return with_agent(c, 0, policy=np.where(c.agents[0].policy >= 0, 0, -1).astype(np.int32))
 
 
 def use_another_policy(c: Certificate) -> Certificate:
-    laws = c.agents[0].law.copy()
-    laws[:, :, 20:50] = np.maximum(laws[:, :, 20:50] - 1, laws[:, :, 20:50].min())
-    return with_agent(c, 0, law=laws)
+    policies = c.agents[0].policy.copy()
+    policies[:, :, 20:50] = np.maximum(policies[:, :, 20:50] - 1, policies[:, :, 20:50].min())
+    return with_agent(c, 0, policy=policies)
 
 
 def narrow_the_cells(c: Certificate) -> Certificate:

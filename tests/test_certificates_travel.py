@@ -270,7 +270,7 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
     kept = inner.ravel()
     cut = replace(
         part, grid=cg.Grid(tuple(edges[3:].copy() for edges in part.grid.edges)), masks=part.masks[:, kept],
-        start_masks=part.start_masks[:, kept], law=part.law[:, :, kept],
+        start_masks=part.start_masks[:, kept], policy=part.policy[:, :, kept],
     )  # fmt: skip
     bad = replace(certificate, agents=(cut, *certificate.agents[1:]), lower_bound=0.0)
     bad = replace(bad, terms=regrow(bad))

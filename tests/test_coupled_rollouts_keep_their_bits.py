@@ -120,8 +120,8 @@ class Defined:
             kept = inside and bool(r.related((point - self.centres[cell])[:, None])[0])
             self.lost = self.lost or not kept
             self.cell = cell if kept else self.nearest(point)
-        law = self.agent.law
-        choice = max(int(law[min(time, len(law) - 1), q, self.cell]), 0)
+        policy = self.agent.policy
+        choice = max(int(policy[min(time, len(policy) - 1), q, self.cell]), 0)
         error = np.clip(point - self.centres[self.cell], -r.reach, r.reach)
         u = np.clip(r.inputs[choice] + r.feedback @ error, r.input_low, r.input_high)
         assert self.agent.menu is not None
@@ -135,8 +135,8 @@ class Defined:
 def test_batches_do_what_the_definition_says(name: str) -> None:
     problem, controller = case(name)
     dynamics, n_worlds, rng = Dynamics.of(problem), 60, np.random.default_rng(8)
-    gaps = [np.where(rng.random(agent.law.shape) < 0.1, -1, agent.law) for agent in controller.agents]
-    agents = (replace(agent, law=law.astype(np.int32)) for agent, law in zip(controller.agents, gaps))
+    gaps = [np.where(rng.random(agent.policy.shape) < 0.1, -1, agent.policy) for agent in controller.agents]
+    agents = (replace(agent, policy=policy.astype(np.int32)) for agent, policy in zip(controller.agents, gaps))
     controller = Controller(problem, tuple(agents))
     policy, worlds = controller.batch(dynamics), anywhere(problem, rng, n_worlds)
     memory, draws = policy.begin(worlds, np.random.default_rng(9)), np.random.default_rng(9)
@@ -168,8 +168,8 @@ def test_agents_that_share_a_relation_keep_menus_and_laws_of_their_own(once: boo
     first, second = controller.agents[1:]
     assert second.menu is not None
     dynamics, rng = Dynamics.of(problem), np.random.default_rng(6)
-    law = rng.integers(second.menu.shape[1], size=second.law.shape, dtype=np.int32)
-    other = replace(second, menu=np.roll(second.menu, 1, axis=1), law=law[:1] if once else law)
+    table = rng.integers(second.menu.shape[1], size=second.policy.shape, dtype=np.int32)
+    other = replace(second, menu=np.roll(second.menu, 1, axis=1), policy=table[:1] if once else table)
     mixed = Controller(problem, (controller.agents[0], first, other))
     worlds = core.initial(dynamics, rng, 30)
     policy, alone = mixed.batch(dynamics), other.begin(core.joint(dynamics, worlds).T[-1:, None])

@@ -14,10 +14,10 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.bounds.certified import robust_loss
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_table
-from certigym.synthesis.search.ascent import Limits, Sweep, forward, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, Sweep, forward, resting_policies, sweep
 from certigym.synthesis.values import devices as arrays
 from certigym.synthesis.values.devices import (
     add_rows,
@@ -49,18 +49,18 @@ def _torch() -> None:
     pytest.importorskip("array_api_compat")
 
 
-def swept(name: str, device: str, laws: Laws | None, **how: Any) -> Sweep:
+def swept(name: str, device: str, policies: Policies | None, **how: Any) -> Sweep:
     problem, model = TASKS[name]
     joint = join(problem, abstract(problem, **model), device)
-    if laws is None:
-        return sweep(joint, resting_laws(joint), None, Limits(), improve=True)
-    return sweep(joint, laws, start_of(problem, joint), Limits(), **how)
+    if policies is None:
+        return sweep(joint, resting_policies(joint), None, Limits(), improve=True)
+    return sweep(joint, policies, start_of(problem, joint), Limits(), **how)
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_frozen_sweeps_agree_to_rounding(name: str) -> None:
-    laws = swept(name, "numpy", None).laws
-    ours, theirs = (swept(name, device, laws, improve=False) for device in ("numpy", DEVICE))
+    policies = swept(name, "numpy", None).policies
+    ours, theirs = (swept(name, device, policies, improve=False) for device in ("numpy", DEVICE))
     assert 0.0 < ours.value == pytest.approx(theirs.value, rel=CLOSE)
     assert theirs.rank == ours.rank and theirs.dropped == pytest.approx(ours.dropped, rel=1e-6, abs=1e-15)
     for mine, other in zip(ours.terms.factors, theirs.terms.factors, strict=True):
@@ -74,19 +74,19 @@ def test_frozen_sweeps_agree_to_rounding(name: str) -> None:
 @pytest.mark.parametrize("name", TASKS)
 def test_best_responses_gain_the_same(name: str) -> None:
     """Choices may differ where two are worth the same to rounding; what they are worth may not."""
-    laws = swept(name, "numpy", None).laws
-    ours, theirs = (swept(name, device, laws, improve=True) for device in ("numpy", DEVICE))
+    policies = swept(name, "numpy", None).policies
+    ours, theirs = (swept(name, device, policies, improve=True) for device in ("numpy", DEVICE))
     assert 0.0 < ours.value == pytest.approx(theirs.value, rel=1e-8)
 
 
 def test_occupancies_and_robust_losses_agree() -> None:
     name = "menu of inputs"
     problem, model = TASKS[name]
-    laws = swept(name, "numpy", None).laws
-    ours, theirs = (swept(name, device, laws, improve=False, loss=robust_loss) for device in ("numpy", DEVICE))
+    policies = swept(name, "numpy", None).policies
+    ours, theirs = (swept(name, device, policies, improve=False, loss=robust_loss) for device in ("numpy", DEVICE))
     assert 0.0 < ours.value == pytest.approx(theirs.value, rel=CLOSE)
     joints = [join(problem, abstract(problem, **model), device) for device in ("numpy", DEVICE)]
-    masses = [forward(joint, laws, start_of(problem, joint), Limits()) for joint in joints]
+    masses = [forward(joint, policies, start_of(problem, joint), Limits()) for joint in joints]
     for mine, other in zip(*masses, strict=True):
         for q in range(joints[0].n_states):
             assert mine.masses(q).sum() == pytest.approx(other.masses(q).sum(), rel=CLOSE, abs=1e-300)
@@ -153,11 +153,11 @@ def test_kernels_smooth_and_push_alike() -> None:
     for kernel in (Kernel((banded,)), Kernel(plane)):
         n_cells, n_points = int(np.prod(kernel.shape)), int(np.prod(kernel.lattice_shape))
         factors, masses = rng.random((7, n_cells)), rng.random((7, n_cells))
-        law = rng.integers(-1, n_points, size=n_cells)
+        policy = rng.integers(-1, n_points, size=n_cells)
         there = device_put(DEVICE)
         np.testing.assert_allclose(to_host(kernel.smooth(there(factors))), kernel.smooth(factors), rtol=1e-12)
-        pushed = to_host(kernel.push(there(masses), law))
-        np.testing.assert_allclose(pushed, kernel.push(masses, law), rtol=1e-11, atol=1e-60)
+        pushed = to_host(kernel.push(there(masses), policy))
+        np.testing.assert_allclose(pushed, kernel.push(masses, policy), rtol=1e-11, atol=1e-60)
 
 
 def test_tables_are_copied_once_and_forgotten_with_their_owner() -> None:

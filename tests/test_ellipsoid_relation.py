@@ -59,8 +59,8 @@ def _part(name: str, delta: float) -> AgentPart:
     grid, axes = cells(agent), np.eye(agent.n_states) if coordinates is None else coordinates
     relation, lattice, _, menu = ellipsoid_model(agent, grid, axes, np.full(agent.n_states, 3.0), delta)
     assert isinstance(menu, InputMenu)
-    masks, law = np.zeros((1, grid.n_cells), dtype=bool), np.zeros((1, 1, grid.n_cells), dtype=np.int32)
-    return AgentPart(grid, axes, describe_relation(relation), lattice, masks, masks, law, menu.leads_to)
+    masks, policy = np.zeros((1, grid.n_cells), dtype=bool), np.zeros((1, 1, grid.n_cells), dtype=np.int32)
+    return AgentPart(grid, axes, describe_relation(relation), lattice, masks, masks, policy, menu.leads_to)
 
 
 def relation_of(agent: cg.LinearAgent, part: AgentPart) -> CoupledRelation:

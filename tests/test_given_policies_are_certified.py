@@ -67,7 +67,7 @@ def test_all_forms_of_one_policy_get_one_certificate() -> None:
         found = cg.certify(PROBLEM, form, 40).certificate
         assert found.lower_bound == plain.lower_bound
         for mine, theirs in zip(found.agents, plain.agents):
-            assert np.array_equal(mine.law, theirs.law)
+            assert np.array_equal(mine.policy, theirs.policy)
 
 
 def test_policies_of_agents_are_not_mixed_up() -> None:
@@ -83,14 +83,14 @@ def test_laws_follow_time_automaton_state_and_agent() -> None:
 
     given = {"one": drift(1.0), "two": drift(-1.0)}
     abstraction = abstract(PROBLEM, 100)
-    laws = wrap(PROBLEM, abstraction, decentralised(PROBLEM, given))
-    for law, model, sign in zip(laws, abstraction.models, (1.0, -1.0)):
+    policies = wrap(PROBLEM, abstraction, decentralised(PROBLEM, given))
+    for policy, model, sign in zip(policies, abstraction.models, (1.0, -1.0)):
         centres, (axis,) = model.grid.centres[:, 0], model.lattice
         step = np.max(np.diff(axis))
         for t in range(PROBLEM.horizon):
             for q in range(PROBLEM.automaton.n_states):
                 wanted = 0.9 * centres + 0.5 * sign * (0.3 + 0.2 * t - 0.4 * q)
-                assert np.max(np.abs(axis[law[t, q]] - wanted)) <= 0.5 * step * (1 + 1e-9)
+                assert np.max(np.abs(axis[policy[t, q]] - wanted)) <= 0.5 * step * (1 + 1e-9)
     assert step < 0.05
 
 
@@ -128,14 +128,14 @@ def test_the_nearest_admissible_target_is_taken(form: str) -> None:
     windows = model.choices
     assert isinstance(windows, TargetWindows)
     wanted = np.random.default_rng(0).uniform(-4.0, 4.0, (2, model.n_cells))
-    law = nearest_choices(model, wanted)
+    policy = nearest_choices(model, wanted)
     points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, 2)
     searched = 0
     for s in range(model.n_cells):
         allowed = windows.admissible(np.full(len(points), s), np.arange(len(points)))
         gaps = np.where(allowed, ((points - wanted[:, s]) ** 2).sum(axis=1), np.inf)
-        assert allowed[law[s]]
-        assert gaps[law[s]] == pytest.approx(gaps.min())
+        assert allowed[policy[s]]
+        assert gaps[policy[s]] == pytest.approx(gaps.min())
         searched += int(np.isfinite(gaps.min()))
     assert searched == model.n_cells
 
@@ -144,8 +144,8 @@ def test_a_cell_without_admissible_target_gets_none() -> None:
     weak: dict[str, Any] = {"A": [[2.0]], "input_low": [-0.1], "input_high": [0.1]}
     problem = two_agents(horizon=2, **weak)
     abstraction = abstract(problem, 8)
-    for law in wrap(problem, abstraction, decentralised(problem, stay)):
-        assert np.all(law == -1)
+    for policy in wrap(problem, abstraction, decentralised(problem, stay)):
+        assert np.all(policy == -1)
     assert cg.certify(problem, stay, 8).certificate.lower_bound == 0.0
 
 

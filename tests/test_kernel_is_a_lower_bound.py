@@ -48,9 +48,9 @@ def test_pushing_and_smoothing_are_adjoint_in_two_dimensions() -> None:
     second, _ = gaussian_masses(np.linspace(0, 1, 4), np.linspace(0, 1, 4), 0.2)
     kernel = Kernel((AxisTable.dense(first), AxisTable.dense(second)))
     values, masses = rng.random((2, 15)), rng.random((3, 15))
-    law = rng.integers(-1, 28, size=15)
-    expected = kernel.smooth(values)[:, np.maximum(law, 0)] * (law >= 0)
-    np.testing.assert_allclose(masses @ expected.T, kernel.push(masses, law) @ values.T, rtol=1e-13)
+    policy = rng.integers(-1, 28, size=15)
+    expected = kernel.smooth(values)[:, np.maximum(policy, 0)] * (policy >= 0)
+    np.testing.assert_allclose(masses @ expected.T, kernel.push(masses, policy) @ values.T, rtol=1e-13)
     table = np.einsum("as,bt->abst", first, second).reshape(28, 15)
     np.testing.assert_allclose(kernel.smooth(values), values @ table.T, rtol=1e-13)
 

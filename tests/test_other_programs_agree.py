@@ -8,9 +8,9 @@ import pytest
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.models.abstraction import AgentModel, abstract
-from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import join
-from certigym.synthesis.search.ascent import Limits, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at
@@ -41,18 +41,18 @@ def test_one_vertex_at_a_time_gives_the_same_value(
             np.testing.assert_allclose(value_at(plain[q], where), value, rtol=0, atol=TOLERANCE * value.max())
 
 
-def small_case(cells: int = 8, horizon: int = 4) -> tuple[cg.Problem, tuple[AgentModel, ...], Laws]:
+def small_case(cells: int = 8, horizon: int = 4) -> tuple[cg.Problem, tuple[AgentModel, ...], Policies]:
     problem = cg.make_problem("reach-avoid-v0", horizon=horizon)
     abstraction = abstract(problem, cells, relation="exact")
     joint = join(problem, abstraction)
-    laws = sweep(joint, resting_laws(joint), None, Limits(0, 0, 0, 10**6), improve=True).laws
-    return problem, abstraction.models, laws
+    policies = sweep(joint, resting_policies(joint), None, Limits(0, 0, 0, 10**6), improve=True).policies
+    return problem, abstraction.models, policies
 
 
 def test_explicit_models_are_the_dense_program() -> None:
-    problem, models, laws = small_case()
-    dense = dense_value(problem, models, laws).ravel()
-    chain = chain_under(problem, models, laws)
+    problem, models, policies = small_case()
+    dense = dense_value(problem, models, policies).ravel()
+    chain = chain_under(problem, models, policies)
     np.testing.assert_allclose(chain.transitions.sum(axis=1), 1.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(chain.reach_within(problem.horizon)[: dense.size], dense, rtol=0, atol=TOLERANCE)
     optimum = decision_process(problem, models).reach_within(problem.horizon)[:-1]
@@ -62,9 +62,9 @@ def test_explicit_models_are_the_dense_program() -> None:
 
 def test_storm_gets_the_same_values() -> None:
     pytest.importorskip("stormpy", reason="needs the extra `storm`")
-    problem, models, laws = small_case()
-    dense = dense_value(problem, models, laws).ravel()
-    chain = storm_model(chain_under(problem, models, laws))
+    problem, models, policies = small_case()
+    dense = dense_value(problem, models, policies).ravel()
+    chain = storm_model(chain_under(problem, models, policies))
     found = storm_reach_within(chain, problem.horizon)[: dense.size]
     np.testing.assert_allclose(found, dense, rtol=0, atol=TOLERANCE)
     process = decision_process(problem, models)

@@ -20,8 +20,8 @@ from certigym.synthesis.models.choices import InputMenu
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.relations.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.scalar import paper_relation
-from certigym.synthesis.search.ascent import Limits, forward, resting_laws, start_value, sweep
-from certigym.validation.paper.heuristics import paper_laws, paper_steps
+from certigym.synthesis.search.ascent import Limits, forward, resting_policies, start_value, sweep
+from certigym.validation.paper.heuristics import paper_policies, paper_steps
 from certigym.validation.statistics.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents
 
@@ -123,8 +123,8 @@ def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None
     problem = two_agents(horizon=5, noise_covariance=[[0.6]]).replace(initial_state=[3.6, 0.4])
     joint = join(problem, abstract(problem, 40, relation="paper", epsilon=0.2))
     start = start_of(problem, joint)
-    laws = resting_laws(joint)
-    theta = undecided_steps(joint, forward(joint, laws, start, Limits(0, 0, 0, 10**6)))
+    policies = resting_policies(joint)
+    theta = undecided_steps(joint, forward(joint, policies, start, Limits(0, 0, 0, 10**6)))
     rng = np.random.default_rng(5)
     n = 20_000
     cells = [np.full(n, int(np.flatnonzero(f[0])[0])) for f in start.terms.factors]
@@ -132,7 +132,7 @@ def test_undecided_steps_are_what_rollouts_of_the_abstract_chain_count() -> None
     for t in range(problem.horizon):
         count += alive
         for i, model in enumerate(joint.models):
-            points = model.choices.points(laws[i][t, 0])
+            points = model.choices.points(policies[i][t, 0])
             table = model.kernel.tables[0].toarray()
             cumulative = np.cumsum(table, axis=1)
             cells[i] = (cumulative[points[np.minimum(cells[i], len(points) - 1)]] < rng.random(n)[:, None]).sum(axis=1)
@@ -167,14 +167,14 @@ def test_bounds_fall_as_delta_grows_and_epsilon_grows() -> None:
     for delta in (None, 0.03, 0.2):
         joint = join(problem, abstract(problem, 64, relation="paper", epsilon=0.1, delta=delta))
         start = start_of(problem, joint)
-        laws = paper_laws(joint, "base")
-        values.append(sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
+        policies = paper_policies(joint, "base")
+        values.append(sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=robust_loss).value)
     assert values[0] > values[1] > values[2] >= 0
     nominal = []
     for epsilon in (0.0625, 0.3, 0.6):
         joint = join(problem, abstract(problem, 64, relation="paper", epsilon=epsilon))
         start = start_of(problem, joint)
-        nominal.append(sweep(joint, resting_laws(joint), start, Limits(0, 0, 0, 10**6), improve=False).value)
+        nominal.append(sweep(joint, resting_policies(joint), start, Limits(0, 0, 0, 10**6), improve=False).value)
     assert nominal[0] >= nominal[1] >= nominal[2]
 
 
@@ -185,8 +185,8 @@ def test_heuristic_steps_are_evaluations_of_their_policies() -> None:
     start = start_of(problem, joint)
     for kind, loss in (("base", None), ("a-posteriori", None), ("robust tree", plain_loss)):
         *_, last = paper_steps(joint, kind)
-        laws = paper_laws(joint, kind)
-        again = sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False, loss=loss)
+        policies = paper_policies(joint, kind)
+        again = sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False, loss=loss)
         assert start_value(start, last.terms) == pytest.approx(again.value, rel=1e-9, abs=1e-13)
         assert all(np.all(depth >= 0) and np.all(depth <= 4) for depth in last.depths)
     with pytest.raises(ValueError, match="kind"):

@@ -134,7 +134,7 @@ def test_combinations_grow_with_the_groups_only() -> None:
     assert [group.members for group in groups] == [(0,), (1,), (2,)]
     tries, runs = Tries(problem, groups, Settings(), "numpy"), []
 
-    def run(abstraction: Any, joint: Any) -> Any:
+    def run(abstraction: Any, joint: Any, relaxations: Any) -> Any:
         runs.append(tuple(model.relation.kind for model in abstraction.models))
         return cg.synthesize(team(), {"car": 40, "cart_0": 16}, relation="quick", max_sweeps=0)
 
@@ -201,7 +201,7 @@ def test_settings_of_relations_that_were_not_kept_do_not_stop_horizons() -> None
 
 def test_stationary_policies_are_compared_too() -> None:
     found = cg.synthesize(cart_reach(cart(), horizon=5), 32, stationary=True)
-    assert len(tried_of(found)) > 1 and all(len(part.law) == 1 for part in found.certificate.agents)
+    assert len(tried_of(found)) > 1 and all(len(part.policy) == 1 for part in found.certificate.agents)
     assert cg.check(found.certificate)
 
 

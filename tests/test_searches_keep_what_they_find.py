@@ -13,13 +13,13 @@ import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.cells.grid import start_share
-from certigym.synthesis.choosing.given_start import laws_from
+from certigym.synthesis.choosing.given_start import policies_from
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search.ascent import Limits, sweep
 from certigym.synthesis.search.best_response import TIE
-from certigym.synthesis.search.policy_search import FINAL, Search, improve, perturbed
+from certigym.synthesis.search.policy_search import FINAL, Search, find_policies, perturbed
 from certigym.synthesis.search.relaxation import relax
 from certigym.synthesis.values.devices import UNIT
 from certigym.validation.statistics.binomial import REFUTED
@@ -28,9 +28,11 @@ from problems import cart, cart_reach, scalar_agent, two_agents
 FALSE_ALARM = 1e-6
 
 
-def measured_gain(joint: JointModel, laws: Laws, problem: cg.Problem) -> float:
+def measured_gain(joint: JointModel, policies: Policies, problem: cg.Problem) -> float:
     gains = [0.0]
-    sweep(joint, laws, start_of(problem, joint), FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
+    sweep(
+        joint, policies, start_of(problem, joint), FINAL, improve=False, watch=lambda stage: gains.append(stage.gain())
+    )
     return max(gains)
 
 
@@ -39,13 +41,13 @@ def at_start(problem: cg.Problem, joint: JointModel, dense: np.ndarray) -> float
     return float(dense[(problem.initial_q, *cells)])
 
 
-def brute_gain(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
+def brute_gain(problem: cg.Problem, joint: JointModel, policies: Policies) -> float:
     """The largest gain of one agent at one time and state: every cell tries every target, one at a time.
 
     Cells of one agent at one time and state exclude one another, so the gains of its cells add up.
     """
     models = list(joint.models)
-    value = at_start(problem, joint, dense_value(problem, models, laws))
+    value = at_start(problem, joint, dense_value(problem, models, policies))
     most = 0.0
     for i, model in enumerate(models):
         for t in range(joint.horizon):
@@ -54,7 +56,7 @@ def brute_gain(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
                 for s in range(model.n_cells):
                     best = 0.0
                     for z in range(int(model.choices.low[s, 0]), int(model.choices.high[s, 0])):  # type: ignore[union-attr]
-                        changed = [law.copy() for law in laws]
+                        changed = [policy.copy() for policy in policies]
                         changed[i][t, q, s] = z
                         best = max(best, at_start(problem, joint, dense_value(problem, models, tuple(changed))) - value)
                     total += best
@@ -66,13 +68,13 @@ def brute_gain(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
 def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> None:
     problem = two_agents(formula, horizon=2)
     joint = join(problem, abstract(problem, 8))
-    found = improve(problem, joint, Search())
-    best = found.best.laws
+    found = find_policies(problem, joint, Search())
+    best = found.best.policies
     assert found.unilateral_gain is not None and found.unilateral_gain < 1e-9
     assert brute_gain(problem, joint, best) < found.unilateral_gain + 1e-9
-    spoiled = [law.copy() for law in best]
-    for law, model in zip(spoiled, joint.models, strict=True):  # all go down as far as they can
-        law[:] = np.where(law >= 0, model.choices.low[:, 0], law)  # type: ignore[union-attr]
+    spoiled = [policy.copy() for policy in best]
+    for policy, model in zip(spoiled, joint.models, strict=True):  # all go down as far as they can
+        policy[:] = np.where(policy >= 0, model.choices.low[:, 0], policy)  # type: ignore[union-attr]
     expected = brute_gain(problem, joint, tuple(spoiled))
     assert expected > 1e-4
     assert measured_gain(joint, tuple(spoiled), problem) == pytest.approx(expected, rel=1e-6)
@@ -92,11 +94,11 @@ def test_further_starts_never_lower_the_bound(problem_id: str) -> None:
 
 
 def test_perturbed_plans_are_the_plans_of_other_times() -> None:
-    law = np.arange(6 * 2 * 3, dtype=np.int32).reshape(6, 2, 3)
+    policy = np.arange(6 * 2 * 3, dtype=np.int32).reshape(6, 2, 3)
     for seed in range(20):
-        (moved,) = perturbed((law,), np.random.default_rng(seed))
+        (moved,) = perturbed((policy,), np.random.default_rng(seed))
         times = moved[:, 0, 0] // 6
-        np.testing.assert_array_equal(moved, law[times])
+        np.testing.assert_array_equal(moved, policy[times])
         assert np.all(np.abs(times - np.arange(6)) <= 2)
 
 
@@ -117,17 +119,17 @@ def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
 def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
     problem = cg.make_problem("reach-avoid-v0").replace(horizon=5)
     certificate = cg.synthesize(problem, 20).certificate
-    laws = [part.law for part in certificate.agents]
+    policies = [part.policy for part in certificate.agents]
     longer, shorter = problem.replace(horizon=7), problem.replace(horizon=3)
-    kept = laws_from(certificate, longer, abstract(longer, 20))
+    kept = policies_from(certificate, longer, abstract(longer, 20))
     left, gone = kept["given start by time left"], kept["given start by time gone"]
-    for law, a, b in zip(laws, left, gone, strict=True):
-        np.testing.assert_array_equal(a, law[[0, 0, 0, 1, 2, 3, 4]])
-        np.testing.assert_array_equal(b, law[[0, 1, 2, 3, 4, 4, 4]])
-    kept = laws_from(certificate, shorter, abstract(shorter, 20))
-    for law, a, b in zip(laws, *kept.values(), strict=True):
-        np.testing.assert_array_equal(a, law[2:])
-        np.testing.assert_array_equal(b, law[:3])
+    for policy, a, b in zip(policies, left, gone, strict=True):
+        np.testing.assert_array_equal(a, policy[[0, 0, 0, 1, 2, 3, 4]])
+        np.testing.assert_array_equal(b, policy[[0, 1, 2, 3, 4, 4, 4]])
+    kept = policies_from(certificate, shorter, abstract(shorter, 20))
+    for policy, a, b in zip(policies, *kept.values(), strict=True):
+        np.testing.assert_array_equal(a, policy[2:])
+        np.testing.assert_array_equal(b, policy[:3])
     with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
         cg.synthesize(longer, 30, start=certificate)
     with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
@@ -162,7 +164,7 @@ def test_stationary_policies_are_certified_checked_and_simulated(problem_id: str
     problem = cg.make_problem(problem_id)
     result = cg.synthesize(problem, 40, stationary=True)
     certificate = result.certificate
-    assert certificate.stationary and all(len(part.law) == 1 for part in certificate.agents)
+    assert certificate.stationary and all(len(part.policy) == 1 for part in certificate.agents)
     assert certificate.lower_bound <= float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
     cg.save_certificate(certificate, tmp_path / "stationary.npz")
     loaded = cg.load_certificate(tmp_path / "stationary.npz")
@@ -176,8 +178,8 @@ def test_the_value_of_a_stationary_policy_is_that_of_dense_programming() -> None
     problem = two_agents(horizon=6)
     joint = join(problem, abstract(problem, 12))
     certificate = cg.synthesize(problem, 12, stationary=True).certificate
-    laws = tuple(np.repeat(part.law, 6, axis=0) for part in certificate.agents)
-    value = at_start(problem, joint, dense_value(problem, list(joint.models), laws))
+    policies = tuple(np.repeat(part.policy, 6, axis=0) for part in certificate.agents)
+    value = at_start(problem, joint, dense_value(problem, list(joint.models), policies))
     assert certificate.lower_bound == pytest.approx(value, rel=1e-8)
     assert value <= at_start(problem, joint, dense_optimum(problem, list(joint.models))) * (1 + 64 * UNIT)
 

@@ -12,12 +12,12 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.models.abstraction import abstract
-from certigym.synthesis.models.choices import Laws
+from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search import policy_search
-from certigym.synthesis.search.ascent import resting_laws, sweep
+from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.policy_search import FINAL
-from certigym.synthesis.search.relaxation import relax, relaxed_laws, upper_bound
+from certigym.synthesis.search.relaxation import relax, relaxed_policies, upper_bound
 from certigym.synthesis.search.train_ascent import sweep_trains
 from certigym.synthesis.search.train_backward import evaluate
 from certigym.synthesis.values.tensor_train import Diagram, Train, added, diagram, rounded
@@ -89,18 +89,18 @@ def test_a_complement_needs_two_nodes_however_many_cubes_it_has() -> None:
     assert [len(table) for table in parts[0][1].following] == [1, 2, 2, 2]
 
 
-def a_team(n_agents: int, formula: str, semantics: str) -> tuple[cg.Problem, JointModel, Laws]:
+def a_team(n_agents: int, formula: str, semantics: str) -> tuple[cg.Problem, JointModel, Policies]:
     problem = problem_of(n_agents, formula, semantics, 4)
     joint = join(problem, abstract(problem, 12))
-    return problem, joint, relaxed_laws(relax(problem, joint))
+    return problem, joint, relaxed_policies(relax(problem, joint))
 
 
 @pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-2, 0.2])
 def test_values_are_within_their_error_of_dense_programming(formula: str, semantics: str, tolerance: float) -> None:
-    problem, joint, laws = a_team(3, formula, semantics)
-    exact = dense_value(problem, list(joint.models), laws)
-    value = evaluate(joint, laws, tolerance)
+    problem, joint, policies = a_team(3, formula, semantics)
+    exact = dense_value(problem, list(joint.models), policies)
+    value = evaluate(joint, policies, tolerance)
     cells = np.stack(np.meshgrid(*(np.arange(n) for n in joint.n_cells), indexing="ij"), axis=-1).reshape(-1, 3)
     for q, train in enumerate(value.states):
         if problem.automaton.dead[q]:
@@ -113,10 +113,10 @@ def test_values_are_within_their_error_of_dense_programming(formula: str, semant
 
 
 def test_leaving_cells_out_only_takes_away() -> None:
-    problem, joint, laws = a_team(2, *FORMULAS[0])
-    exact = dense_value(problem, list(joint.models), laws)
+    problem, joint, policies = a_team(2, *FORMULAS[0])
+    exact = dense_value(problem, list(joint.models), policies)
     visited = [tuple(np.arange(2, 9) for _ in joint.models)] * 5
-    value = evaluate(joint, laws, 1e-9, visited=visited)
+    value = evaluate(joint, policies, 1e-9, visited=visited)
     cells = np.stack(np.meshgrid(*(np.arange(n) for n in joint.n_cells), indexing="ij"), axis=-1).reshape(-1, 2)
     for q in range(joint.n_states):
         assert np.all(value.at(q, cells) <= exact[q].astype(float).ravel())
@@ -250,9 +250,9 @@ def test_tampered_certificates_on_trains_are_refused(certified: cg.Synthesis, wr
 def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     problem = cyclic()
     joint = join(problem, abstract(problem, 48))
-    start, laws = start_of(problem, joint), relaxed_laws(relax(problem, joint))
-    coarse = sweep_trains(joint, laws, start, 0.05, improve=False, share=0.0)
-    fine = sweep_trains(joint, laws, start, 1e-6, improve=False, share=0.0)
+    start, policies = start_of(problem, joint), relaxed_policies(relax(problem, joint))
+    coarse = sweep_trains(joint, policies, start, 0.05, improve=False, share=0.0)
+    fine = sweep_trains(joint, policies, start, 1e-6, improve=False, share=0.0)
     assert abs(coarse.value - fine.value) <= coarse.terms.error + fine.terms.error
     assert coarse.rank <= fine.rank
 
@@ -260,21 +260,21 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
 @pytest.mark.parametrize(("formula", "semantics"), FORMULAS)
 @pytest.mark.parametrize("n_agents", [1, 2, 3])
 def test_what_one_agent_could_gain_is_what_it_is_on_trees(n_agents: int, formula: str, semantics: str) -> None:
-    problem, joint, laws = a_team(n_agents, formula, semantics)
-    compare_gains(problem, joint, laws)
+    problem, joint, policies = a_team(n_agents, formula, semantics)
+    compare_gains(problem, joint, policies)
 
 
 def test_on_cyclic_tasks_too() -> None:
     problem = cyclic(2)
     joint = join(problem, abstract(problem, 24))
-    assert compare_gains(problem, joint, resting_laws(joint)) > 1e-6
+    assert compare_gains(problem, joint, resting_policies(joint)) > 1e-6
 
 
-def compare_gains(problem: cg.Problem, joint: JointModel, laws: Laws) -> float:
+def compare_gains(problem: cg.Problem, joint: JointModel, policies: Policies) -> float:
     start = start_of(problem, joint)
     on_trees, on_trains = [0.0], [0.0]
-    sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: on_trees.append(stage.gain()))
-    sweep_trains(joint, laws, start, 1e-9, improve=False, share=0.0, watch=on_trains.append)
+    sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: on_trees.append(stage.gain()))
+    sweep_trains(joint, policies, start, 1e-9, improve=False, share=0.0, watch=on_trains.append)
     assert max(on_trains) == pytest.approx(max(on_trees), rel=1e-2, abs=1e-9)
     return max(on_trees)
 

@@ -16,7 +16,7 @@ from certigym.synthesis.models.abstraction import AgentModel, abstract
 from certigym.synthesis.models.choices import TargetWindows
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import cell_masks, join, start_of
-from certigym.synthesis.search.ascent import Limits, forward, resting_laws, sweep
+from certigym.synthesis.search.ascent import Limits, forward, resting_policies, sweep
 from certigym.synthesis.search.tree import assemble, candidates, gather, terminal_terms
 from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent
@@ -47,12 +47,12 @@ def problem_of(n_agents: int, formula: str, semantics: str, horizon: int) -> Pro
 
 @st.composite
 def exact_problems(draw: Any) -> tuple[Problem, list[AgentModel], tuple[np.ndarray, ...]]:
-    """Problems with random exact kernels, random label sets per cell (robust automaton) and random laws."""
+    """Problems with random exact kernels, random label sets per cell (robust automaton) and random policies."""
     n_agents = draw(st.integers(1, 3))
     formula, semantics = draw(st.sampled_from(FORMULAS))
     horizon = draw(st.integers(1, 4))
     problem = problem_of(n_agents, formula, semantics, horizon)
-    models, laws = [], []
+    models, policies = [], []
     for i in range(n_agents):
         n_cells, n_lattice = draw(st.integers(2, 4)), draw(st.integers(1, 3))
         row = st.lists(st.integers(0, 5), min_size=n_cells, max_size=n_cells)
@@ -64,12 +64,12 @@ def exact_problems(draw: Any) -> tuple[Problem, list[AgentModel], tuple[np.ndarr
         models.append(exact_model(problem, i, fractions(weights, 5 * n_cells), labels, sets))
         shape = (horizon, problem.automaton.n_states, n_cells)
         size = int(np.prod(shape))
-        law = draw(st.lists(st.integers(-1, n_lattice - 1), min_size=size, max_size=size))
-        laws.append(np.array(law, dtype=np.int32).reshape(shape))
-    return problem, models, tuple(laws)
+        policy = draw(st.lists(st.integers(-1, n_lattice - 1), min_size=size, max_size=size))
+        policies.append(np.array(policy, dtype=np.int32).reshape(shape))
+    return problem, models, tuple(policies)
 
 
-def tree_value(problem: Problem, models: list[AgentModel], laws: tuple[np.ndarray, ...]) -> Terms:
+def tree_value(problem: Problem, models: list[AgentModel], policies: tuple[np.ndarray, ...]) -> Terms:
     """The value tree without pruning, on whatever numbers the kernels hold."""
     automaton = problem.automaton
     guards = compile_guards(problem, [model.labels.sets for model in models])
@@ -85,7 +85,7 @@ def tree_value(problem: Problem, models: list[AgentModel], laws: tuple[np.ndarra
                     ([np.ones((1, n), dtype=object) for n in n_cells], np.zeros((1, len(models)), dtype=np.int64))
                 )
             else:
-                parts.append(([gather(s, laws[i][t, q]) for i, s in enumerate(options.smoothed)], options.index[q]))
+                parts.append(([gather(s, policies[i][t, q]) for i, s in enumerate(options.smoothed)], options.index[q]))
         terms = assemble(parts, n_cells, dtype=object)
     return terms
 
@@ -95,9 +95,9 @@ def tree_value(problem: Problem, models: list[AgentModel], laws: tuple[np.ndarra
 def test_the_tree_is_the_dense_value_in_exact_rationals(
     case: tuple[Problem, list[AgentModel], tuple[np.ndarray, ...]],
 ) -> None:
-    problem, models, laws = case
-    dense = dense_value(problem, models, laws)
-    terms = tree_value(problem, models, laws)
+    problem, models, policies = case
+    dense = dense_value(problem, models, policies)
+    terms = tree_value(problem, models, policies)
     joint = np.stack(np.meshgrid(*(np.arange(m.n_cells) for m in models), indexing="ij"), axis=-1).reshape(
         -1, len(models)
     )
@@ -118,21 +118,21 @@ def test_the_ascent_reports_the_value_of_the_policy_it_returns(formula: str, sem
     abstraction = abstract(problem, 24)
     joint = join(problem, abstraction)
     start = start_of(problem, joint)
-    found = sweep(joint, resting_laws(joint), None, Limits(0, 0, 0, 10**6), improve=True)
-    found = sweep(joint, found.laws, start, Limits(0, 0, 0, 10**6), improve=True)
-    dense = dense_value(problem, abstraction.models, found.laws)
+    found = sweep(joint, resting_policies(joint), None, Limits(0, 0, 0, 10**6), improve=True)
+    found = sweep(joint, found.policies, start, Limits(0, 0, 0, 10**6), improve=True)
+    dense = dense_value(problem, abstraction.models, found.policies)
     q = problem.initial_q
     cells = tuple(int(np.flatnonzero(f[0])[0]) for f in start.terms.factors)
     assert found.value == pytest.approx(dense[(q, *cells)], rel=1e-12, abs=1e-300)
     assert found.value <= dense_optimum(problem, abstraction.models)[(q, *cells)] * (1 + 1e-12)
 
 
-def random_law(model: AgentModel, law: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def random_law(model: AgentModel, policy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Admissible targets drawn at random wherever there are any."""
     windows = model.choices
     assert isinstance(windows, TargetWindows)
-    drawn = rng.integers(windows.low[:, 0], windows.high[:, 0], size=law.shape)
-    return np.asarray(np.where(law < 0, law, drawn).astype(np.int32))
+    drawn = rng.integers(windows.low[:, 0], windows.high[:, 0], size=policy.shape)
+    return np.asarray(np.where(policy < 0, policy, drawn).astype(np.int32))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -142,11 +142,11 @@ def test_without_pruning_a_sweep_never_lowers_the_value(seed: int) -> None:
     joint = join(problem, abstract(problem, 24))
     start = start_of(problem, joint)
     rng = np.random.default_rng(seed)
-    laws = tuple(random_law(model, law, rng) for law, model in zip(resting_laws(joint), joint.models))
-    values = [sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False).value]
+    policies = tuple(random_law(model, policy, rng) for policy, model in zip(resting_policies(joint), joint.models))
+    values = [sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False).value]
     for _ in range(4):
-        result = sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=True)
-        laws = result.laws
+        result = sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=True)
+        policies = result.policies
         values.append(result.value)
     assert all(b >= a * (1 - 1e-12) for a, b in zip(values, values[1:])), values
     assert (
@@ -159,7 +159,7 @@ def test_a_single_agent_reaches_the_optimum_of_its_abstraction() -> None:
     abstraction = abstract(problem, 40)
     joint = join(problem, abstraction)
     start = start_of(problem, joint)
-    found = sweep(joint, resting_laws(joint), start, Limits(), improve=True)
+    found = sweep(joint, resting_policies(joint), start, Limits(), improve=True)
     best = dense_optimum(problem, abstraction.models)[
         problem.initial_q, int(np.flatnonzero(start.terms.factors[0][0])[0])
     ]
@@ -172,9 +172,9 @@ def test_pruning_only_lowers_the_value_and_by_no_more_than_it_says(share: float)
     problem = problem_of(2, "(!p0 | !p2) U p1", "co-safe", 7).replace(initial_state=[3.5, 0.2])
     joint = join(problem, abstract(problem, 32))
     start = start_of(problem, joint)
-    laws = sweep(joint, resting_laws(joint), None, Limits(), improve=True).laws
-    full = sweep(joint, laws, start, Limits(0, 0, 0, 10**6), improve=False)
-    pruned = sweep(joint, laws, start, Limits(share, 1.0, share, 10**6), improve=False)
+    policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
+    full = sweep(joint, policies, start, Limits(0, 0, 0, 10**6), improve=False)
+    pruned = sweep(joint, policies, start, Limits(share, 1.0, share, 10**6), improve=False)
     assert pruned.rank < full.rank
     assert pruned.value <= full.value <= pruned.value + pruned.dropped
     assert pruned.dropped <= 20 * share
@@ -184,9 +184,9 @@ def test_alive_mass_never_exceeds_one_and_counts_what_it_drops() -> None:
     problem = problem_of(2, "(!p0 | !p2) U p1", "co-safe", 6).replace(initial_state=[3.5, 0.2])
     joint = join(problem, abstract(problem, 32))
     start = start_of(problem, joint)
-    laws = resting_laws(joint)
-    whole = forward(joint, laws, start, Limits(0, 0, 0, 10**6))
-    cut = forward(joint, laws, start, Limits(0, 0, 1e-2, 10**6))
+    policies = resting_policies(joint)
+    whole = forward(joint, policies, start, Limits(0, 0, 0, 10**6))
+    cut = forward(joint, policies, start, Limits(0, 0, 1e-2, 10**6))
     for a, b in zip(whole, cut):
         mass = [sum(o.masses(q).sum() for q in range(joint.n_states)) for o in (a, b)]
         assert mass[1] * (1 - 1e-12) <= mass[0] <= min(1.0, mass[1] + b.leftover) * (1 + 1e-12)
@@ -210,8 +210,8 @@ def test_two_dimensional_agents_agree_with_dense_programming() -> None:
     abstraction = abstract(problem, {"plane": [8, 8], "line": 8})
     joint = join(problem, abstraction)
     start = start_of(problem, joint)
-    found = sweep(joint, resting_laws(joint), start, Limits(0, 0, 0, 10**6), improve=True)
-    dense = dense_value(problem, abstraction.models, found.laws)
+    found = sweep(joint, resting_policies(joint), start, Limits(0, 0, 0, 10**6), improve=True)
+    dense = dense_value(problem, abstraction.models, found.policies)
     cells = tuple(int(np.flatnonzero(f[0])[0]) for f in start.terms.factors)
     assert found.value == pytest.approx(dense[(problem.initial_q, *cells)], rel=1e-12)
     assert found.value > 0.05

@@ -49,7 +49,7 @@ def truth(certificate: Certificate, cells: int) -> float:
     """What the certificate's policies attain from a point, by dense programming."""
     problem = certificate.problem
     models = abstract(problem, cells).models
-    dense = dense_value(problem, models, tuple(part.law for part in certificate.agents))
+    dense = dense_value(problem, models, tuple(part.policy for part in certificate.agents))
     where = [int(m.grid.cell_of(a.initial.low[:, None])[0]) for m, a in zip(models, problem.agents, strict=True)]
     return float(dense[(problem.initial_q, *where)])
 
@@ -83,7 +83,7 @@ def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
     """Controllers go on where policies have no choice; 40,000 rollouts, seed 2: refuted with probability 1e-6."""
     problem = two_agents("F (a & d)", horizon=6, B=[[0.35]], input_low=[-0.32], input_high=[0.32])
     certificate = cg.synthesize(problem, 16, value=value).certificate
-    assert any(np.any(part.law < 0) for part in certificate.agents)
+    assert any(np.any(part.policy < 0) for part in certificate.agents)
     assert certificate.gap is not None and certificate.gap > 1e-3
     report = cg.check(certificate)
     assert report and report.above is not None and report.above > report.recomputed + 1e-3
@@ -95,21 +95,21 @@ def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
 def a_team() -> tuple[cg.Problem, JointModel, Any]:
     problem = two_agents("F (a & F c)", horizon=4, **WEAK)
     joint = join(problem, abstract(problem, 16))
-    laws = tuple(np.tile(model.choices.resting_law, (4, joint.n_states, 1)) for model in joint.models)
-    return problem, joint, laws
+    policies = tuple(np.tile(model.choices.resting_choice, (4, joint.n_states, 1)) for model in joint.models)
+    return problem, joint, policies
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_cells_left_out_are_counted_from_above(seed: int) -> None:
     """Whatever cells trains leave out, the closed loop lies between both sides; choices are random, some missing."""
-    problem, joint, laws = a_team()
+    problem, joint, policies = a_team()
     rng = np.random.default_rng(seed)
-    laws = tuple(rng.integers(0, len(m.lattice[0]), size=law.shape).astype(np.int32)
-                 for m, law in zip(joint.models, laws, strict=True))  # fmt: skip
-    dense = dense_value(problem, joint.models, laws)
+    policies = tuple(rng.integers(0, len(m.lattice[0]), size=policy.shape).astype(np.int32)
+                 for m, policy in zip(joint.models, policies, strict=True))  # fmt: skip
+    dense = dense_value(problem, joint.models, policies)
     visited = [tuple(np.flatnonzero(rng.random(n) < 0.7) for n in joint.n_cells) for _ in range(5)]
-    above = evaluate_above(joint, laws, Rounding(1e-9, tuple(visited)))
-    below = evaluate(joint, laws, 1e-9, visited=visited)
+    above = evaluate_above(joint, policies, Rounding(1e-9, tuple(visited)))
+    below = evaluate(joint, policies, 1e-9, visited=visited)
     cells = np.stack(np.meshgrid(*visited[0], indexing="ij"), axis=-1).reshape(-1, 2)
     differences = []
     for q, train in enumerate(above.states):
@@ -121,7 +121,7 @@ def test_cells_left_out_are_counted_from_above(seed: int) -> None:
         if not (problem.automaton.accepting[q] or problem.automaton.dead[q]):
             differences.append(np.max(train.at(cells) - exactly))
     assert max(differences) > 1e-3
-    everything = evaluate_above(joint, laws, Rounding(1e-9, (None,) * 5))
+    everything = evaluate_above(joint, policies, Rounding(1e-9, (None,) * 5))
     start = start_of(problem, joint)
     exact = sum(float(own[0] @ dense[q] @ other[0]) for q, rows in enumerate(start.terms.index) if len(rows)
                 for own, other in [start.terms.factors])  # fmt: skip
@@ -129,8 +129,8 @@ def test_cells_left_out_are_counted_from_above(seed: int) -> None:
 
 
 def test_what_rounding_may_have_taken_is_counted() -> None:
-    problem, joint, laws = a_team()
-    start, value = start_of(problem, joint), evaluate_above(joint, laws, Rounding(1e-9, (None,) * 5))
+    problem, joint, policies = a_team()
+    start, value = start_of(problem, joint), evaluate_above(joint, policies, Rounding(1e-9, (None,) * 5))
     coarse = Trains(tuple(None if train is None else replace(train, error=0.01) for train in value.states))
     assert start_above(start, coarse) == pytest.approx(start_value(start, value) + 0.01, abs=1e-8)
 
@@ -147,9 +147,9 @@ def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: st
 
 
 def test_the_start_may_lie_outside_of_what_trains_cover() -> None:
-    problem, joint, laws = a_team()
+    problem, joint, policies = a_team()
     away = tuple(np.arange(3) for _ in joint.models)
-    above = evaluate_above(joint, laws, Rounding(1e-9, (away,) * 5))
+    above = evaluate_above(joint, policies, Rounding(1e-9, (away,) * 5))
     assert start_above(start_of(problem, joint), above) == pytest.approx(1.0)
 
 

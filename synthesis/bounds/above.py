@@ -19,25 +19,25 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import JointModel, Laws
+from ..models import JointModel, Policies
 from ..search import backward
 from ..values import Rounding, Train, Trains, counted_as_failed, routes
 
 
 def evaluate_above(
-    joint: JointModel, laws: Laws, rounding: Rounding, each: Callable[[int, Trains], None] | None = None
+    joint: JointModel, policies: Policies, rounding: Rounding, each: Callable[[int, Trains], None] | None = None
 ) -> Trains:
     """Function U of the module's text at time 0, rounded as the lower bound is; each read with its error added."""
 
     def beside(t: int, q: int) -> Train | None:
-        points = [model.choices.points(law[t, q]) for model, law in zip(joint.models, laws, strict=True)]
+        points = [model.choices.points(policy[t, q]) for model, policy in zip(joint.models, policies, strict=True)]
         smooth = [model.kernel.smooth for model in joint.models]
         return counted_as_failed(points, smooth, joint.n_cells, rounding.visited[t], rounding.visited[t + 1])
 
     ways = routes(joint.guards, joint.masks, joint.n_states)
-    choose = partial(_frozen, laws)
+    choose = partial(_frozen, policies)
     return backward(joint, ways, choose, rounding.tolerance, each, rounding.visited, beside)
 
 
-def _frozen(laws: Laws, t: int, q: int, _: Train) -> list[NDArray[np.int32]]:
-    return [law[t, q] for law in laws]
+def _frozen(policies: Policies, t: int, q: int, _: Train) -> list[NDArray[np.int32]]:
+    return [policy[t, q] for policy in policies]

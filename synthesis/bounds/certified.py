@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel, JointModel, Laws
+from ..models import AgentModel, JointModel, Policies
 from ..relations import joint_delta
 from ..search import Sweep, TrainSweep
 from ..values import UNIT, Occupancy
@@ -117,8 +117,8 @@ def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> floa
     return total * INFLATE
 
 
-def stranded_mass(joint: JointModel, laws: Laws, occupancies: Sequence[Occupancy]) -> float:
-    """Upper bound on the probability of ever being undecided in a cell whose law has no choice."""
+def stranded_mass(joint: JointModel, policies: Policies, occupancies: Sequence[Occupancy]) -> float:
+    """Upper bound on the probability of ever being undecided in a cell whose policy has no choice."""
     missing = sum(model.kernel.loss for model in joint.models)
     total = 0.0
     for t, occupancy in enumerate(occupancies):
@@ -128,7 +128,7 @@ def stranded_mass(joint: JointModel, laws: Laws, occupancies: Sequence[Occupancy
                 continue
             whole = np.array([own.sum(axis=1)[rows[:, i]] for i, own in enumerate(occupancy.terms.factors)])
             for i, own in enumerate(occupancy.terms.factors):
-                idle = own[:, laws[i][t, q] < 0].sum(axis=1)[rows[:, i]]
+                idle = own[:, policies[i][t, q] < 0].sum(axis=1)[rows[:, i]]
                 total += float((idle * np.prod(np.delete(whole, i, axis=0), axis=0)).sum())
     return total * INFLATE
 

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ..models import AgentModel, InputMenu, Laws, TargetWindows
+from ..models import AgentModel, InputMenu, Policies, TargetWindows
 
 FAILED = -1
 MAX_ENTRIES = 50_000_000
 """Most entries of one dense array."""
 
 
-def dense_value(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> NDArray:
-    """Value (Q, S_1, .., S_I) at time 0 of the abstraction under ``laws`` (exact for exact tables).
+def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Policies) -> NDArray:
+    """Value (Q, S_1, .., S_I) at time 0 of the abstraction under ``policies`` (exact for exact tables).
 
     Raises
     ------
@@ -38,8 +38,8 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], laws: Laws) -> N
         for q in range(len(value)):
             expected = _read(problem, value, outcome[q])
             for i, table in enumerate(transitions):
-                law = models[i].choices.points(laws[i][t, q])
-                matrix = table[np.maximum(law, 0)] * (law >= 0)[:, None]
+                policy = models[i].choices.points(policies[i][t, q])
+                matrix = table[np.maximum(policy, 0)] * (policy >= 0)[:, None]
                 expected = np.moveaxis(np.tensordot(matrix, expected, axes=(1, i)), 0, i)
             following[q] = expected
         value = _absorb(problem, following)

@@ -7,11 +7,11 @@ from .lookup import axis_finder, cell_finder
 from .refusal import RelationRefused
 
 __all__ = [
-    "RelationRefused",
     "CellLabels",
     "Cells",
     "FloatArray",
     "Grid",
+    "RelationRefused",
     "agent_grid",
     "axis_finder",
     "cell_finder",

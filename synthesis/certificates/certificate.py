@@ -115,13 +115,13 @@ class Certificate:
     def controller(self) -> Controller:
         """The controllers the bound belongs to."""
         parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
-        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.law, p.menu) for a, p, r in parts)
+        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.policy, p.menu) for a, p, r in parts)
         return Controller(self.problem, tuple(controllers))
 
     @property
     def stationary(self) -> bool:
         """Whether no agent looks at the time."""
-        return all(len(part.law) == 1 for part in self.agents)
+        return all(len(part.policy) == 1 for part in self.agents)
 
     @property
     def unbounded(self) -> float | None:

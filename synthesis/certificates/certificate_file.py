@@ -231,7 +231,7 @@ def _put_agent(pool: _Pool, part: AgentPart) -> dict[str, Any]:
         "relation": part.relation,
         "masks": pool.put(part.masks),
         "start_masks": pool.put(part.start_masks),
-        "law": pool.put(part.law),
+        "law": pool.put(part.policy),
         "menu": None if part.menu is None else pool.put(part.menu),
     }
 

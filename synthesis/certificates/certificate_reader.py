@@ -117,7 +117,7 @@ class CertificateReader:
             relation=entry["relation"],
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
             start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
-            law=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
+            policy=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
             menu=menu,
         )
 

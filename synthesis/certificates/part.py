@@ -28,7 +28,7 @@ class AgentPart:
         Means per axis.
     masks, start_masks : (K, S), (K0, S) bool arrays
         Factors of the guards on the cells, for arriving and for starting in them.
-    law : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
+    policy : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
         Choice of each cell, -1 for none: a lattice point (``exact``) or an input (all others).
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to.
@@ -40,7 +40,7 @@ class AgentPart:
     lattice: tuple[FloatArray, ...]
     masks: NDArray[np.bool_]
     start_masks: NDArray[np.bool_]
-    law: NDArray[np.int32]
+    policy: NDArray[np.int32]
     menu: NDArray[np.int32] | None = None
 
     def relation_of(self, agent: LinearAgent) -> Relation:
@@ -49,11 +49,11 @@ class AgentPart:
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
-        law = self.law[min(t, len(self.law) - 1), q]
+        policy = self.policy[min(t, len(self.policy) - 1), q]
         if self.menu is None:
-            return law
-        chosen = np.take_along_axis(self.menu, np.maximum(law, 0)[:, None].astype(np.int64), axis=1)[:, 0]
-        return np.where(law < 0, -1, chosen)
+            return policy
+        chosen = np.take_along_axis(self.menu, np.maximum(policy, 0)[:, None].astype(np.int64), axis=1)[:, 0]
+        return np.where(policy < 0, -1, chosen)
 
     @property
     def lattice_shape(self) -> tuple[int, ...]:

@@ -216,7 +216,7 @@ def _check_relations(certificate: Certificate) -> list[str]:
     seen: set[object] = set()
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
-        arrays += [part.coordinates, part.law, *part.lattice, *([] if part.menu is None else [part.menu])]
+        arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (id(part.grid), json.dumps(part.relation, sort_keys=True), *(own.tobytes() for own in arrays))
         if key not in seen:
             seen.add(key)

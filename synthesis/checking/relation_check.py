@@ -50,13 +50,13 @@ def _verify_exact(agent: LinearAgent, part: AgentPart) -> list[str]:
     if np.max(np.abs(B @ to_input - np.eye(len(B)))) > 1e-9:
         return ["its inputs do not reach every mean"]
     spread = part.grid.half_widths @ np.abs(to_input @ A).T
-    rows = part.law.reshape(-1, part.law.shape[-1])
-    for law in np.unique(rows, axis=0) if len(rows) > 1 else rows:
-        index = np.unravel_index(np.maximum(law, 0), tuple(len(axis) for axis in part.lattice))
+    rows = part.policy.reshape(-1, part.policy.shape[-1])
+    for policy in np.unique(rows, axis=0) if len(rows) > 1 else rows:
+        index = np.unravel_index(np.maximum(policy, 0), tuple(len(axis) for axis in part.lattice))
         goal = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
         inputs = (goal - part.grid.centres @ A.T - offset - B @ middle) @ to_input.T + middle
         beyond = (inputs - spread < agent.input_box.low) | (inputs + spread > agent.input_box.high)
-        if np.any(beyond & (law >= 0)[:, None]):
+        if np.any(beyond & (policy >= 0)[:, None]):
             return ["it is asked for inputs beyond its input box"]
     return []
 

@@ -1,8 +1,8 @@
 """The upper end of a certificate's claim, verified: its policies attain no more than ``lower_bound + gap``.
 
 A bound from above needs more than one from below. Nothing may be lost anywhere: every agent puts its mean exactly where
-its law says, every cell has one class, grids tile the workspaces, and the guards out of an automaton state cover *all*
-joint cells that lead to each of its successors. Guards are disjoint and lead where they say, or to acceptance
+its policy says, every cell has one class, grids tile the workspaces, and the guards out of an automaton state cover
+*all* joint cells that lead to each of its successors. Guards are disjoint and lead where they say, or to acceptance
 (``check``), so that covering all is a matter of counting: a guard's joint cells are a product, and those that lead to a
 successor are counted agent by agent through the decision diagram, both in whole numbers.
 
@@ -37,7 +37,7 @@ def inexact(certificate: Certificate) -> list[str]:
         possible = problem.labeling.box_classes(i, part.grid.low, part.grid.high)
         tiles = np.array_equal(part.coordinates, np.eye(len(part.coordinates)))
         if part.relation["kind"] != "exact" or not tiles or np.any(possible.sum(axis=1) != 1):
-            return [f"{claim}agent `{agent.name}` does not follow its law exactly, or a cell has no certain class"]
+            return [f"{claim}agent `{agent.name}` does not follow its policy exactly, or a cell has no certain class"]
         classes.append(problem.labeling.classes[i][possible.argmax(axis=1)])
     arriving = [part.masks.sum(axis=1).tolist() for part in agents]
     starting = [part.start_masks.sum(axis=1).tolist() for part in agents]

@@ -1,12 +1,13 @@
 """Which relation, which cells, and from which policies to start."""
 
-from .cell_choice import refine
-from .given_start import laws_from
+from .cell_choice import Budget, refine
+from .given_start import policies_from
 from .relation_choice import Tries, groups_of
 
 __all__ = [
+    "Budget",
     "Tries",
     "groups_of",
-    "laws_from",
+    "policies_from",
     "refine",
 ]

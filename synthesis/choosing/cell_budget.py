@@ -10,8 +10,8 @@ preferred
   widths h the means of axis k lie on the multiples of ``h_k / q`` where ``A_kj h_j / h_k`` has the denominator q. For
   position and velocity, ``p' = p + s v``, cells of width ``h_v = h_p / s`` (or twice that) have q = 1 (or 2).
 
-Memory is estimated from the shapes of tables, laws and menus; what the value function takes is not known beforehand and
-is scaled from a run with fewer cells (see ``refine``).
+Memory is estimated from the shapes of tables, policies and menus; what the value function takes is not known beforehand
+and is scaled from a run with fewer cells (see ``refine``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import region_boundaries
-from ..models import BAND_BYTES, BLOCK, FINE, REACH, Relations
+from ..models import BAND_BYTES, BLOCK, FINE, REACH
 from ..relations import coupling_failure
 
 Shape = tuple[int, ...]
@@ -52,7 +52,7 @@ class AgentCells:
         Lattice points per cell and axis.
     tables : float
         Bytes of kernel and choices, building them included.
-    law : float
+    policy : float
         Bytes of one policy table.
     points : float
         Cells and lattice points together: what value functions are arrays over.
@@ -61,11 +61,11 @@ class AgentCells:
     shape: Shape
     per_cell: tuple[int, ...]
     tables: float
-    law: float
+    policy: float
     points: float
 
 
-def cells_at(problem: Problem, resolution: float, relation: Relations = "auto") -> dict[str, AgentCells]:
+def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[str, AgentCells]:
     """Cells of every agent at about ``resolution`` cells per standard deviation; equal agents get equal ones.
 
     Parameters
@@ -73,20 +73,17 @@ def cells_at(problem: Problem, resolution: float, relation: Relations = "auto") 
     problem : Problem
     resolution : float
         Cells per standard deviation of the noise (dimensionless), positive.
-    relation : str, or mapping from agent name to str
-        As in ``synthesize``.
+    kinds : sequence of str
+        Relation of each agent.
     """
     alike: dict[tuple[Any, ...], list[int]] = {}
     for i, agent in enumerate(problem.agents):
         arrays = (agent.A, agent.B, agent.noise_covariance, agent.state_low, agent.state_high, agent.input_low)
-        kind = relation.get(agent.name, "auto") if isinstance(relation, Mapping) else relation
-        alike.setdefault((kind, *(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
+        alike.setdefault((kinds[i], *(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
     found: dict[int, AgentCells] = {}
-    for (
-        kind,
-        *_,
-    ), members in alike.items():  # the boundaries of all of them, so that they share edges, and with them kernels
+    for (kind, *_), members in alike.items():
         own = problem.agents[members[0]]
+        # the boundaries of all members, so that they share edges, and with them kernels
         axes = [{b for i in members for b in region_boundaries(problem, i, k)} for k in range(own.n_states)]
         cells = _agent_cells(problem, own, [sorted(axis) for axis in axes], resolution, kind)
         found |= dict.fromkeys(members, cells)
@@ -98,7 +95,7 @@ def base_bytes(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
     agents = list(cells.values())
     distinct = {id(own): own for own in agents}.values()
     policies = 5 if len(agents) > 1 else 4  # of the last sweep, the best one, the starts
-    return sum(own.tables for own in distinct) + policies * sum(own.law for own in agents)
+    return sum(own.tables for own in distinct) + policies * sum(own.policy for own in agents)
 
 
 def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
@@ -202,7 +199,7 @@ def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]
 def _sized(
     problem: Problem, agent: LinearAgent, shape: Shape, per_cell: tuple[int, ...], by_target: bool
 ) -> AgentCells:
-    """Shapes of tables, choices and laws in bytes."""
+    """Shapes of tables, choices and policies in bytes."""
     d, m, n_cells = agent.n_states, agent.n_inputs, math.prod(shape)
     widths = (agent.state_high - agent.state_low) / np.array(shape)
     deviations = np.sqrt(np.diag(agent.noise_covariance))
@@ -224,8 +221,8 @@ def _sized(
         spread = agent.input_high - agent.input_low
         inputs = min(inputs, math.prod(max(5, math.ceil(s / h) + 1) for s, h in zip(spread, step, strict=True)))
         choices = n_cells * inputs * (4 + 8 * (3 * d + 4))
-    law = 4.0 * problem.horizon * _n_states(problem) * n_cells
-    return AgentCells(shape, per_cell, kernel + choices, law, n_cells + lattice)
+    policy = 4.0 * problem.horizon * _n_states(problem) * n_cells
+    return AgentCells(shape, per_cell, kernel + choices, policy, n_cells + lattice)
 
 
 def _n_states(problem: Problem) -> int:

@@ -11,21 +11,47 @@ from __future__ import annotations
 
 import math
 import tracemalloc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...envs.problem import Problem
 from ..cells import RelationRefused
-from ..models import Relations
+from ..certificates import Synthesis
 from .cell_budget import MOST, AgentCells, base_bytes, cells_at, snapping_loss
 
-if TYPE_CHECKING:
-    from ..certificates import Synthesis
+Run = Callable[[Mapping[str, tuple[int, ...]]], Synthesis]
 
-Run = Callable[[Mapping[str, tuple[int, ...]]], "Synthesis"]
+
+@dataclass(frozen=True)
+class Budget:
+    """What the choice of cells may take.
+
+    Parameters
+    ----------
+    memory : float or None
+        Bytes that a run may take at its peak; None for ``DEFAULT_MEMORY``.
+    accuracy : float or None
+        If given, cells are made finer until the bound changes by less than this from one run to the next.
+
+    Raises
+    ------
+    ValueError
+        If one of them is no positive number.
+    """
+
+    memory: float | None = None
+    accuracy: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, what in (("memory", "bytes"), ("accuracy", "a probability")):
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (number and 0 < value < math.inf):
+                raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}")
+
 
 DEFAULT_MEMORY = 2**31
 """Bytes that may be used when only an accuracy is asked for."""
@@ -57,7 +83,7 @@ class _Search:
     """What the runs so far have shown."""
 
     problem: Problem
-    relation: Relations
+    kinds: tuple[str, ...]
     memory: float
     tried: list[dict[str, Any]] = field(default_factory=list)
     terms: float = 0.0
@@ -77,15 +103,13 @@ class _Search:
         steps = math.ceil(math.log(high / low) / math.log(1.05))
         for k in range(steps + 1):
             resolution = max(low, high / 1.05**k)
-            cells = cells_at(self.problem, resolution, self.relation)
+            cells = cells_at(self.problem, resolution, self.kinds)
             if self.predicted(cells) <= self.memory:
                 return resolution, cells
         return None
 
 
-def refine(
-    problem: Problem, run: Run, relation: Relations, memory: float | None, accuracy: float | None
-) -> tuple[Synthesis, dict[str, Any]]:
+def refine(problem: Problem, run: Run, kinds: Sequence[str], budget: Budget) -> tuple[Synthesis, dict[str, Any]]:
     """The best of several runs, and a record of how its cells were chosen (plain values).
 
     Parameters
@@ -93,24 +117,20 @@ def refine(
     problem : Problem
     run : callable
         Synthesis with given cells per agent and axis.
-    relation : str, or mapping from agent name to str
-        As in ``synthesize``.
-    memory : float, optional
-        Bytes that a run may take at its peak; default ``DEFAULT_MEMORY``.
-    accuracy : float, optional
-        Stop when the bound changes by less than this from one run to the next.
+    kinds : sequence of str
+        Relation of each agent.
+    budget : Budget
 
     Raises
     ------
     ValueError
-        If a budget is no positive number, not even the coarsest cells fit, or no run gives a certificate.
+        If not even the coarsest cells fit, or no run gives a certificate.
     """
-    _check("memory", memory, "bytes")
-    _check("accuracy", accuracy, "a probability")
-    search = _Search(problem, relation, float(memory or DEFAULT_MEMORY))
+    accuracy = budget.accuracy
+    search = _Search(problem, tuple(kinds), float(budget.memory or DEFAULT_MEMORY))
     first = search.finest(COARSEST / 64, COARSEST)
     if first is None:
-        least = search.predicted(cells_at(problem, COARSEST / 64, relation))
+        least = search.predicted(cells_at(problem, COARSEST / 64, kinds))
         raise ValueError(
             f"`memory`: expected at least {least:.3g} bytes, what the coarsest cells need, got {search.memory:.3g}"
         )
@@ -148,7 +168,7 @@ def _finer(search: _Search, resolution: float, accuracy: float | None) -> tuple[
     scalar = all(agent.n_states == 1 for agent in search.problem.agents)
     growth = GROWTH**2 if scalar and accuracy is None else GROWTH
     found = search.finest(resolution * LEAST_GROWTH, resolution * growth)
-    if found is None or found[1] == cells_at(search.problem, resolution, search.relation):
+    if found is None or found[1] == cells_at(search.problem, resolution, search.kinds):
         return None
     return found
 
@@ -185,9 +205,3 @@ def _attempt(search: _Search, run: Run, cells: Mapping[str, AgentCells], resolut
     search.seen = seen
     search.share = min(1.0, max(LEAST_SHARE, peak / (OWN + base)))
     return found
-
-
-def _check(name: str, value: float | None, what: str) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value is not None and not (number and 0 < value < math.inf):
-        raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}")

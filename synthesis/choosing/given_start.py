@@ -15,10 +15,10 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..certificates import Certificate, checked_certificate
-from ..models import Abstraction, InputMenu, Laws
+from ..models import Abstraction, InputMenu, Policies
 
 
-def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Laws]:
+def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
     """The policies of a certificate at the horizon of ``problem``, by what is kept of their times.
 
     Raises
@@ -34,7 +34,7 @@ def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstracti
     for part, model, (given, asked) in zip(agents, abstraction.models, members, strict=False):
         same = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
         fits = fits and _moves(given) == _moves(asked)
-        fits = fits and part.law.shape[-1] == model.n_cells and all(np.array_equal(a, b) for a, b in same)
+        fits = fits and part.policy.shape[-1] == model.n_cells and all(np.array_equal(a, b) for a, b in same)
         if isinstance(model.choices, InputMenu):
             fits = fits and part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
         else:
@@ -47,9 +47,9 @@ def laws_from(certificate: Certificate, problem: Problem, abstraction: Abstracti
     times = np.arange(problem.horizon)
     kept = {}
     for name, shift in (("time left", certificate.problem.horizon - problem.horizon), ("time gone", 0)):
-        laws = [part.law[np.clip(times + shift, 0, len(part.law) - 1)] for part in agents]
-        kept[f"given start by {name}"] = tuple(_admissible(law, m.choices.resting_law) for law, m in
-                                               zip(laws, abstraction.models, strict=True))  # fmt: skip
+        policies = [part.policy[np.clip(times + shift, 0, len(part.policy) - 1)] for part in agents]
+        kept[f"given start by {name}"] = tuple(_admissible(policy, m.choices.resting_choice) for policy, m in
+                                               zip(policies, abstraction.models, strict=True))  # fmt: skip
     return kept if certificate.problem.horizon != problem.horizon else dict([kept.popitem()])
 
 
@@ -58,6 +58,6 @@ def _moves(agent: LinearAgent) -> dict[str, Any]:
     return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
 
 
-def _admissible(law: Any, resting: Any) -> Any:
-    """The law, with a choice wherever there is one."""
-    return np.where((law < 0) & (resting >= 0), resting, law).astype(np.int32)
+def _admissible(policy: Any, resting: Any) -> Any:
+    """The policy, with a choice wherever there is one."""
+    return np.where((policy < 0) & (resting >= 0), resting, policy).astype(np.int32)

@@ -20,17 +20,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...envs.problem import Problem
-from ..cells import RelationRefused, cells_of_agent
-from ..certificates import rounded_up
+from ..cells import Cells, RelationRefused, cells_of_agent
+from ..certificates import Synthesis, rounded_up
 from ..models import (
     Abstraction,
     AgentModel,
-    Cells,
     InputMenu,
     JointModel,
     Settings,
@@ -42,10 +40,7 @@ from ..models import (
     models_of,
     start_of,
 )
-from ..search import MANY_TERMS, Limits, relax, relaxed_laws, sweep, upper_bound
-
-if TYPE_CHECKING:
-    from ..certificates import Synthesis
+from ..search import MANY_TERMS, Limits, Relaxation, relax, relaxed_policies, sweep, upper_bound
 
 SETTLED = 0.1
 """Share of the inputs, per cell, that the ``exact`` relation may keep in reserve where nothing else is tried."""
@@ -68,7 +63,7 @@ Combination = tuple[str, ...]
 Tried = dict[str, float | str]
 """By relation, the bound that it gave, or why there is none."""
 
-Run = Callable[[Abstraction, JointModel], "Synthesis"]
+Run = Callable[[Abstraction, JointModel, tuple[Relaxation, ...]], Synthesis]
 """Synthesis on finite models."""
 
 
@@ -151,7 +146,7 @@ def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...],
 def is_settled(model: AgentModel) -> bool:
     """Whether the relation is ``exact``, every cell has a target, and the reserve takes few of the inputs."""
     choices = model.choices
-    if not isinstance(choices, TargetWindows) or np.any(choices.resting_law < 0):
+    if not isinstance(choices, TargetWindows) or np.any(choices.resting_choice < 0):
         return False
     return bool(np.all(choices.reserve >= (1.0 - SETTLED) * choices.relation.input_half_width))
 
@@ -175,7 +170,7 @@ class Tries:
 
     def __post_init__(self) -> None:
         self._joined: dict[Combination, tuple[Abstraction, JointModel] | str] = {}
-        self._relaxations: dict[object, Any] = {}
+        self._relaxations: dict[object, Relaxation] = {}
         self._values: dict[Combination, float] = {}
 
     def name(self, combination: Combination) -> str:
@@ -207,10 +202,11 @@ class Tries:
         if isinstance(models, str):
             return -1.0
         joint = models[1]
-        joint.relaxations.update(self._relaxations)
-        most = upper_bound(joint, start_of(self.problem, joint), relax(self.problem, joint))
-        self._relaxations.update(joint.relaxations)
-        return most
+        return upper_bound(joint, start_of(self.problem, joint), self.relaxations(joint))
+
+    def relaxations(self, joint: JointModel) -> tuple[Relaxation, ...]:
+        """Relaxations of a combination; models that several combinations share are solved once."""
+        return relax(self.problem, joint, self._relaxations)
 
     def value(self, combination: Combination) -> float:
         """What one sweep attains, to compare combinations by; for one agent the bound from above says it."""
@@ -219,8 +215,10 @@ class Tries:
             return self.most(combination)
         if combination not in self._values:
             joint, limits = models[1], Limits(rank=MANY_TERMS)
-            laws = relaxed_laws(relax(self.problem, joint))
-            self._values[combination] = sweep(joint, laws, start_of(self.problem, joint), limits, improve=True).value
+            policies = relaxed_policies(self.relaxations(joint))
+            self._values[combination] = sweep(
+                joint, policies, start_of(self.problem, joint), limits, improve=True
+            ).value
         return self._values[combination]
 
     def first(self) -> Combination:
@@ -258,7 +256,7 @@ class Tries:
             if isinstance(models, str) or passed is not None:
                 tried[name] = passed or str(models)
                 continue
-            found = run(*models)
+            found = run(*models, self.relaxations(models[1]))
             tried[name] = float(found.certificate.lower_bound)
             if best is None or found.certificate.lower_bound > best.certificate.lower_bound:
                 best, chosen = found, combination

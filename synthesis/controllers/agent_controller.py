@@ -26,7 +26,7 @@ from ..relations import CoupledRelation, ExactRelation, Relation, Row, product, 
 from .abstract_state import Memory, Tracker, moved_into
 
 MOST_AIMS = 1 << 22
-"""Most numbers that the lattice points of a law, looked up once for all, may take."""
+"""Most numbers that the lattice points of a policy, looked up once for all, may take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class AgentController:
     lattice : tuple of (Z_k,) arrays
         Means per axis, in grid coordinates.
     relation : Relation
-    law : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
+    policy : (T, Q, S) int32 array, or (n, T, Q, S) for n agents
         Choice in each cell by time and automaton state; -1 where there is none. The last time's goes on for ever.
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to (coupled agents).
@@ -50,7 +50,7 @@ class AgentController:
     grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: Relation
-    law: NDArray[np.int32]
+    policy: NDArray[np.int32]
     menu: NDArray[np.int32] | None = None
 
     @property
@@ -59,8 +59,8 @@ class AgentController:
         return isinstance(self.relation, CoupledRelation)
 
     @cached_property
-    def _laws(self) -> NDArray[np.int32]:
-        return self.law if self.law.ndim == 4 else self.law[None]
+    def _policies(self) -> NDArray[np.int32]:
+        return self.policy if self.policy.ndim == 4 else self.policy[None]
 
     @cached_property
     def tracker(self) -> Tracker | None:
@@ -92,8 +92,8 @@ class AgentController:
         return self._towards(self._places(self._cell_of(points), q, time), points, time), None
 
     def _places(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int64]:
-        """Places (n, M) in the flat laws for cells (n, M) and automaton states (M,)."""
-        n, n_times, n_states, n_cells = self._laws.shape
+        """Places (n, M) in the flat policies for cells (n, M) and automaton states (M,)."""
+        n, n_times, n_states, n_cells = self._policies.shape
         rows = q.astype(np.intp)
         rows += min(time, n_times - 1) * n_states
         rows *= n_cells
@@ -104,13 +104,13 @@ class AgentController:
 
     @cached_property
     def _first_places(self) -> NDArray[np.int64]:
-        """Where the law of each agent begins in the flat laws, (n, 1)."""
-        return np.arange(0, self._laws.size, self._laws[0].size)[:, None]
+        """Where the policy of each agent begins in the flat policies, (n, 1)."""
+        return np.arange(0, self._policies.size, self._policies[0].size)[:, None]
 
     def _towards(self, places: NDArray[Any], points: FloatArray, time: int) -> FloatArray:
-        """Inputs that put the mean of the next state where the laws say, from points (d, n, M) of the grid."""
+        """Inputs that put the mean of the next state where the policies say, from points (d, n, M) of the grid."""
         assert isinstance(self.relation, ExactRelation)
-        aims = [own.take(places) for own in self._aims] if self._aims else self._aims_of(self._laws.take(places))
+        aims = [own.take(places) for own in self._aims] if self._aims else self._aims_of(self._policies.take(places))
         inputs = self.relation.inputs(aims, points)
         if self._idles[min(time, len(self._idles) - 1)]:
             inputs[:, np.isnan(aims[0])] = self.relation.input_centre[:, None]
@@ -118,8 +118,8 @@ class AgentController:
 
     @cached_property
     def _aims(self) -> list[FloatArray]:
-        """``_aims_of`` all laws, flat; empty if there were too many."""
-        return [] if self._laws.size > MOST_AIMS else self._aims_of(self._laws.reshape(-1))
+        """``_aims_of`` all policies, flat; empty if there were too many."""
+        return [] if self._policies.size > MOST_AIMS else self._aims_of(self._policies.reshape(-1))
 
     def _aims_of(self, choices: NDArray[np.int32]) -> list[FloatArray]:
         """Per axis, what ``ExactRelation.inputs`` takes for choices; not a number where there is none."""
@@ -131,7 +131,7 @@ class AgentController:
     @cached_property
     def _idles(self) -> NDArray[np.bool_]:
         """Whether there are, at each time, cells without a choice."""
-        return np.asarray((self._laws < 0).any(axis=(0, 2, 3)))
+        return np.asarray((self._policies < 0).any(axis=(0, 2, 3)))
 
     def _coupled(
         self, tracker: Tracker, memory: Memory, points: FloatArray, q: NDArray[Any], time: int
@@ -141,7 +141,7 @@ class AgentController:
         The input is admissible by the relation; only where the relation is lost it is moved into the input box.
         """
         relation, error = tracker.relation, memory.error
-        choices = self._laws.take(self._places(memory.cells, q, time))
+        choices = self._policies.take(self._places(memory.cells, q, time))
         if self._idles[min(time, len(self._idles) - 1)]:
             np.maximum(choices, 0, out=choices)  # the first input where there is no choice
         abstract, means = self._reaction(choices, memory.cells)

@@ -189,14 +189,14 @@ def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[i
 
 
 def _signature(agent: AgentController) -> object:
-    """What agents that act in one call have in common: all but their names and what their laws hold."""
+    """What agents that act in one call have in common: all but their names and what their policies hold."""
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
     menu = b"" if agent.menu is None else sha256(agent.menu.tobytes()).digest()
-    return (agent.relation.kind, len(agent.law), menu, *(a.tobytes() for a in arrays))
+    return (agent.relation.kind, len(agent.policy), menu, *(a.tobytes() for a in arrays))
 
 
 def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> Group:
     first = agents[block[members[0]]]
-    law = np.stack([agents[block[k]].law for k in members])
-    shared = AgentController("", first.grid, first.lattice, first.relation, law, first.menu)
+    policy = np.stack([agents[block[k]].policy for k in members])
+    shared = AgentController("", first.grid, first.lattice, first.relation, policy, first.menu)
     return Group(np.array(members), shared)

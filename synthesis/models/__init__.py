@@ -3,10 +3,10 @@
 from .abstraction import (
     Abstraction,
     AgentModel,
-    Cells,
     Relations,
     Settings,
     abstract,
+    abstraction_of,
     alike_arrays,
     check_names,
     check_settings,
@@ -15,7 +15,7 @@ from .abstraction import (
     relations_of,
 )
 from .agent_models import FINE
-from .choices import BAND_BYTES, Choices, InputMenu, Law, Laws, TargetWindows
+from .choices import BAND_BYTES, Choices, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import BLOCK, REACH, Kernel, gaussian_table
 
@@ -24,19 +24,19 @@ __all__ = [
     "AgentModel",
     "BAND_BYTES",
     "BLOCK",
-    "Cells",
     "Choices",
     "FINE",
     "InputMenu",
     "JointModel",
     "Kernel",
-    "Law",
-    "Laws",
+    "Policies",
     "REACH",
     "Relations",
     "Settings",
+    "StepPolicy",
     "TargetWindows",
     "abstract",
+    "abstraction_of",
     "alike_arrays",
     "check_names",
     "check_settings",

@@ -12,22 +12,24 @@ bound instead of an exact value (THEORY section 1).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
-from inspect import signature
+from typing import Any
 
 import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem, checked_problem
-from ..cells import CellLabels, FloatArray, Grid, agent_grid, cell_labels, cells_of_agent, error_labels, label_room
-from ..cells import Cells as Cells
+from ..cells import CellLabels, Cells, FloatArray, Grid, agent_grid, cell_labels, cells_of_agent, error_labels, label_room
 from ..relations import CoupledRelation, ExactRelation, Relation
 from .agent_models import Bare, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
 from .choices import Choices
 from .kernel import Kernel
 
 Relations = str | Mapping[str, str]
+FOR_KINDS = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
+"""Settings that only these relations have; refused with all others."""
+
 RELATIONS = ("auto", "exact", "ellipsoid", "paper", "quick", "tube")
 
 
@@ -92,7 +94,20 @@ class Abstraction:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of relations, as in ``abstract``.
+    """Settings of relations.
+
+    Parameters
+    ----------
+    targets_per_cell : int, optional
+        ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
+        Default: 2 for scalar agents, 1 for others.
+    epsilon, feedback, inputs
+        ``paper``: half width of the relation, K of the interface, number of abstract inputs.
+    delta : float, optional
+        ``paper``: a failure probability to be used instead of the (smaller) closed form. ``ellipsoid``: the largest
+        failure probability per step and agent, in [0, 1), default 0; more of it makes labels and inputs lose less.
+    share : float, optional
+        ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
 
     Raises
     ------
@@ -118,6 +133,16 @@ class Settings:
             ):
                 raise ValueError(f"`{name}`: expected a number of at least 0 and below 1, got {value!r}")
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the settings that only some relations have and that were given."""
+        return tuple(name for name in FOR_KINDS if getattr(self, name) is not None)
+
+    def of_kinds(self, kinds: Sequence[str]) -> Settings:
+        """The settings without those that no relation of these kinds has."""
+        unused: dict[str, Any] = {name: None for name in self.given if not FOR_KINDS[name] & {*kinds}}
+        return replace(self, **unused)
+
     def used_by(self, models: Sequence[AgentModel]) -> dict[str, object]:
         """Relations and cells of the models, and the settings that some of them depend on."""
         kinds = sorted({model.relation.kind for model in models})
@@ -128,18 +153,7 @@ class Settings:
         return used
 
 
-def abstract(
-    problem: Problem,
-    cells: Cells = None,
-    *,
-    relation: Relations = "auto",
-    targets_per_cell: int | None = None,
-    epsilon: float = 0.1,
-    feedback: float = 0.0,
-    inputs: int = 10,
-    delta: float | None = None,
-    share: float | None = None,
-) -> Abstraction:
+def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "auto", **settings: Any) -> Abstraction:
     """Finite models of the agents of ``problem``.
 
     Parameters
@@ -153,16 +167,8 @@ def abstract(
         delta >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it applies and the inputs are strong
         enough for the cells, else ``tube``; so are agents that a mapping leaves out. ``"auto"`` is the same here: which
         relation certifies most only a synthesis can tell (see ``synthesize``).
-    targets_per_cell : int
-        ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
-        Default: 2 for scalar agents, 1 for others.
-    epsilon, feedback, inputs
-        ``paper``: half width of the relation, K of the interface, number of abstract inputs.
-    delta : float, optional
-        ``paper``: a failure probability to be used instead of the (smaller) closed form. ``ellipsoid``: the largest
-        failure probability per step and agent, in [0, 1), default 0; more of it makes labels and inputs lose less.
-    share : float, optional
-        ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
+    **settings
+        Of the relations, see ``Settings``.
 
     Raises
     ------
@@ -171,15 +177,19 @@ def abstract(
     """
     checked_problem(problem)
     check_names("cells", cells, problem)
-    settings = Settings(targets_per_cell, epsilon, feedback, inputs, delta, share)
-    kinds = relations_of(problem, relation)
-    for name, value, allowed in (("delta", delta, {"ellipsoid", "paper"}), ("share", share, {"ellipsoid"})):
-        if value is not None and not allowed & {*kinds}:
-            asked = "/".join(sorted({*kinds})) if isinstance(relation, Mapping) else relation
-            raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
+    check_settings(settings)
+    return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
+
+
+def abstraction_of(problem: Problem, cells: Cells, kinds: Sequence[str], settings: Settings) -> Abstraction:
+    """Finite models under one kind of relation per agent; settings that no agent has a use for are refused."""
+    foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
+    for name in sorted(foreign):
+        asked, value = "/".join(sorted({*kinds})), getattr(settings, name)
+        raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
     models = models_of(problem, cells, dict(enumerate(kinds)), settings)
-    found = tuple(models[i] for i in range(problem.n_agents))
-    return Abstraction(found, settings.used_by(found))
+    ordered = tuple(models[i] for i in range(problem.n_agents))
+    return Abstraction(ordered, settings.used_by(ordered))
 
 
 def relations_of(problem: Problem, relation: Relations) -> list[str]:
@@ -258,7 +268,7 @@ def check_names(argument: str, given: object, problem: Problem) -> None:
 
 def check_settings(settings: Mapping[str, object]) -> None:
     """Refuse settings of a relation that ``abstract`` does not have, with the nearest one that it has."""
-    known = [*signature(abstract).parameters][2:]
+    known = ["relation", *(field.name for field in fields(Settings))]
     for name in settings:
         if name not in known:
             close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)

@@ -48,7 +48,7 @@ def cheapest_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_
     if np.linalg.matrix_rank(agent.B) < agent.n_states:
         return tube_model(agent, grid, coordinates, room)
     exact = exact_model(agent, grid, coordinates, per_cell)
-    if np.mean(exact[3].resting_law < 0) <= STRANDED:
+    if np.mean(exact[3].resting_choice < 0) <= STRANDED:
         return exact
     try:
         return tube_model(agent, grid, coordinates, room)

@@ -1,7 +1,7 @@
 """What an abstract agent can choose between in each cell.
 
-A law (S,) gives one choice per cell; -1 where there is none. ``points`` turns a law into the lattice points (means)
-that the kernel table is read at: the law of the next state depends on the point alone.
+A policy for one step, (S,), gives one choice per cell; -1 where there is none. ``points`` turns it into the lattice
+points (means) that the kernel table is read at: the distribution of the next state depends on the point alone.
 
 ``TargetWindows``  the choice is the lattice point itself (``exact`` relation: every mean can be commanded); admissible
                    are the points of a window around each cell.
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray, Grid
 from ..relations import ExactRelation
 
-Law = NDArray[np.int32]
+StepPolicy = NDArray[np.int32]
 
 BAND_BYTES = 200_000_000
 """Memory for remembered bands of admissible targets, per agent model."""
@@ -63,13 +63,13 @@ class TargetWindows:
         """(S, d) mean from the cell centre under the central input."""
         return self.relation.means(self.grid.centres)
 
-    def points(self, law: Law) -> NDArray[Any]:
-        """Lattice points of a law: the law itself."""
-        return law
+    def points(self, policy: StepPolicy) -> NDArray[Any]:
+        """Lattice points of a policy: the policy itself."""
+        return policy
 
-    def admissible(self, cells: NDArray[Any], law: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether flat lattice point ``law`` is an admissible target of ``cells``; the two broadcast."""
-        indices = np.unravel_index(law, self.shape)
+    def admissible(self, cells: NDArray[Any], policy: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether flat lattice point ``policy`` is an admissible target of ``cells``; the two broadcast."""
+        indices = np.unravel_index(policy, self.shape)
         targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
         wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
         return np.all(wanted <= self.reserve[cells], axis=-1)
@@ -139,7 +139,7 @@ class TargetWindows:
         return tuple(found)
 
     @cached_property
-    def resting_law(self) -> Law:
+    def resting_choice(self) -> StepPolicy:
         """(S,) admissible target nearest to the cell itself; -1 where no target is admissible.
 
         The choice at cells, states and times for which nothing better is known; it makes every policy total.
@@ -162,21 +162,21 @@ class InputMenu:
     ----------
     leads_to : (S, A) int32 array
         Flat lattice point of each cell and input.
-    resting_law : (S,) int32 array
+    resting_choice : (S,) int32 array
         The input that stays nearest to the cell.
     """
 
     leads_to: NDArray[np.int32]
-    resting_law: Law
+    resting_choice: StepPolicy
 
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
         """All cells, in runs of ``size`` of them."""
         return _bricks((len(self.leads_to),), size)
 
-    def points(self, law: Law) -> NDArray[Any]:
-        """Lattice points of a law."""
-        chosen = np.take_along_axis(self.leads_to, np.maximum(law, 0)[:, None], axis=1)[:, 0]
-        return np.where(law < 0, -1, chosen)
+    def points(self, policy: StepPolicy) -> NDArray[Any]:
+        """Lattice points of a policy."""
+        chosen = np.take_along_axis(self.leads_to, np.maximum(policy, 0)[:, None], axis=1)[:, 0]
+        return np.where(policy < 0, -1, chosen)
 
 
 Choices = TargetWindows | InputMenu
@@ -217,5 +217,5 @@ def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArra
     return TargetWindows(grid, lattice, relation, low, high)
 
 
-Laws = tuple[NDArray[np.int32], ...]
+Policies = tuple[NDArray[np.int32], ...]
 """Per agent (T, Q, S_i): target of each cell by time and automaton state; -1 where none is admissible."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,11 +56,6 @@ class JointModel:
     def put(self) -> Callable[[NDArray], Array]:
         """The function that takes arrays to the device."""
         return device_put(self.device)
-
-    @cached_property
-    def relaxations(self) -> dict[object, Any]:
-        """Relaxations of the agents that have been computed (see ``relaxation``)."""
-        return {}
 
     @property
     def n_cells(self) -> tuple[int, ...]:

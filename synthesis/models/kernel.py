@@ -205,13 +205,13 @@ class Kernel:
         """``sum_s P(s | z) v[s]`` for every lattice point z: (n, S) -> (n, Z)."""
         return _along_axes(factors, self.shape, [table.smooth for table in self.tables])
 
-    def push(self, masses: FloatArray, law: NDArray[np.integer]) -> FloatArray:
-        """Distribution after one step: (n, S) masses under the lattice points ``law`` (S,) -> (n, S).
+    def push(self, masses: FloatArray, policy: NDArray[np.integer]) -> FloatArray:
+        """Distribution after one step: (n, S) masses under the lattice points ``policy`` (S,) -> (n, S).
 
-        Cells with ``law = -1`` (no admissible input) lose their mass.
+        Cells with ``policy = -1`` (no admissible input) lose their mass.
         """
         n_lattice = math.prod(self.lattice_shape)
-        slot = np.where(law < 0, n_lattice, law)  # one more point, thrown away
+        slot = np.where(policy < 0, n_lattice, policy)  # one more point, thrown away
         if len(masses) <= 4 and isinstance(masses, np.ndarray):
             on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in masses])
         else:

@@ -127,7 +127,7 @@ class CoupledRelation:
 
 
 def coupling_failure(distance: float) -> float:
-    """Upper bound on the total variation distance of two standard normal laws whose means are ``distance`` apart.
+    """Upper bound on the total variation distance of two standard normal policies whose means are ``distance`` apart.
 
     ``2 Phi(distance / 2) - 1``, rounded up.
 

@@ -2,9 +2,9 @@
 
 from .ascent import Limits, Sweep, forward, start_value, sweep
 from .best_response import best_choices
-from .policy_search import FINAL, MANY_TERMS, Search, improve
-from .relaxation import Relaxation, favourable_successors, relax, relaxed_laws, upper_bound
-from .stationary import stationary_best, time_invariant
+from .policy_search import FINAL, MANY_TERMS, Found, Search, find_policies
+from .relaxation import Relaxation, favourable_successors, relax, relaxed_policies, upper_bound
+from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward
 from .tree import Candidates, assemble, candidates, gather, terminal_terms
@@ -12,6 +12,7 @@ from .tree import Candidates, assemble, candidates, gather, terminal_terms
 __all__ = [
     "Candidates",
     "FINAL",
+    "Found",
     "Limits",
     "MANY_TERMS",
     "Relaxation",
@@ -23,15 +24,14 @@ __all__ = [
     "best_choices",
     "candidates",
     "favourable_successors",
+    "find_policies",
     "forward",
     "gather",
-    "improve",
     "relax",
-    "relaxed_laws",
+    "relaxed_policies",
     "start_value",
     "stationary_best",
     "sweep",
     "terminal_terms",
-    "time_invariant",
     "upper_bound",
 ]

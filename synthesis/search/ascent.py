@@ -7,7 +7,7 @@ time t is, for every cell s (THEORY section 5),
     argmax_u  sum_l omega_l(s) (P_u g_l,i)(s),     omega_l(s) = sum_k m_k,i(s) prod_{j != i} < m_k,j , P_j^pi g_l,j > .
 
 Agents answer in turn. Without pruning the value at the start never falls; with pruning it may, so callers keep the
-best policy and evaluate it with frozen laws before reporting anything (``sweep(..., improve=False)``).
+best policy and evaluate it with frozen policies before reporting anything (``sweep(..., improve=False)``).
 
 Terms are pruned by contribution, ``<mu_t,q , term>``; what is dropped is charged with the leftover mass of a truncated
 occupancy included, so that ``dropped`` is an upper bound on the loss at the start.
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import JointModel, Law, Laws
+from ..models import JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
 from .occupancy import push
@@ -35,7 +35,7 @@ class Sweep:
 
     Parameters
     ----------
-    laws : Laws
+    policies : Policies
         Policies the value belongs to.
     terms : Terms
         Value function at time 0.
@@ -47,25 +47,28 @@ class Sweep:
         Largest number of terms of one state at any time.
     skeleton : tuple of Skeleton
         The tree, by time.
+    stationary : bool
+        Whether the policies are the same at all times, held once for all of them.
     """
 
-    laws: Laws
+    policies: Policies
     terms: Terms
     value: float
     dropped: float
     rank: int
     skeleton: tuple[Skeleton, ...]
+    stationary: bool = False
 
 
-def resting_laws(joint: JointModel) -> Laws:
+def resting_policies(joint: JointModel) -> Policies:
     """Every agent stays where it is, at all times and states."""
     shape = (joint.horizon, joint.n_states, 1)
-    return tuple(np.tile(model.choices.resting_law, shape) for model in joint.models)
+    return tuple(np.tile(model.choices.resting_choice, shape) for model in joint.models)
 
 
-def forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
     """Alive mass at times 0 .. T - 1, held by numpy."""
-    there = _forward(joint, laws, start, limits)
+    there = _forward(joint, policies, start, limits)
     return [Occupancy(_everywhere(one.terms, to_host), one.leftover) for one in there]
 
 
@@ -74,11 +77,11 @@ def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
     return Terms(tuple(put(own) for own in terms.factors), terms.index)
 
 
-def _forward(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> list[Occupancy]:
+def _forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
     """Alive mass at times 0 .. T - 1, on the device."""
     occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
     for t in range(joint.horizon - 1):
-        step = [law[t] for law in laws]
+        step = [policy[t] for policy in policies]
         last = occupancies[-1]
         occupancies.append(push(last, step, joint.guards, joint.masks, joint.models, limits.mass, limits.rank))
     return occupancies
@@ -95,13 +98,18 @@ def start_value(start: Occupancy, terms: Terms) -> float:
 
 
 def sweep(
-    joint: JointModel, laws: Laws, start: Occupancy | None, limits: Limits, improve: bool, loss: Loss | None = None,
+    joint: JointModel,
+    policies: Policies,
+    start: Occupancy | None,
+    limits: Limits,
+    improve: bool,
+    loss: Loss | None = None,
     watch: Callable[[Stage], None] | None = None,
-) -> Sweep:  # fmt: skip
-    """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
+) -> Sweep:
+    """One pass: alive mass forward under ``policies``, value backward, every agent answering on the way if ``improve``.
 
     Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
-    norms); the value is then reported as 0. ``watch`` is shown every (time, automaton state) once its laws are set.
+    norms); the value is then reported as 0. ``watch`` is shown every (time, automaton state) once its policies are set.
     """
     nowhere = Terms(
         tuple(np.zeros((0, n)) for n in joint.n_cells),
@@ -110,8 +118,8 @@ def sweep(
     if start is None:
         occupancies = [Occupancy(nowhere, 0.0)] * joint.horizon
     else:
-        occupancies = _forward(joint, laws, start, limits)
-    laws = tuple(law.copy() for law in laws)
+        occupancies = _forward(joint, policies, start, limits)
+    policies = tuple(policy.copy() for policy in policies)
     terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
@@ -125,11 +133,11 @@ def sweep(
                 parts.append((ones, rows))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
-            stage = Stage(joint, options, occupancy, q, [law[t, q] for law in laws])
+            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies])
             if improve and len(stage.rows):
                 stage.improve()
-                for law, better in zip(laws, stage.laws, strict=True):
-                    law[t, q] = better
+                for policy, better in zip(policies, stage.policies, strict=True):
+                    policy[t, q] = better
             if watch is not None:
                 watch(stage)
             keep, charge = stage.prune(limits)
@@ -143,7 +151,7 @@ def sweep(
         del options
     terms = _everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
-    return Sweep(laws, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+    return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
 
 @dataclass(frozen=True)
@@ -169,18 +177,18 @@ class Limits:
 
 
 class Stage:
-    """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' laws."""
+    """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' policies."""
 
     def __init__(
-        self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, laws: Sequence[Law]
+        self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, policies: Sequence[StepPolicy]
     ) -> None:
-        self.models, self.laws, self.leftover, self.q = joint.models, list(laws), occupancy.leftover, q
+        self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
         self.rows = options.index[q].copy()
         self.smoothed, self.values = [], []
-        for i, law in enumerate(self.laws):
+        for i, policy in enumerate(self.policies):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
-            self.values.append(gather(table, self.models[i].choices.points(law)))
+            self.values.append(gather(table, self.models[i].choices.points(policy)))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
         if self.is_met:
@@ -203,15 +211,15 @@ class Stage:
         chosen = self._heaviest(n_agents)
         met = self._met(chosen)
         anywhere = _Others([_means(own)[self.rows[:, i]] for i, own in enumerate(self.values)])
-        answers: dict[tuple[int, bytes, bytes], Law] = {}
+        answers: dict[tuple[int, bytes, bytes], StepPolicy] = {}
         for i, model in enumerate(self.models):
             n_values = len(self.values[i])
             if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
                 table = to_host(self.smoothed[i])
-                key = (id(model), table.tobytes(), self.laws[i].tobytes())
+                key = (id(model), table.tobytes(), self.policies[i].tobytes())
                 if key not in answers:
-                    answers[key] = best_choices(model.choices, np.ones((model.n_cells, 1)), table, self.laws[i])
-                self.laws[i] = answers[key]
+                    answers[key] = best_choices(model.choices, np.ones((model.n_cells, 1)), table, self.policies[i])
+                self.policies[i] = answers[key]
             else:
                 weights = self._weights(i, met, chosen)
                 unmet = ~namespace(weights).any(weights > 0, axis=1)
@@ -221,8 +229,8 @@ class Stage:
                         weights = beside(usual[None], weights)
                     else:
                         weights[unmet] = beside(usual, weights)
-                self.laws[i] = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
-            self.values[i] = gather(self.smoothed[i], model.choices.points(self.laws[i]))
+                self.policies[i] = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
+            self.values[i] = gather(self.smoothed[i], model.choices.points(self.policies[i]))
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
@@ -235,13 +243,13 @@ class Stage:
             return 0.0
         most = 0.0
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
-            better = best_choices(model.choices, weights, self.smoothed[i], self.laws[i])
+            better = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
             added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
         return most
 
     def weights(self) -> list[FloatArray]:
-        """Per agent (S, n), the weight of its value factors in its cells, the laws of the others as they are."""
+        """Per agent (S, n), the weight of its value factors in its cells, the policies of the others as they are."""
         chosen = self._heaviest(len(self.models))
         met, result = self._met(chosen), []
         for i in range(len(self.models)):

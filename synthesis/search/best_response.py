@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import Choices, InputMenu, Law, TargetWindows
+from ..models import Choices, InputMenu, StepPolicy, TargetWindows
 from ..values import beside, namespace, resident, take, to_host
 
 BLOCK = 64
@@ -31,7 +31,7 @@ TIE = 1e-12
 """Relative improvement below which the incumbent stays."""
 
 
-def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incumbent: Law) -> Law:
+def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
     """Choice (S,) that maximises ``weights[s] @ table[:, z]`` over the points z that each cell s can choose.
 
     Parameters

@@ -15,20 +15,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel, Law
+from ..models import AgentModel, StepPolicy
 from ..values import Guards, Occupancy, Terms, _masses, beside, compress, distinct, empty, merge_rows, resident, take
 
 
 def push(
     occupancy: Occupancy,
-    laws: Sequence[Sequence[Law]],
+    policies: Sequence[Sequence[StepPolicy]],
     guards: Guards,
     masks: Sequence[NDArray],
     models: Sequence[AgentModel],
     tolerance: float,
     max_rank: int,
 ) -> Occupancy:
-    """Alive mass one step later under ``laws[i][q]``, the target of each cell of agent i in automaton state q.
+    """Alive mass one step later under ``policies[i][q]``, the target of each cell of agent i in automaton state q.
 
     Terms are dropped from the smallest on while they amount to at most ``tolerance`` of the mass at hand, or until
     ``max_rank`` terms are left per state.
@@ -38,7 +38,7 @@ def push(
     rows = _pair(guards, terms)
     factors: list[NDArray] = []
     for i, model in enumerate(models):
-        factors.append(_step(model, laws[i], terms.factors[i], masks[i], rows, guards, i))
+        factors.append(_step(model, policies[i], terms.factors[i], masks[i], rows, guards, i))
         _, rows[:, 2 + i] = distinct(rows[:, 2 + i])
     guard, index = rows[:, 0], rows[:, 2:].copy()
     target = guards.target[guard].astype(np.int64)
@@ -65,8 +65,14 @@ def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
 
 
 def _step(
-    model: AgentModel, laws: Sequence[Law], factors: NDArray, masks: NDArray, rows: NDArray, guards: Guards, i: int
-) -> NDArray:  # fmt: skip
+    model: AgentModel,
+    policies: Sequence[StepPolicy],
+    factors: NDArray,
+    masks: NDArray,
+    rows: NDArray,
+    guards: Guards,
+    i: int,
+) -> NDArray:
     """Push and mask the distinct (state, factor, mask) combinations of agent i; renumbers its column of ``rows``."""
     column = 2 + i
     n_factors, n_masks = max(1, len(factors)), max(1, len(masks))
@@ -76,7 +82,7 @@ def _step(
     pushed = empty((len(pushes), model.n_cells), factors)
     for q in set(state.tolist()):
         here = state == q
-        pushed[beside(here, pushed)] = model.kernel.push(take(factors, factor[here]), model.choices.points(laws[q]))
+        pushed[beside(here, pushed)] = model.kernel.push(take(factors, factor[here]), model.choices.points(policies[q]))
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Laws
+from ..models import AgentModel, JointModel, Policies
 from ..values import Occupancy
 from .best_response import best_choices
 from .tree import gather
@@ -91,19 +91,19 @@ def staged_paths(joint: JointModel, path: Path) -> list[Path]:
     return found
 
 
-def path_laws(joint: JointModel, path: Path, otherwise: Laws) -> Laws:
+def path_policies(joint: JointModel, path: Path, otherwise: Policies) -> Policies:
     """Every agent's best policy for a path; ``otherwise`` where the run has left it."""
-    laws = tuple(law.copy() for law in otherwise)
+    policies = tuple(policy.copy() for policy in otherwise)
     for i, model in enumerate(joint.models):
         value = np.ones((1, model.n_cells))
         for t in reversed(range(len(path.guards))):
             guard = path.guards[t]
             smoothed = model.kernel.smooth(joint.masks[i][[joint.guards.mask[guard, i]]] * value)
             q = int(joint.guards.source[guard])
-            law = _best(model, smoothed, laws[i][t, q])
-            laws[i][t, q] = law
-            value = gather(smoothed, model.choices.points(law))
-    return laws
+            policy = _best(model, smoothed, policies[i][t, q])
+            policies[i][t, q] = policy
+            value = gather(smoothed, model.choices.points(policy))
+    return policies
 
 
 def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -153,8 +153,8 @@ def _best_values(model: AgentModel, masked: FloatArray, known: dict[bytes, Float
     new = {name: k for k, name in enumerate(names) if name not in known}
     smoothed = model.kernel.smooth(masked[list(new.values())])
     for k, name in enumerate(new):
-        law = _best(model, smoothed[[k]], model.choices.resting_law)
-        known[name] = gather(smoothed[[k]], model.choices.points(law))[0]
+        policy = _best(model, smoothed[[k]], model.choices.resting_choice)
+        known[name] = gather(smoothed[[k]], model.choices.points(policy))[0]
     return np.array([known[name] for name in names]).reshape(len(names), model.n_cells)
 
 
@@ -204,8 +204,8 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         ramps += [ramp, 3.0 - ramp]
     reached = cells.copy()
     for ramp in ramps:
-        law = _best(model, ramp[None], model.choices.resting_law)
-        mass = model.kernel.push(indicator, model.choices.points(law))[0]
+        policy = _best(model, ramp[None], model.choices.resting_choice)
+        mass = model.kernel.push(indicator, model.choices.points(policy))[0]
         reached |= mass > REACHED * mass.max(initial=0.0)
     return _hull(reached, model.grid.shape)
 

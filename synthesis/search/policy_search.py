@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...envs.problem import Problem
-from ..models import JointModel, Laws, start_of
-from ..values import Occupancy
-from .ascent import Limits, Sweep, resting_laws, sweep
-from .paths import best_paths, path_laws, staged_paths
-from .relaxation import Relaxation, relax, relaxed_laws, upper_bound
+from ..models import JointModel, Policies, start_of
+from ..values import HOST, Occupancy
+from .ascent import Limits, Sweep, resting_policies, sweep
+from .paths import best_paths, path_policies, staged_paths
+from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
 from .train_ascent import TrainSweep, sweep_trains
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
@@ -86,6 +86,10 @@ class Search:
         delayed by up to ``LONGEST_SHIFT`` steps, of each agent by its own number.
     progress : callable, optional
         Called with the name of a start and the best value so far.
+    stationary : bool
+        Policies that do not look at the time.
+    device : str
+        Where sweeps over trees compute (see ``devices``).
 
     Raises
     ------
@@ -98,6 +102,8 @@ class Search:
     value: str = "auto"
     restarts: int = 0
     progress: Progress | None = None
+    stationary: bool = False
+    device: str = HOST
 
     def __post_init__(self) -> None:
         for name in ("max_sweeps", "restarts"):
@@ -106,6 +112,11 @@ class Search:
                 raise ValueError(f"`{name}`: expected a whole number of at least 0, got {number!r}")
         if self.value not in VALUES:
             raise ValueError(f"`value`: expected one of {', '.join(VALUES)}, got {self.value!r}")
+
+    def used(self) -> dict[str, object]:
+        """What a certificate records of the search."""
+        recorded = {name: getattr(self, name) for name in ("max_sweeps", "restarts", "stationary")}
+        return {**recorded, "limits": vars(self.limits)}
 
     def tell(self, start: str, value: float) -> None:
         """Report progress."""
@@ -120,7 +131,7 @@ class Found:
     Parameters
     ----------
     best : Sweep or TrainSweep
-        The best policies, evaluated with frozen laws.
+        The best policies, evaluated with frozen policies.
     values : list of float
         Value after each sweep; sweeps prune and round more than the last evaluation.
     starts : dict
@@ -138,10 +149,16 @@ class Found:
     unilateral_gain: float
 
 
-def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str, Laws] | None = None) -> Found:
-    """Best policies found from several starts, those ``given`` by name first."""
+def find_policies(
+    problem: Problem,
+    joint: JointModel,
+    search: Search,
+    given: dict[str, Policies] | None = None,
+    relaxations: tuple[Relaxation, ...] | None = None,
+) -> Found:
+    """Best policies found from several starts, those ``given`` by name first; ``relaxations`` if they are known."""
     start = start_of(problem, joint)
-    relaxations = relax(problem, joint)
+    relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
     trees, given = _Trees(joint, start, search, most), dict(given or {})
     first, many_terms = search.limits, most_terms(joint)
@@ -149,26 +166,26 @@ def improve(problem: Problem, joint: JointModel, search: Search, given: dict[str
         first = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, many_terms)})
     naive, many = None, search.value == "train"
     if not given:
-        naive = sweep(joint, resting_laws(joint), None, first, improve=True)
+        naive = sweep(joint, resting_policies(joint), None, first, improve=True)
         many = many or (naive.rank >= many_terms and search.value == "auto")
     elif not many:
         many = max(own.rank for own in trees.each(given)) >= many_terms and search.value == "auto"
     if many:
-        starts = given | {"relaxed start": relaxed_laws(relaxations)}
+        starts = given | {"relaxed start": relaxed_policies(relaxations)}
         if naive is not None:
-            starts["naive start"] = naive.laws
+            starts["naive start"] = naive.policies
         trains = _Trains(joint, start, search, most)
-        best = trains.search(starts, resting_laws(joint) if naive is None else naive.laws)
+        best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
-    laws = trees.search(naive, relaxations)
-    frozen, gain = _frozen(joint, laws, start)
+    policies = trees.search(naive, relaxations)
+    frozen, gain = _frozen(joint, policies, start)
     for _ in range(POLISHING if search.max_sweeps else 0):
         if gain <= WORTHWHILE * frozen.value:
             break
-        better = sweep(joint, frozen.laws, start, FINAL, improve=True)
+        better = sweep(joint, frozen.policies, start, FINAL, improve=True)
         trees.values.append(better.value)
         search.tell("polishing", max(better.value, frozen.value))
-        polished, less = _frozen(joint, better.laws, start)
+        polished, less = _frozen(joint, better.policies, start)
         if polished.value <= frozen.value:
             break
         frozen, gain = polished, less
@@ -181,10 +198,10 @@ def most_terms(joint: JointModel) -> int:
     return int(np.clip(TREE_BYTES / (8.0 * FINAL_TERMS * points), 2, MANY_TERMS))
 
 
-def _frozen(joint: JointModel, laws: Laws, start: Occupancy) -> tuple[Sweep, float]:
+def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sweep, float]:
     """Value of given policies, pruned as little as can be, and what one agent alone could gain."""
     gains = [0.0]
-    found = sweep(joint, laws, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
+    found = sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
     return found, max(gains)
 
 
@@ -197,60 +214,60 @@ class _Trees:
         self.starts: dict[str, float] = {}
         self.best: Sweep | None = None
 
-    def search(self, naive: Sweep | None, relaxations: tuple[Relaxation, ...]) -> Laws:
+    def search(self, naive: Sweep | None, relaxations: tuple[Relaxation, ...]) -> Policies:
         """The best policies from all starts: the naive one, or those that have been begun with."""
-        resting = resting_laws(self.joint) if naive is None else naive.laws
+        resting = resting_policies(self.joint) if naive is None else naive.policies
         sweeps = self.how.max_sweeps
         if naive is not None:
-            self.run("naive start", naive.laws, sweeps)
+            self.run("naive start", naive.policies, sweeps)
         elif self.best is not None:
-            self.run("given start", self.best.laws, sweeps - 1, self.best.value)
+            self.run("given start", self.best.policies, sweeps - 1, self.best.value)
         if not self.is_solved and sweeps >= 2:
             self.more_starts(resting, relaxations)
         rng = np.random.default_rng(RESTART_SEED)
         for k in range(self.how.restarts):
             if self.best is not None and self.best.value < self.most * (1 - 1e-9):
-                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng), sweeps)
-        return resting if self.best is None else self.best.laws
+                self.run(f"perturbed start {k + 1}", perturbed(self.best.policies, rng), sweeps)
+        return resting if self.best is None else self.best.policies
 
-    def each(self, starts: dict[str, Laws]) -> list[Sweep]:
+    def each(self, starts: dict[str, Policies]) -> list[Sweep]:
         """One sweep from every start."""
-        return [self.run(name, laws, min(1, self.how.max_sweeps)) for name, laws in starts.items()]
+        return [self.run(name, policies, min(1, self.how.max_sweeps)) for name, policies in starts.items()]
 
-    def more_starts(self, naive: Laws, relaxations: tuple[Relaxation, ...]) -> None:
+    def more_starts(self, naive: Policies, relaxations: tuple[Relaxation, ...]) -> None:
         """The relaxed start and, unless it comes to the same, the staged ones; the best two are gone on with."""
         before = self.best
-        (relaxed,) = self.each({"relaxed start": relaxed_laws(relaxations)})
+        (relaxed,) = self.each({"relaxed start": relaxed_policies(relaxations)})
         if before is not None and abs(relaxed.value - before.value) <= SAME * before.value:
             return  # two starts that differ have come to the same
         if self.is_solved:
-            self.run("relaxed start", relaxed.laws, self.how.max_sweeps - 1, relaxed.value)
+            self.run("relaxed start", relaxed.policies, self.how.max_sweeps - 1, relaxed.value)
             return
         staged = staged_starts(self.joint, self.start, naive)
         tried = dict(zip(("relaxed start", *staged), (relaxed, *self.each(staged)), strict=True))
         for name, found in sorted(tried.items(), key=lambda item: -item[1].value)[:2]:
             if not self.is_solved:
-                self.run(name, found.laws, self.how.max_sweeps - 1)
+                self.run(name, found.policies, self.how.max_sweeps - 1)
 
     @property
     def is_solved(self) -> bool:
         """Whether the best is so near the upper bound that no further start is tried."""
         return self.best is not None and self.best.value >= SOLVED * self.most
 
-    def run(self, name: str, laws: Laws, sweeps: int, last: float = -1.0) -> Sweep:
-        """Sweep from ``laws``, whose value is ``last`` if known, until nothing improves; the last sweep."""
+    def run(self, name: str, policies: Policies, sweeps: int, last: float = -1.0) -> Sweep:
+        """Sweep from ``policies``, whose value is ``last`` if known, until nothing improves; the last sweep."""
         found = None
         for _ in range(sweeps):
-            found = sweep(self.joint, laws, self.start, self.how.limits, improve=True)
+            found = sweep(self.joint, policies, self.start, self.how.limits, improve=True)
             self.values.append(found.value)
             self.starts[name] = max(found.value, self.starts.get(name, 0.0))
             self.best = found if self.best is None or found.value > self.best.value else self.best
             self.how.tell(name, self.best.value)
             if found.value <= last * (1 + 1e-7) or found.value >= self.most * (1 - 1e-9):
                 break
-            last, laws = found.value, found.laws
+            last, policies = found.value, found.policies
         if found is None:
-            found = sweep(self.joint, laws, self.start, self.how.limits, improve=False)
+            found = sweep(self.joint, policies, self.start, self.how.limits, improve=False)
             self.best = found if self.best is None or found.value > self.best.value else self.best
         return found
 
@@ -265,43 +282,45 @@ class _Trains:
         self.gain = 0.0
         self.best: TrainSweep | None = None
 
-    def search(self, starts: dict[str, Laws], naive: Laws) -> TrainSweep:
+    def search(self, starts: dict[str, Policies], naive: Policies) -> TrainSweep:
         """The best policies from several starts, those of the first one if there are no sweeps to be made."""
-        for name, laws in starts.items():
+        for name, policies in starts.items():
             if self.how.max_sweeps and not self.is_good:
-                self.run(name, laws, self.how.max_sweeps)
+                self.run(name, policies, self.how.max_sweeps)
         if not self.is_good and self.how.max_sweeps >= 2:
             staged = staged_starts(self.joint, self.start, naive)
-            tried = {name: self.run(name, laws, 1) for name, laws in staged.items()}
+            tried = {name: self.run(name, policies, 1) for name, policies in staged.items()}
             for k, (name, found) in enumerate(sorted(tried.items(), key=lambda item: -item[1].value)[:2]):
                 if k == 0 or not self.is_good:
-                    self.run(name, found.laws, self.how.max_sweeps - 1)
+                    self.run(name, found.policies, self.how.max_sweeps - 1)
         rng = np.random.default_rng(RESTART_SEED)
         for k in range(self.how.restarts):
             if self.best is not None and not self.is_solved:
-                self.run(f"perturbed start {k + 1}", perturbed(self.best.laws, rng), self.how.max_sweeps)
-        laws = next(iter(starts.values())) if self.best is None else self.best.laws
+                self.run(f"perturbed start {k + 1}", perturbed(self.best.policies, rng), self.how.max_sweeps)
+        policies = next(iter(starts.values())) if self.best is None else self.best.policies
         value = self.most if self.best is None else max(self.best.value, 1e-6)
         tolerance = _tolerance(min(self.fine * value, max(FAILURE * (1.0 - value), 1e-3 * self.fine)))
         share = VISITED * min(self.fine, tolerance / value)  # the tolerance may be more, where the value is next to 0
         gains = [0.0]
-        found = sweep_trains(self.joint, laws, self.start, tolerance, improve=False, share=share, watch=gains.append)
+        found = sweep_trains(
+            self.joint, policies, self.start, tolerance, improve=False, share=share, watch=gains.append
+        )
         self.gain = max(gains)
         return found
 
-    def run(self, name: str, laws: Laws, sweeps: int) -> TrainSweep:
-        """Sweep from ``laws`` until nothing improves; the last sweep."""
+    def run(self, name: str, policies: Policies, sweeps: int) -> TrainSweep:
+        """Sweep from ``policies`` until nothing improves; the last sweep."""
         last, found = 0.0, self.best
         for _ in range(sweeps):
             tolerance = self.tolerance
-            found = sweep_trains(self.joint, laws, self.start, tolerance, improve=True, margin=1)
+            found = sweep_trains(self.joint, policies, self.start, tolerance, improve=True, margin=1)
             self.values.append(found.value)
             self.starts[name] = max(found.value, self.starts.get(name, 0.0))
             self.best = found if self.best is None or found.value > self.best.value else self.best
             self.how.tell(name, self.best.value)
             if found.value <= last + tolerance or self.is_solved:
                 break
-            last, laws = found.value, found.laws
+            last, policies = found.value, found.policies
         assert found is not None
         return found
 
@@ -327,22 +346,22 @@ class _Trains:
         return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
 
 
-def staged_starts(joint: JointModel, start: Occupancy, naive: Laws) -> dict[str, Laws]:
+def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> dict[str, Policies]:
     """Policies that take the most likely way through the task, in several stagings (see ``seeds``)."""
-    starts: dict[str, Laws] = {}
+    starts: dict[str, Policies] = {}
     for path in best_paths(joint, start, width=32, count=1):
         for own in staged_paths(joint, path):
-            starts[f"staged start {len(starts) + 1}"] = path_laws(joint, own, naive)
+            starts[f"staged start {len(starts) + 1}"] = path_policies(joint, own, naive)
     return starts
 
 
-def perturbed(laws: Laws, rng: np.random.Generator) -> Laws:
+def perturbed(policies: Policies, rng: np.random.Generator) -> Policies:
     """Policies whose plans are advanced or delayed from a random step on, those of each agent by their own steps."""
     shifted = []
-    for law in laws:
-        times = np.arange(len(law))
-        shift = np.where(times >= rng.integers(len(law)), rng.integers(-LONGEST_SHIFT, LONGEST_SHIFT + 1), 0)
-        shifted.append(law[np.clip(times + shift, 0, len(law) - 1)])
+    for policy in policies:
+        times = np.arange(len(policy))
+        shift = np.where(times >= rng.integers(len(policy)), rng.integers(-LONGEST_SHIFT, LONGEST_SHIFT + 1), 0)
+        shifted.append(policy[np.clip(times + shift, 0, len(policy) - 1)])
     return tuple(shifted)
 
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Laws
+from ..models import AgentModel, JointModel, Policies
 from ..values import UNIT, Occupancy
 from .best_response import TIE, best_choices
 from .tree import gather
@@ -45,17 +45,17 @@ class Relaxation:
     ----------
     values : (Q, S) array
         Upper bounds, up to rounding, on what any joint policy attains from each automaton state and cell.
-    law : (T, Q, S) int32 array
+    policy : (T, Q, S) int32 array
         The choices that attain them.
     """
 
     values: FloatArray
-    law: NDArray[np.int32]
+    policy: NDArray[np.int32]
 
 
-def relax(problem: Problem, joint: JointModel) -> tuple[Relaxation, ...]:
-    """The relaxation of every agent; agents that are alike share theirs, which ``joint`` remembers."""
-    found = joint.relaxations
+def relax(problem: Problem, joint: JointModel, known: dict[object, Relaxation] | None = None) -> tuple[Relaxation, ...]:
+    """The relaxation of every agent; agents that are alike share theirs. New ones are added to the ``known`` ones."""
+    found = {} if known is None else known
     relaxations = []
     for model, follows in zip(joint.models, favourable_successors(problem), strict=True):
         key = (id(model), follows.tobytes())
@@ -80,9 +80,9 @@ def upper_bound(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxati
     return min(1.0, total * (1.0 + 4.0 * n * UNIT + 2.0 * ties) + loss + 1e-12)
 
 
-def relaxed_laws(relaxations: tuple[Relaxation, ...]) -> Laws:
+def relaxed_policies(relaxations: tuple[Relaxation, ...]) -> Policies:
     """The policies of all relaxations, one per agent."""
-    return tuple(one.law for one in relaxations)
+    return tuple(one.policy for one in relaxations)
 
 
 def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> Relaxation:
@@ -90,7 +90,7 @@ def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> 
     n_q = joint.n_states
     value = np.repeat(joint.accepting.astype(float)[:, None], model.n_cells, axis=1)
     settled = value.copy()
-    law = np.tile(model.choices.resting_law, (joint.horizon, n_q, 1))
+    policy = np.tile(model.choices.resting_choice, (joint.horizon, n_q, 1))
     weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
         smoothed = model.kernel.smooth(_arriving(value, classes))
@@ -98,9 +98,9 @@ def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> 
             if joint.absorbing[q]:
                 value[q] = settled[q]
                 continue
-            law[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], law[t, q])
-            value[q] = gather(smoothed[q : q + 1], model.choices.points(law[t, q]))[0]
-    return Relaxation(value, law)
+            policy[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], policy[t, q])
+            value[q] = gather(smoothed[q : q + 1], model.choices.points(policy[t, q]))[0]
+    return Relaxation(value, policy)
 
 
 def _cells_by_class(

@@ -6,7 +6,7 @@ which a run is most likely to be there. Then all agents answer to the mass of al
     argmax_u  sum_t sum_l omega_t,l(s) (P_u g_t,l)(s) ,
 
 as long as that makes them better: for policies that are the same at all times this sum is the derivative of the value
-by the choice in a cell. Every candidate is evaluated with frozen laws. For co-safe tasks the value of T steps is a
+by the choice in a cell. Every candidate is evaluated with frozen policies. For co-safe tasks the value of T steps is a
 lower bound of the value without a deadline, and rises with T.
 """
 
@@ -17,10 +17,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ..models import JointModel, Laws, start_of
+from ..models import JointModel, Policies, start_of
 from ..values import Occupancy, to_host
 from .ascent import Limits, Stage, Sweep, forward, sweep
 from .best_response import best_choices
@@ -35,59 +34,56 @@ LARGEST = 60_000_000
 
 
 def stationary_best(problem: Problem, joint: JointModel, found: Found, limits: Limits) -> Sweep | TrainSweep:
-    """The best stationary policies that come from what a search has found, evaluated with frozen laws."""
+    """The best stationary policies that come from what a search has found, evaluated with frozen policies."""
     start = start_of(problem, joint)
     evaluate = _evaluation(joint, start, found.best, limits)
     shape = (joint.horizon, joint.n_states)
-    first = tuple(law[:1] for law in found.best.laws)
-    candidates = [first, tuple(one.law[:1] for one in found.relaxations)]
+    first = tuple(policy[:1] for policy in found.best.policies)
+    candidates = [first, tuple(one.policy[:1] for one in found.relaxations)]
     if isinstance(found.best, Sweep):
-        candidates.append(_modal(joint, found.best.laws, forward(joint, found.best.laws, start, limits)))
-    tried = [evaluate(_at_all_times(laws, shape)) for laws in candidates]
+        candidates.append(_modal(joint, found.best.policies, forward(joint, found.best.policies, start, limits)))
+    tried = [evaluate(_at_all_times(policies, shape)) for policies in candidates]
     best = max(tried, key=lambda one: one.value)
     if isinstance(best, TrainSweep):
         return best
     for _ in range(ROUNDS):
-        answers = _answers(joint, best.laws, start, limits)
+        answers = _answers(joint, best.policies, start, limits)
         better = None if answers is None else evaluate(_at_all_times(answers, shape))
         if better is None or better.value <= best.value * (1 + 1e-7):
             break
         assert isinstance(better, Sweep)
         best = better
-    return _shared(sweep(joint, best.laws, start, FINAL, improve=False))
-
-
-def time_invariant(law: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The law (1, Q, S) of a policy that was made the same at all times, any other one as it is."""
-    return law[:1] if law.strides[0] == 0 else law
+    return _shared(sweep(joint, best.policies, start, FINAL, improve=False))
 
 
 def _evaluation(
     joint: JointModel, start: Occupancy, best: Sweep | TrainSweep, limits: Limits
-) -> Callable[[Laws], Sweep | TrainSweep]:
+) -> Callable[[Policies], Sweep | TrainSweep]:
     """Evaluation of policies in the form in which they were found."""
     if isinstance(best, TrainSweep):
         tolerance = best.rounding.tolerance
-        return lambda laws: _shared(sweep_trains(joint, laws, start, tolerance, improve=False))
-    return lambda laws: sweep(joint, laws, start, limits, improve=False)
+        return lambda policies: _shared(sweep_trains(joint, policies, start, tolerance, improve=False))
+    return lambda policies: sweep(joint, policies, start, limits, improve=False)
 
 
 def _shared(found: Any) -> Any:
-    """The sweep, its laws held once for all times."""
-    shape = found.laws[0].shape[:2]
-    return replace(found, laws=_at_all_times(tuple(law[:1] for law in found.laws), shape))
+    """The sweep, its policies held once for all times."""
+    shape = found.policies[0].shape[:2]
+    return replace(
+        found, policies=_at_all_times(tuple(policy[:1] for policy in found.policies), shape), stationary=True
+    )
 
 
-def _at_all_times(laws: Laws, shape: tuple[int, ...]) -> Laws:
+def _at_all_times(policies: Policies, shape: tuple[int, ...]) -> Policies:
     """Laws (1, Q, S) as (T, Q, S), held once."""
-    return tuple(np.broadcast_to(law, (*shape, law.shape[-1])) for law in laws)
+    return tuple(np.broadcast_to(policy, (*shape, policy.shape[-1])) for policy in policies)
 
 
-def _modal(joint: JointModel, laws: Laws, occupancies: list[Occupancy]) -> Laws:
+def _modal(joint: JointModel, policies: Policies, occupancies: list[Occupancy]) -> Policies:
     """Per automaton state and cell the choice of the time at which the agent is most likely there."""
     kept = []
-    for i, law in enumerate(laws):
-        mass = np.zeros(law.shape)
+    for i, policy in enumerate(policies):
+        mass = np.zeros(policy.shape)
         for t, occupancy in enumerate(occupancies):
             for q, rows in enumerate(occupancy.terms.index):
                 if len(rows):
@@ -97,15 +93,15 @@ def _modal(joint: JointModel, laws: Laws, occupancies: list[Occupancy]) -> Laws:
                             weight *= own.sum(axis=1)[rows[:, j]]
                     mass[t, q] = weight @ factors[i][rows[:, i]]
         time = np.argmax(mass, axis=0)  # the first of equals: where nobody comes, that is time 0
-        kept.append(np.take_along_axis(law, time[None], axis=0))
+        kept.append(np.take_along_axis(policy, time[None], axis=0))
     return tuple(kept)
 
 
-def _answers(joint: JointModel, laws: Laws, start: Occupancy, limits: Limits) -> Laws | None:
+def _answers(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> Policies | None:
     """Best answers of all agents to the mass of all times together; None if they would hold too many numbers."""
     stages: list[list[Stage]] = [[] for _ in range(joint.n_states)]
-    sweep(joint, laws, start, limits, improve=False, watch=lambda stage: stages[stage.q].append(stage))
-    answers = [law[:1].copy() for law in laws]
+    sweep(joint, policies, start, limits, improve=False, watch=lambda stage: stages[stage.q].append(stage))
+    answers = [policy[:1].copy() for policy in policies]
     for q, own in enumerate(stages):
         met = [stage for stage in own if stage.is_met and len(stage.rows)]
         if not met:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Law, Laws
+from ..models import AgentModel, JointModel, Policies, StepPolicy
 from ..values import (
     Cells,
     Core,
@@ -61,7 +61,7 @@ class TrainSweep:
 
     Parameters
     ----------
-    laws : Laws
+    policies : Policies
     value : float
         Value at the start, as computed: within ``terms.error`` of that of the abstraction.
     terms : Trains
@@ -70,13 +70,16 @@ class TrainSweep:
         Largest number of columns of a bond at any time.
     rounding : Rounding
         What was left out, enough to evaluate the same policies again.
+    stationary : bool
+        Whether the policies are the same at all times, held once for all of them.
     """
 
-    laws: Laws
+    policies: Policies
     value: float
     terms: Trains
     rank: int
     rounding: Rounding
+    stationary: bool = False
 
     @property
     def dropped(self) -> float:
@@ -86,7 +89,7 @@ class TrainSweep:
 
 def sweep_trains(
     joint: JointModel,
-    laws: Laws,
+    policies: Policies,
     start: Occupancy,
     tolerance: float,
     *,
@@ -96,12 +99,12 @@ def sweep_trains(
     margin: int = 0,
     watch: Callable[[float], None] | None = None,
 ) -> TrainSweep:
-    """One pass: alive mass forward under ``laws``, value backward, every agent answering on the way if ``improve``.
+    """One pass: alive mass forward under ``policies``, value backward, every agent answering on the way if ``improve``.
 
     Parameters
     ----------
     joint : JointModel
-    laws : Laws
+    policies : Policies
     start : Occupancy
     tolerance : float
         What rounding may change of the value in all, in the sup norm.
@@ -120,17 +123,17 @@ def sweep_trains(
     masses: list[Masses] = [(None,) * joint.n_states] * joint.horizon
     visited: list[Cells] | None = None
     if weighted:
-        masses, found = forward_trains(joint, ways, laws, start, share)
+        masses, found = forward_trains(joint, ways, policies, start, share)
         visited = [_around(joint.models, own, margin) for own in found]
-    better = tuple(law.copy() for law in laws) if improve else laws
+    better = tuple(policy.copy() for policy in policies) if improve else policies
     ranks = [0]
 
-    def choose(t: int, q: int, arriving: Train) -> Sequence[Law]:
-        own = [law[t, q] for law in better]
+    def choose(t: int, q: int, arriving: Train) -> Sequence[StepPolicy]:
+        own = [policy[t, q] for policy in better]
         if improve:
             own = answers(joint.models, arriving, masses[t][q], own)
-            for law, one in zip(better, own, strict=True):
-                law[t, q] = one
+            for policy, one in zip(better, own, strict=True):
+                policy[t, q] = one
         here = masses[t][q]
         if watch is not None and here is not None:
             watch(gain(joint.models, arriving, here, own))
@@ -143,7 +146,7 @@ def sweep_trains(
 
 
 def forward_trains(
-    joint: JointModel, ways: Routes, laws: Laws, start: Occupancy, share: float
+    joint: JointModel, ways: Routes, policies: Policies, start: Occupancy, share: float
 ) -> tuple[list[Masses], list[Cells]]:
     """Alive mass at times 0 .. T - 1, and the cells that hold all but ``share`` of where agents arrive, 0 .. T."""
     masses: Masses = tuple(_of_terms(start, q) for q in range(joint.n_states))
@@ -155,7 +158,7 @@ def forward_trains(
         arriving = {}
         for q, train in enumerate(found[-1]):
             if train is not None and not joint.absorbing[q]:
-                arriving[q] = _pushed(train, joint.models, [law[t, q] for law in laws])
+                arriving[q] = _pushed(train, joint.models, [policy[t, q] for policy in policies])
         cells = _holding(list(arriving.values()), joint.n_cells, share)
         visited.append(cells)
         if t == joint.horizon - 1:
@@ -170,11 +173,11 @@ def forward_trains(
     return found, visited
 
 
-def _pushed(train: Train, models: Sequence[AgentModel], laws: Sequence[Law]) -> Train:
+def _pushed(train: Train, models: Sequence[AgentModel], policies: Sequence[StepPolicy]) -> Train:
     """Mass one step later, before its letter is read, over all cells."""
     cores = []
-    for i, (core, model, law) in enumerate(zip(train.cores, models, laws, strict=True)):
-        spread = model.kernel.push(core_rows(train, i, model.n_cells), model.choices.points(law))
+    for i, (core, model, policy) in enumerate(zip(train.cores, models, policies, strict=True)):
+        spread = model.kernel.push(core_rows(train, i, model.n_cells), model.choices.points(policy))
         cores.append(np.ascontiguousarray(np.moveaxis(spread.reshape(core.shape[0], core.shape[2], -1), 2, 1)))
     return Train(tuple(cores))
 
@@ -217,45 +220,51 @@ def _restricted(train: Train, cells: tuple[NDArray[Any], ...]) -> Train:
     return Train(cores, train.error, cells)
 
 
-def answers(models: Sequence[AgentModel], arriving: Train, mass: Train | None, laws: Sequence[Law]) -> list[Law]:
+def answers(
+    models: Sequence[AgentModel], arriving: Train, mass: Train | None, policies: Sequence[StepPolicy]
+) -> list[StepPolicy]:
     """Laws of all agents for one time and automaton state, each agent answering once, in order.
 
     Cells that the mass does not meet are weighed as if the other agents might be anywhere.
     """
-    laws = list(laws)
-    cores = [expected(arriving, i, model, law) for i, (model, law) in enumerate(zip(models, laws, strict=True))]
+    policies = list(policies)
+    cores = [
+        expected(arriving, i, model, policy) for i, (model, policy) in enumerate(zip(models, policies, strict=True))
+    ]
     after, rest = _after(cores, mass)
     before, first = np.ones((1, 1)), np.ones(1)
     for i, model in enumerate(models):
         table = core_rows(arriving, i, model.n_cells)
         weights = np.broadcast_to(np.outer(first, rest[i]).ravel(), (model.n_cells, len(table)))
-        laws[i] = best_choices(
-            model.choices, np.ones((model.n_cells, 1)), model.kernel.smooth(weights[:1] @ table), laws[i]
+        policies[i] = best_choices(
+            model.choices, np.ones((model.n_cells, 1)), model.kernel.smooth(weights[:1] @ table), policies[i]
         )
         if mass is not None:
             met, seen = _seen(mass, i, before, after[i])
             if len(met):
-                laws[i] = _answer(model, met, seen, table, laws[i])
-        cores[i] = expected(arriving, i, model, laws[i])
+                policies[i] = _answer(model, met, seen, table, policies[i])
+        cores[i] = expected(arriving, i, model, policies[i])
         first = first @ cores[i].mean(axis=1)
         if mass is not None:
             onward = np.tensordot(before, _read_at(mass, i, cores[i]), axes=(1, 0))
             before = np.tensordot(mass.cores[i], onward, axes=((0, 1), (0, 1)))
-    return laws
+    return policies
 
 
-def gain(models: Sequence[AgentModel], arriving: Train, mass: Train, laws: Sequence[Law]) -> float:
+def gain(models: Sequence[AgentModel], arriving: Train, mass: Train, policies: Sequence[StepPolicy]) -> float:
     """Most that one agent alone could add to the value at the start by other choices at one time and automaton state.
 
     As exact as the mass is, which is cut at ``MASS``.
     """
-    cores = [expected(arriving, i, model, law) for i, (model, law) in enumerate(zip(models, laws, strict=True))]
+    cores = [
+        expected(arriving, i, model, policy) for i, (model, policy) in enumerate(zip(models, policies, strict=True))
+    ]
     after, _ = _after(cores, mass)
     before, most = np.ones((1, 1)), 0.0
-    for i, (model, law) in enumerate(zip(models, laws, strict=True)):
+    for i, (model, policy) in enumerate(zip(models, policies, strict=True)):
         met, seen = _seen(mass, i, before, after[i])
         if len(met):
-            better = _answer(model, met, seen, core_rows(arriving, i, model.n_cells), law)
+            better = _answer(model, met, seen, core_rows(arriving, i, model.n_cells), policy)
             added = _read_at(mass, i, expected(arriving, i, model, better) - cores[i])
             weights = np.tensordot(np.tensordot(before, mass.cores[i], axes=(0, 0)), after[i], axes=(2, 0))
             most = max(most, float(np.sum(np.moveaxis(weights, 1, 0) * np.moveaxis(added, 1, 0))))
@@ -290,7 +299,9 @@ def _seen(mass: Train, i: int, before: FloatArray, after: FloatArray) -> tuple[N
     return (met if mass.cells is None else mass.cells[i][met]), seen
 
 
-def _answer(model: AgentModel, met: NDArray[np.int64], seen: FloatArray, table: FloatArray, law: Law) -> Law:
+def _answer(
+    model: AgentModel, met: NDArray[np.int64], seen: FloatArray, table: FloatArray, policy: StepPolicy
+) -> StepPolicy:
     """Best choices at the met cells, the others as they are."""
     if seen.shape[1] > COLUMNS:
         draws = np.random.default_rng(20251106).standard_normal((len(seen), min(len(seen), COLUMNS)))
@@ -298,8 +309,8 @@ def _answer(model: AgentModel, met: NDArray[np.int64], seen: FloatArray, table: 
         seen, table = seen @ basis, basis.T @ table
     weights = np.zeros((model.n_cells, seen.shape[1]))
     weights[met] = seen
-    better = best_choices(model.choices, weights, model.kernel.smooth(table), law)
-    answer = law.copy()
+    better = best_choices(model.choices, weights, model.kernel.smooth(table), policy)
+    answer = policy.copy()
     answer[met] = better[met]
     return answer
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel, JointModel, Law, Laws
+from ..models import AgentModel, JointModel, Policies, StepPolicy
 from ..values import Cells, Core, Routes, Train, Trains, added, arrival, assembled, ones, routes, smoothed_core
 
 
@@ -25,20 +25,22 @@ def terminal(joint: JointModel, cells: Cells = None) -> Trains:
     return Trains(tuple(ones(joint.n_cells, cells) if accepted else None for accepted in joint.accepting))
 
 
-def moved(arriving: Train, models: Sequence[AgentModel], laws: Sequence[Law], cells: Cells = None) -> Train:
-    """Expected value one step before arriving, under one law per agent, at the given cells (all by default)."""
+def moved(arriving: Train, models: Sequence[AgentModel], policies: Sequence[StepPolicy], cells: Cells = None) -> Train:
+    """Expected value one step before arriving, under one policy per agent, at the given cells (all by default)."""
     where = [None] * len(models) if cells is None else cells
-    cores = [expected(arriving, i, *own) for i, own in enumerate(zip(models, laws, where, strict=True))]
+    cores = [expected(arriving, i, *own) for i, own in enumerate(zip(models, policies, where, strict=True))]
     return assembled(arriving, cores, [model.kernel.shape for model in models], cells)
 
 
-def expected(arriving: Train, i: int, model: AgentModel, law: Law, at: NDArray[np.integer] | None = None) -> Core:
-    """Expected matrices (r, n, r') of agent i under a law (S,), at n cells; 0 where there is no choice."""
-    points = model.choices.points(law)
+def expected(
+    arriving: Train, i: int, model: AgentModel, policy: StepPolicy, at: NDArray[np.integer] | None = None
+) -> Core:
+    """Expected matrices (r, n, r') of agent i under a policy (S,), at n cells; 0 where there is no choice."""
+    points = model.choices.points(policy)
     return smoothed_core(arriving, i, model.n_cells, points if at is None else points[at], model.kernel.smooth)
 
 
-Choose = Callable[[int, int, Train], Sequence[Law]]
+Choose = Callable[[int, int, Train], Sequence[StepPolicy]]
 """Laws of all agents, given the time, the automaton state and the value of arriving."""
 
 
@@ -51,7 +53,7 @@ def backward(
     visited: Sequence[Cells] | None = None,
     beside: Callable[[int, int], Train | None] | None = None,
 ) -> Trains:
-    """Value function at time 0 under the laws that ``choose`` gives, rounded by at most ``tolerance`` in all.
+    """Value function at time 0 under the policies that ``choose`` gives, rounded by at most ``tolerance`` in all.
 
     ``each(t, value)`` is called with the value function at every time t = T - 1 .. 0. With ``visited``, the cells at
     times 0 .. T, a run that leaves them counts as failed: a lower bound still, with far less to be rounded.
@@ -80,11 +82,11 @@ def backward(
 
 def evaluate(
     joint: JointModel,
-    laws: Laws,
+    policies: Policies,
     tolerance: float,
     each: Callable[[int, Trains], None] | None = None,
     visited: Sequence[Cells] | None = None,
 ) -> Trains:
     """Value function at time 0 of given policies; see ``backward``."""
     ways = routes(joint.guards, joint.masks, joint.n_states)
-    return backward(joint, ways, lambda t, q, _: [law[t, q] for law in laws], tolerance, each, visited)
+    return backward(joint, ways, lambda t, q, _: [policy[t, q] for policy in policies], tolerance, each, visited)

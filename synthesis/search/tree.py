@@ -165,11 +165,11 @@ def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
     return batches
 
 
-def gather(smoothed: NDArray, law: NDArray[np.integer]) -> NDArray:
+def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
     """Read smoothed factors (n, Z) at the chosen lattice points (S,); cells without a target have value 0."""
-    values = take(smoothed, np.maximum(law, 0), axis=1)
-    if np.any(law < 0):
-        values[:, beside(law < 0, values)] = 0
+    values = take(smoothed, np.maximum(policy, 0), axis=1)
+    if np.any(policy < 0):
+        values[:, beside(policy < 0, values)] = 0
     return values
 
 

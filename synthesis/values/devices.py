@@ -3,7 +3,7 @@
 The sweep over the value tree (``ascent``) smooths, gathers, weighs and pushes factors, and these are most of its work.
 It is written once, for numpy and for every library of the Python array API that can be indexed by whole numbers (torch,
 cupy). Big arrays, those with an axis of cells or lattice points and the products of terms, stay on the device from the
-first step of a sweep to the last; tables of whole numbers (which term points at which factor), laws, and decisions
+first step of a sweep to the last; tables of whole numbers (which term points at which factor), policies, and decisions
 about terms stay with numpy. This module holds what the two need of each other, and nothing else knows of libraries.
 
 Only double precision is used. Sums may be taken in another order than by numpy: results agree to rounding, and the

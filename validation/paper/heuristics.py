@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...synthesis.bounds import plain_loss
 from ...synthesis.cells import FloatArray
-from ...synthesis.models import JointModel, Laws
+from ...synthesis.models import JointModel, Policies
 from ...synthesis.relations import joint_delta
 from ...synthesis.search import Candidates, assemble, best_choices, candidates, gather, terminal_terms
 from ...synthesis.values import Terms, compress
@@ -39,7 +39,7 @@ class HeuristicStep:
     ----------
     steps : int
         t.
-    laws : tuple of (Q, S_i) arrays
+    policies : tuple of (Q, S_i) arrays
         Policies of the first of these steps.
     terms : Terms
         Value of the policies so far (for ``robust tree`` their robust value).
@@ -48,7 +48,7 @@ class HeuristicStep:
     """
 
     steps: int
-    laws: tuple[NDArray[np.int32], ...]
+    policies: tuple[NDArray[np.int32], ...]
     terms: Terms
     depths: tuple[NDArray[np.int64], ...]
 
@@ -66,13 +66,15 @@ def paper_steps(joint: JointModel, kind: str) -> Iterator[HeuristicStep]:
         raise ValueError(f"`kind`: expected one of {', '.join(KINDS)}, got {kind!r}")
     delta = joint_delta([model.delta for model in joint.models]) if kind == "a-posteriori" else 0.0
     loss = plain_loss if kind == "robust tree" else None
-    laws = tuple(np.tile(np.maximum(m.choices.resting_law, 0) * 0, (joint.n_states, 1)) for m in joint.models)
-    laws = tuple(np.where(m.choices.resting_law < 0, -1, law) for m, law in zip(joint.models, laws, strict=True))
+    policies = tuple(np.tile(np.maximum(m.choices.resting_choice, 0) * 0, (joint.n_states, 1)) for m in joint.models)
+    policies = tuple(
+        np.where(m.choices.resting_choice < 0, -1, policy) for m, policy in zip(joint.models, policies, strict=True)
+    )
     terms = terminal_terms(joint.accepting, joint.n_cells)
     depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in joint.accepting]
     for t in range(1, joint.horizon + 1):
         options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
-        parts, new_laws, new_depths = [], tuple(law.copy() for law in laws), []
+        parts, new_policies, new_depths = [], tuple(policy.copy() for policy in policies), []
         for q in range(joint.n_states):
             if joint.absorbing[q]:
                 parts.append(
@@ -84,19 +86,23 @@ def paper_steps(joint: JointModel, kind: str) -> Iterator[HeuristicStep]:
                 new_depths.append(np.zeros(int(joint.accepting[q]), dtype=np.int64))
                 continue
             depth = _depths(joint, options, q, depths)
-            chosen, part, kept = _choose(joint, options, q, [law[q] for law in laws], 1.0 + delta * (t - depth))
-            for law, own in zip(new_laws, chosen, strict=True):
-                law[q] = own
+            chosen, part, kept = _choose(
+                joint, options, q, [policy[q] for policy in policies], 1.0 + delta * (t - depth)
+            )
+            for policy, own in zip(new_policies, chosen, strict=True):
+                policy[q] = own
             parts.append(part)
             new_depths.append(depth[kept])
-        terms, laws, depths = assemble(parts, joint.n_cells), new_laws, new_depths
-        yield HeuristicStep(t, laws, terms, tuple(depths))
+        terms, policies, depths = assemble(parts, joint.n_cells), new_policies, new_depths
+        yield HeuristicStep(t, policies, terms, tuple(depths))
 
 
-def paper_laws(joint: JointModel, kind: str) -> Laws:
+def paper_policies(joint: JointModel, kind: str) -> Policies:
     """Policies (T, Q, S_i) of the paper's heuristic for the whole horizon."""
-    steps = [step.laws for step in paper_steps(joint, kind)]
-    return tuple(np.stack([laws[i] for laws in reversed(steps)]).astype(np.int32) for i in range(len(joint.models)))
+    steps = [step.policies for step in paper_steps(joint, kind)]
+    return tuple(
+        np.stack([policies[i] for policies in reversed(steps)]).astype(np.int32) for i in range(len(joint.models))
+    )
 
 
 def _depths(joint: JointModel, options: Candidates, q: int, depths: list[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -113,14 +119,14 @@ def _depths(joint: JointModel, options: Candidates, q: int, depths: list[NDArray
 
 
 def _choose(
-    joint: JointModel, options: Candidates, q: int, laws: list[NDArray[np.int32]], zeta: FloatArray
+    joint: JointModel, options: Candidates, q: int, policies: list[NDArray[np.int32]], zeta: FloatArray
 ) -> tuple[list[NDArray[np.int32]], tuple[list[FloatArray], NDArray[np.int64]], NDArray[np.int64]]:
     """New policies of state q, the terms they leave alive, and which candidates those are."""
     rows = options.index[q].copy()
     tables, norms, largest = [], [], np.ones(len(rows))
     for i, model in enumerate(joint.models):
         table, rows[:, i] = compress(options.smoothed[i], rows[:, i])
-        values = gather(table, model.choices.points(laws[i]))
+        values = gather(table, model.choices.points(policies[i]))
         tables.append(table)
         norms.append(values.sum(axis=1)[rows[:, i]])
         largest *= values.max(axis=1, initial=0.0)[rows[:, i]]
@@ -132,9 +138,9 @@ def _choose(
         weight = np.exp(log_weight - log_weight.max(initial=-np.inf, where=alive > 0)) * alive if alive.any() else alive
         weights = np.bincount(rows[:, i], weights=np.where(alive > 0, weight, 0.0), minlength=len(tables[i]))
         nothing = np.full(model.n_cells, -1, dtype=np.int32)
-        law = best_choices(model.choices, weights[None], tables[i], nothing)
-        values = gather(tables[i], model.choices.points(law))
-        chosen.append(law)
+        policy = best_choices(model.choices, weights[None], tables[i], nothing)
+        values = gather(tables[i], model.choices.points(policy))
+        chosen.append(policy)
         factors.append(values)
         after *= values.max(axis=1, initial=0.0)[rows[:, i]]
     kept = np.flatnonzero(after > ALIVE)
