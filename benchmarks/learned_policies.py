@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import certigym as cg
+from certigym.baselines import RandomController
 
 TASKS: dict[str, tuple[str, dict[str, Any], int]] = {
     "RA2, T = 7": ("reach-avoid-v0", {}, 2000),
@@ -40,7 +41,7 @@ def compared(name: str, seeds: list[int], steps: int | None, episodes: int) -> c
         policies[f"PPO certified, seed {seed}"] = cg.certify(problem, actor, cells)
         policies[f"PPO improved, seed {seed}"] = cg.improve(problem, actor, cells)
     policies["ours"] = cg.synthesize(problem, cells)
-    policies["random"] = cg.RandomController()
+    policies["random"] = RandomController()
     for result in policies.values():
         if hasattr(result, "certificate"):
             report = cg.check(result.certificate, problem)

@@ -80,7 +80,9 @@ def audit_rates(runs: int) -> dict[str, float]:
     """False alarms of audits of a true, exact certificate at the level 5 %."""
     certificate = cg.synthesize(loud_problem(), 60).certificate
     values = claimed_values(certificate)
-    alarms = sum(audit(certificate, 2000, seed, values=values, confidence=1 - LEVEL).refuted for seed in range(runs))
+    alarms = sum(
+        audit(certificate, 2000, seed=seed, values=values, confidence=1 - LEVEL).refuted for seed in range(runs)
+    )
     return {"runs": runs, "level": LEVEL, "false_alarms": alarms / runs}
 
 

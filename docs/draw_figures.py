@@ -42,8 +42,8 @@ def bounds() -> Any:
     problem, horizons = cg.make_problem("reach-avoid-v0"), range(1, 11)
     return figures.horizon_figure(
         {
-            "exact relation": cg.sweep_horizons(problem, horizons, 4000, cells=250),
-            "paper relation": cg.sweep_horizons(problem, horizons, 4000, cells=250, relation="paper"),
+            "exact relation": cg.validate_horizons(problem, horizons, 4000, cells=250),
+            "paper relation": cg.validate_horizons(problem, horizons, 4000, cells=250, relation="paper"),
         }
     )
 

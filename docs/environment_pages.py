@@ -43,7 +43,8 @@ env = cg.parallel_env("my-task.toml")  # or a `cg.Problem`: all three take an id
 ```
 
 Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need `pip install certigym[viz]`,
-windows pygame. `certigym render meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified controllers.
+windows pygame. `certigym plot episode meeting-v0 --cells 64 --out meeting.gif` shows an episode under certified
+controllers.
 """
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import certigym as cg
+from certigym.synthesis.controllers import AgentController
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 result: cg.Synthesis = cg.synthesize(problem, cells=400)
@@ -36,5 +37,5 @@ controller.reset(observations, infos)
 while env.agents:
     observations, rewards, terminations, truncations, infos = env.step(controller.act(observations, infos))
 print("satisfied" if infos["agent_0"]["satisfied"] else "not satisfied")
-one: cg.AgentController = controller.agents[0]
+one: AgentController = controller.agents[0]
 print(f"{one.name} decides by {one.policy.shape} (time, automaton state, cell)")

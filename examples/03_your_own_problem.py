@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import certigym as cg
+from certigym.envs.agents import Box
 
 cart = cg.LinearAgent(
     name="cart", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.04]],
@@ -14,7 +15,7 @@ doors = cg.LinearAgent(
     name="door", A=[[1.0]], B=[[0.2]], noise_covariance=[[0.01]],
     state_low=[0], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.2],
 ).copies(2)  # fmt: skip
-room: cg.Box = cart.workspace
+room: Box = cart.workspace
 print("the cart lives in", room.low, "to", room.high)
 
 problem = cg.Problem(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import certigym as cg
+from certigym.synthesis.cells import Grid
+from certigym.validation.verdicts import synthesize_best
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
 for relation in ("exact", "tube", "paper"):
     abstraction = cg.abstract(problem, 250, relation=relation)
     model = abstraction.models[0]
-    grid: cg.Grid = model.grid
+    grid: Grid = model.grid
     print(f"{relation}: {grid.shape} cells, delta {model.delta:.4f}, exact {abstraction.is_exact}")
 
 for cells in (25, 100, 400):
@@ -17,10 +19,10 @@ for cells in (25, 100, 400):
     report = cg.validate(result, episodes=4_000)
     print(f"{cells} cells: certified {result.certificate.lower_bound:.4f}, rollouts {report.estimate:.4f}")
 
-best, bounds = cg.synthesize_best(problem, [{"cells": 50}, {"cells": 100}, {"cells": 100, "max_sweeps": 12}])
+best, bounds = synthesize_best(problem, [{"cells": 50}, {"cells": 100}, {"cells": 100, "max_sweeps": 12}])
 print("attempts", bounds, "best", best.lower_bound)
 
-for report in cg.sweep_horizons(problem, range(1, 8), 2_000, cells=100):
+for report in cg.validate_horizons(problem, range(1, 8), 2_000, cells=100):
     print(f"T = {report.horizon}: certified {report.lower_bound:.4f}, rollouts {report.estimate:.4f}")
 
 # a robot whose axes do not depend on each other may be taken for two agents of one state each

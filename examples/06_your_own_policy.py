@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
+from certigym.baselines import IdleController, RandomController
+from certigym.synthesis.cells import Grid
+from certigym.synthesis.controllers import vectorized
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
@@ -16,7 +19,7 @@ def homing(x: Any, q: int, time: int) -> Any:
     return np.clip((2.5 - 0.9 * x) / 0.5, -5.0, 5.0)
 
 
-@cg.vectorized
+@vectorized
 def resting(x: Any, q: Any, time: int) -> Any:
     """Stay near -3, for many states at once."""
     return np.clip((-3.0 - 0.9 * x) / 0.5, -5.0, 5.0)
@@ -29,7 +32,7 @@ print(f"certified {certified.certificate.lower_bound:.4f}, improved {improved.ce
 assert improved.certificate.lower_bound >= certified.certificate.lower_bound
 
 # a table of inputs: full speed below 0, hardly any above
-grid = cg.Grid((np.array([-20.0, 0.0, 5.0]),))
+grid = Grid((np.array([-20.0, 0.0, 5.0]),))
 inputs = np.tile(np.array([[5.0], [0.5]]), (1, problem.automaton.n_states, 1, 1))
 mixed = cg.certify(problem, {"agent_0": cg.InputTable(grid, inputs), "agent_1": resting}, cells=100)
 print(f"a table and a function {mixed.certificate.lower_bound:.4f}")
@@ -40,8 +43,8 @@ comparison: cg.Comparison = cg.compare(
         "raw": policy,
         "wrapped": certified,
         "improved": improved,
-        "random": cg.RandomController(),
-        "idle": cg.IdleController(),
+        "random": RandomController(),
+        "idle": IdleController(),
     },
     episodes=5_000,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import certigym as cg
+from certigym.validation.verdicts import find_weakest
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6, initial_state=[-20.0, -3.0])
 certificate = cg.synthesize(problem, cells=200).certificate
@@ -13,7 +14,7 @@ certificate = cg.synthesize(problem, cells=200).certificate
 starts = np.column_stack([np.linspace(-19.9, 4.9, 40), np.full(40, -3.0)])
 field: cg.FieldReport = cg.validate_field(certificate, starts, 1_000)
 print(f"field: {field.verdict}, {field.fraction_refuted:.0%} refuted")
-weakest = cg.find_weakest(certificate, 40_000)
+weakest = find_weakest(certificate, 40_000)
 print("weakest start found", weakest.states[weakest.weakest], weakest.verdict)
 
 # every step: the value must not fall in expectation

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import certigym as cg
-from certigym.validation.figures.certificate_figures import horizon_figure, rank_figure, relation_figure, value_figure
-from certigym.validation.figures.figure_scenes import automaton_figure, rollouts_figure, tree_figure
-from certigym.validation.figures.figure_style import save_figure
+from certigym.validation.figures import (
+    automaton_figure,
+    horizon_figure,
+    rank_figure,
+    relation_figure,
+    rollouts_figure,
+    save_figure,
+    tree_figure,
+    value_figure,
+)
 
 problem = cg.make_problem("reach-avoid-v0", horizon=4)
 certificate = cg.synthesize(problem, cells=100).certificate
 
-content = cg.gather_report(certificate, 5_000)
-cg.write_report(content, "report.html")
+content = cg.report(certificate, "report.html", episodes=5_000)
 print("report.html:", content.validation.verdict, content.audit.verdict)
 
 save_figure(value_figure(certificate), "value.png")
@@ -20,4 +26,4 @@ save_figure(relation_figure(certificate, agent=1), "relation.png")
 save_figure(rollouts_figure(certificate, episodes=20), "rollouts.png")
 save_figure(automaton_figure(problem), "automaton.png")
 save_figure(tree_figure(certificate), "tree.png")
-save_figure(horizon_figure(cg.sweep_horizons(problem, [1, 2, 3, 4], 1_000, cells=50)), "horizon.png")
+save_figure(horizon_figure(cg.validate_horizons(problem, [1, 2, 3, 4], 1_000, cells=50)), "horizon.png")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import certigym as cg
+from certigym.baselines import Training, load_actor
 from certigym.synthesis.controllers.given_policies import Decentralised
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
-training: cg.Training = cg.train(problem, "ppo", steps=10_000, seed=0)
+training: Training = cg.train(problem, "ppo", steps=10_000, seed=0)
 print(f"{training.algorithm} on {training.information}: {training.curve[-1]}")
 
 file = training.save("trained")
-actor = cg.load_actor(file, problem)  # needs no torch
+actor = load_actor(file, problem)  # needs no torch
 assert isinstance(actor, Decentralised)  # only policies that see one agent at a time can be certified
 
 certified = cg.certify(problem, actor, cells=100)

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.agents import LinearAgent
-from ..envs.problem import Problem, checked_problem
+from ..envs.problem import Problem
+from ..envs.suite import as_problem
 from .cells import Cells, FloatArray
 from .certificates import Synthesis
 from .certification import certificate_of
@@ -41,13 +42,13 @@ from .search import FINAL, Limits, Search, Sweep, sweep
 
 
 def certify(
-    problem: Problem, policy: Policy, cells: Cells = None, *, relation: Relations = "auto", **settings: Any
+    problem: Any, policy: Policy, cells: Cells = None, *, relation: Relations = "auto", **settings: Any
 ) -> Synthesis:
     """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies.
     policy : Policy
         Decentralised policies, in any form of ``synthesis.decentralised``.
@@ -69,7 +70,7 @@ def certify(
     ValueError
         If the policy has an unknown form or answers with anything but finite inputs, or the relation does not apply.
     """
-    clock = _Clock()
+    clock, problem = _Clock(), as_problem(problem)
     wrapped = _wrapped(problem, policy, cells, relation, settings)
     clock.abstracted()
     best = sweep(wrapped.joint, wrapped.policies, start_of(problem, wrapped.joint), FINAL, improve=False)
@@ -77,7 +78,7 @@ def certify(
 
 
 def improve(
-    problem: Problem,
+    problem: Any,
     policy: Policy,
     cells: Cells = None,
     *,
@@ -103,7 +104,7 @@ def improve(
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     """
-    clock = _Clock()
+    clock, problem = _Clock(), as_problem(problem)
     search = Search(max_sweeps, Limits() if limits is None else limits, progress=progress)
     wrapped = _wrapped(problem, policy, cells, relation, settings)
     joint, start = wrapped.joint, start_of(problem, wrapped.joint)
@@ -205,7 +206,7 @@ class _Wrapped:
 
 def _wrapped(problem: Problem, policy: Policy, cells: Cells, relation: Relations, settings: dict[str, Any]) -> _Wrapped:
     """Put a policy on the cells of finite models."""
-    given = decentralised(checked_problem(problem), policy)
+    given = decentralised(problem, policy)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, given))
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from ..envs.problem import Problem, checked_problem
+from ..envs.problem import Problem
+from ..envs.suite import as_problem
 from .cells import Cells
 from .certificates import Synthesis
 from .synthesize import synthesize
@@ -20,14 +21,12 @@ LONGEST = 1000
 """Longest horizon that ``without_deadline`` tries."""
 
 
-def synthesize_horizons(
-    problem: Problem, horizons: Iterable[int], cells: Cells = None, **settings: Any
-) -> list[Synthesis]:
+def synthesize_horizons(problem: Any, horizons: Iterable[int], cells: Cells = None, **settings: Any) -> list[Synthesis]:
     """Synthesize at every horizon, in increasing order, each from the policies of the one before.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
         Its own horizon does not matter.
     horizons : iterable of int
         Control steps.
@@ -45,9 +44,10 @@ def synthesize_horizons(
 
 
 def each_horizon(
-    problem: Problem, horizons: Iterable[int], cells: Cells = None, **settings: Any
+    problem: Any, horizons: Iterable[int], cells: Cells = None, **settings: Any
 ) -> Iterator[Synthesis]:  # fmt: skip
     """``synthesize_horizons`` one by one, in increasing order."""
+    problem = as_problem(problem)
     last: Synthesis | None = None
     for horizon in sorted(set(horizons)):
         last = _from(last, problem.replace(horizon=horizon), cells, settings)
@@ -57,13 +57,13 @@ def each_horizon(
 def _from(last: Synthesis | None, problem: Problem, cells: Cells, settings: dict[str, Any]) -> Synthesis:
     """Synthesis that begins with the last one, unless cells or relation are to be chosen anew."""
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
-    if last is None or checked_problem(problem).groups or chosen_anew:
+    if last is None or problem.groups or chosen_anew:
         return synthesize(problem, cells, **settings)
     return synthesize(problem, cells, start=last.certificate, **settings)
 
 
 def without_deadline(
-    problem: Problem, cells: Cells = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
+    problem: Any, cells: Cells = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
 ) -> Synthesis:
     """Stationary policies for a co-safe task, and a lower bound on satisfying it at any time.
 
@@ -71,7 +71,7 @@ def without_deadline(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     cells, **settings
         As for ``synthesize``.
     tolerance : float
@@ -90,7 +90,8 @@ def without_deadline(
     ValueError
         If the task is not co-safe: then more time may do harm.
     """
-    if not checked_problem(problem).specification.is_co_safe:
+    problem = as_problem(problem)
+    if not problem.specification.is_co_safe:
         raise ValueError(
             '`problem`: expected a task of semantics "co-safe", which is satisfied at some time, got '
             f"{problem.specification.semantics!r}; give it a horizon"

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..envs.problem import Problem, checked_problem
+from ..envs.problem import Problem
+from ..envs.suite import as_problem
 from .cells import Cells
 from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
@@ -53,7 +54,7 @@ class Plan:
 
 # The door of the package: its options are flat, as users and the command line have them, and become records at once.
 def synthesize(
-    problem: Problem,
+    problem: Any,
     cells: Cells = None,
     *,
     relation: Relations = "auto",
@@ -73,7 +74,7 @@ def synthesize(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies. A task that decomposes into independent tasks
         (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
@@ -127,7 +128,8 @@ def synthesize(
     device_put(device)  # refuses what is not there before any work is done
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     plan = Plan(Settings(**settings), search, budget)
-    if checked_problem(problem).groups:
+    problem = as_problem(problem)
+    if problem.groups:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
         return synthesize_parts(problem, cells, relation, lambda task, own, kinds: _of_task(task, own, kinds, plan))

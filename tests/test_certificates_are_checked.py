@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates.certificate import Certificate
 from certigym.synthesis.values.terms import Terms
 from problems import scalar_agent, two_agents
@@ -90,7 +91,7 @@ def use_another_policy(c: Certificate) -> Certificate:
 
 
 def narrow_the_cells(c: Certificate) -> Certificate:
-    grid = cg.Grid((c.agents[0].grid.edges[0] * 0.99,))
+    grid = Grid((c.agents[0].grid.edges[0] * 0.99,))
     return with_agent(c, 0, grid=grid)
 
 
@@ -186,7 +187,7 @@ def test_scalar_relations_are_refused_on_grids_in_other_coordinates() -> None:
     certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3).certificate
     part = certificate.agents[0]
     moved = with_agent(
-        certificate, 0, coordinates=np.array([[2.0]]), grid=cg.Grid((part.grid.edges[0] / 2.0,)),
+        certificate, 0, coordinates=np.array([[2.0]]), grid=Grid((part.grid.edges[0] / 2.0,)),
         lattice=(part.lattice[0] / 2.0,),
     )  # fmt: skip
     assert "state coordinates" in str(cg.check(moved))
@@ -206,7 +207,7 @@ def test_correlated_noise_is_not_hidden_by_the_scale_of_an_axis() -> None:
     part, scale = certificate.agents[0], np.array([1e13, 1.0])
     hidden = with_agent(
         replace(certificate, problem=together), 0, coordinates=np.diag(scale),
-        grid=cg.Grid(tuple(own / s for own, s in zip(part.grid.edges, scale, strict=True))),
+        grid=Grid(tuple(own / s for own, s in zip(part.grid.edges, scale, strict=True))),
         lattice=tuple(own / s for own, s in zip(part.lattice, scale, strict=True)),
     )  # fmt: skip
     assert "not independent" in str(cg.check(hidden))
@@ -218,7 +219,7 @@ def test_other_coordinates_are_refused_where_the_start_is_a_box() -> None:
     problem = two_agents(initial_state=None, initial_low=[-3.0], initial_high=[-1.0])
     certificate = cg.synthesize(problem, 16).certificate
     edges = certificate.agents[0].grid.edges[0]
-    moved = with_agent(certificate, 0, coordinates=np.array([[2.0]]), grid=cg.Grid((edges / 2.0,)))
+    moved = with_agent(certificate, 0, coordinates=np.array([[2.0]]), grid=Grid((edges / 2.0,)))
     assert "start box" in str(cg.check(moved))
 
 

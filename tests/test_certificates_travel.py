@@ -20,6 +20,7 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates.certificate import Certificate
 from certigym.synthesis.certificates.certificate_file import _digest
 from certigym.synthesis.checking.regrown_tree import regrow
@@ -269,7 +270,7 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
     inner[3:, 3:] = True
     kept = inner.ravel()
     cut = replace(
-        part, grid=cg.Grid(tuple(edges[3:].copy() for edges in part.grid.edges)), masks=part.masks[:, kept],
+        part, grid=Grid(tuple(edges[3:].copy() for edges in part.grid.edges)), masks=part.masks[:, kept],
         start_masks=part.start_masks[:, kept], policy=part.policy[:, :, kept],
     )  # fmt: skip
     bad = replace(certificate, agents=(cut, *certificate.agents[1:]), lower_bound=0.0)

@@ -76,7 +76,7 @@ def test_synthesize_check_and_validate_hand_a_certificate_over(
 def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cert = str(tmp_path / "c.npz")
     assert main(["synthesize", task, "--cells", "40", "--out", cert]) == 0
-    import certigym.cli.synthesis_commands as commands
+    import certigym.cli.validation_commands as commands
     from certigym.synthesis.certificates.certificate_file import load_certificate
 
     def boastful(path: str) -> object:
@@ -88,8 +88,8 @@ def test_a_refuted_certificate_gives_status_1(task: str, tmp_path: Path, monkeyp
     assert main(["validate", cert, "--episodes", "2000"]) == 1
 
 
-def test_problems_lists_ids_first(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["problems"]) == 0
+def test_describe_lists_ids_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["describe"]) == 0
     ids = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert {"reach-avoid-v0", "invariance-4-v0", "invariance-20-v0", "package-delivery-v0"} <= set(ids)
     for name in ids:

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import binomtest
 
 import certigym as cg
+from certigym.baselines import IdleController, RandomController
 from certigym.cli.main import main
 from certigym.validation.figures import draw_comparison
 from certigym.validation.policies.comparison import mcnemar
@@ -54,16 +55,16 @@ def head(x: Any, q: int, time: int) -> Any:
 
 
 def test_policies_meet_the_same_episodes() -> None:
-    result = cg.compare(PROBLEM, {"one": head, "other": head, "idle": cg.IdleController()}, 4000, 7)
+    result = cg.compare(PROBLEM, {"one": head, "other": head, "idle": IdleController()}, 4000, seed=7)
     same, against, _ = result.pairs
     assert (same.only_first, same.only_second, same.p_value) == (0, 0, 1.0)
-    assert result.entry("one").successes == cg.rollout(PROBLEM, cg.as_controller(PROBLEM, head), 4000, 7).successes
+    assert result.entry("one").successes == cg.rollout(PROBLEM, cg.as_controller(PROBLEM, head), 4000, seed=7).successes
     assert against.only_first - against.only_second == (result.entry("one").successes - result.entry("idle").successes)
     assert result.seed == 7 and result.chunk == 2000
 
 
 def test_numbers_agree_with_scipy() -> None:
-    result = cg.compare(PROBLEM, {"head": head, "random": cg.RandomController()}, 3000, confidence=0.95)
+    result = cg.compare(PROBLEM, {"head": head, "random": RandomController()}, 3000, confidence=0.95)
     for entry in result.entries:
         limits = binomtest(entry.successes, 3000).proportion_ci(0.95, "exact")
         assert (entry.ci_low, entry.ci_high) == pytest.approx((limits.low, limits.high), rel=1e-9)

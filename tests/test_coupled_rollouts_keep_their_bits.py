@@ -17,7 +17,7 @@ from certigym.synthesis.controllers.controller import BatchMemory, Controller
 from certigym.synthesis.relations.coupled import CoupledRelation, couple
 from certigym.synthesis.relations.rows import product, rows_of
 from certigym.validation.simulation.chunks import chunk_results, frames
-from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import TOGETHER, rollout, stream
 from certigym.validation.simulation.streams import Streams
 from problems import cart, cart_reach, two_agents
@@ -64,7 +64,7 @@ def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
     """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
     problem, controller = case(name)
     loop = Loop(problem, controller, seed=4, chunk=150)
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     parts, settled = list(stream(loop, 1000)), []
     for number, part in enumerate(parts):
         *_, last = frames(loop, dynamics, policy, number)
@@ -251,7 +251,7 @@ class Restless:
 
 def test_every_chunk_has_auxiliary_draws_of_its_own() -> None:
     loop = Loop(LOUD.replace(horizon=9), Restless(), seed=1, chunk=200)
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     for number, part in enumerate(stream(loop, 1000)):
         *_, last = frames(loop, dynamics, policy, number)
         np.testing.assert_array_equal(part.success, core.satisfied(dynamics, last.worlds))

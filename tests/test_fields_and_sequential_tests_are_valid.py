@@ -57,7 +57,7 @@ def test_holm_is_bonferroni_for_the_smallest_and_never_decreases() -> None:
 
 def test_true_fields_are_never_refuted_and_false_ones_are(certificate: Certificate) -> None:
     """False alarm 1e-6. 300 episodes at each of 144 starts notice a claim that is 8 % too large somewhere."""
-    states = slice_starts(certificate, (0, 1), (12, 12))
+    states = slice_starts(certificate.problem, (0, 1), (12, 12))
     field = validate_field(certificate, states, 300, seed=1, confidence=CONFIDENCE, shape=(12, 12))
     assert field.verdict == CONSISTENT, str(field)
     assert np.array_equal(field.episodes, np.full(144, 300)) and field.shape == (12, 12)
@@ -93,10 +93,10 @@ def test_starts_lie_where_they_should(certificate: Certificate) -> None:
     assert len(corner_starts(cg.make_problem("invariance-20-v0"))) == 64
     moved = neighbours(certificate, random_starts(certificate.problem, 50, 1), np.random.default_rng(0))
     assert np.all((low <= moved) & (moved <= high))
-    line = slice_starts(certificate, (1,), (4,), base=[2.0, 0.0])
+    line = slice_starts(certificate.problem, (1,), (4,), base=[2.0, 0.0])
     np.testing.assert_allclose(line, [[2, -3], [2, -1], [2, 1], [2, 3]])
     with pytest.raises(ValueError, match="joint coordinates"):
-        slice_starts(certificate, (2,), (4,))
+        slice_starts(certificate.problem, (2,), (4,))
     with pytest.raises(ValueError, match="`shape`"):
         validate_field(certificate, line, 10, shape=(3,))
 

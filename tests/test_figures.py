@@ -41,7 +41,7 @@ def test_a_map_shows_the_bounds_of_the_certificate(certificate: cg.Certificate) 
 
 
 def test_a_bound_against_the_horizon_is_drawn_as_a_bound(certificate: cg.Certificate) -> None:
-    reports = cg.sweep_horizons(certificate.problem, [1, 2], 200, cells=20, relation="paper", epsilon=0.7)
+    reports = cg.validate_horizons(certificate.problem, [1, 2], 200, cells=20, relation="paper", epsilon=0.7)
     figure = figures.horizon_figure(reports)
     (plot,) = figure.axes
     bound = plot.lines[0]
@@ -68,7 +68,7 @@ def test_the_relation_holds_in_the_picture() -> None:
         assert len(states) == len(boxes)
         for state, box in zip(states, boxes, strict=True):
             assert box.min() - 1e-9 <= state <= box.max() + 1e-9
-    with pytest.raises(ValueError, match="`agent`, `coordinate`"):
+    with pytest.raises(ValueError, match="`agent`: expected a number from 0 to 1"):
         figures.relation_figure(certificate, agent=7)
 
 

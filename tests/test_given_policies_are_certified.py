@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.cells import Grid
 from certigym.synthesis.cells.grid import aligned_edges
 from certigym.synthesis.certify import nearest_choices, wrap
+from certigym.synthesis.controllers import vectorized
 from certigym.synthesis.controllers.given_policies import decentralised
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import TargetWindows
@@ -44,23 +46,23 @@ def test_the_bound_is_that_of_the_wrapped_policy() -> None:
 
 def test_wrapped_and_raw_policy_come_together_on_fine_cells() -> None:
     """Common noise, 40,000 episodes each: the rates differ by less than .01 at 400 cells, by more at 8."""
-    raw = cg.rollout(PROBLEM, cg.as_controller(PROBLEM, POLICY), 40_000, 5)
+    raw = cg.rollout(PROBLEM, cg.as_controller(PROBLEM, POLICY), 40_000, seed=5)
     gaps = []
     for cells in (8, 400):
         wrapped = cg.certify(PROBLEM, POLICY, cells)
-        gaps.append(abs(cg.rollout(PROBLEM, wrapped.controller, 40_000, 5).successes - raw.successes) / 40_000)
+        gaps.append(abs(cg.rollout(PROBLEM, wrapped.controller, 40_000, seed=5).successes - raw.successes) / 40_000)
     assert gaps[1] < 0.01 < gaps[0]
 
 
 def test_all_forms_of_one_policy_get_one_certificate() -> None:
     plain = cg.certify(PROBLEM, POLICY, 40).certificate
     edges = (aligned_edges(-4.0, 4.0, 40, [-3.0, -2.0, -1.0, 0.0, 1.0, 3.0]),)
-    grid = cg.Grid(edges)
+    grid = Grid(edges)
     tables = {}
     for name, function in POLICY.items():
         values = [[[function(c, q, t) for c in grid.centres] for q in range(3)] for t in range(4)]
         tables[name] = cg.InputTable(grid, np.array(values))
-    forms: list[Any] = [{name: cg.vectorized(f) for name, f in POLICY.items()}, tables]
+    forms: list[Any] = [{name: vectorized(f) for name, f in POLICY.items()}, tables]
     n_q = PROBLEM.automaton.n_states
     assert n_q == 3
     for form in forms:
@@ -79,7 +81,7 @@ def test_laws_follow_time_automaton_state_and_agent() -> None:
     """Where nothing saturates the target is the lattice point nearest to ``A m + B u``, within half a lattice step."""
 
     def drift(sign: float) -> Any:
-        return cg.vectorized(lambda x, q, time: 0.0 * x + sign * (0.3 + 0.2 * time - 0.4 * q))
+        return vectorized(lambda x, q, time: 0.0 * x + sign * (0.3 + 0.2 * time - 0.4 * q))
 
     given = {"one": drift(1.0), "two": drift(-1.0)}
     abstraction = abstract(PROBLEM, 100)
@@ -181,7 +183,7 @@ def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
 
 
 def test_a_stationary_table_holds_at_all_times() -> None:
-    grid = cg.Grid((np.array([-4.0, 0.0, 4.0]),))
+    grid = Grid((np.array([-4.0, 0.0, 4.0]),))
     table = cg.InputTable(grid, np.array([[[[1.0], [-1.0]]] * 3]))
     states = np.array([[-9.0, -1.0, 0.0, 9.0, np.nan]])
     for time in (0, 7):
@@ -195,8 +197,8 @@ def test_wrong_policies_are_refused() -> None:
         ({"one": stay, "two": None}, "function or a table for agent `two`"),
         (lambda x, q, t: [1.0, 2.0], "1 finite inputs"),
         (lambda x, q, t: x * np.nan, "finite inputs"),
-        (cg.vectorized(lambda x, q, t: x[:, :1]), "finite inputs"),
-        (cg.InputTable(cg.Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 1, 1))), "automaton states"),
+        (vectorized(lambda x, q, t: x[:, :1]), "finite inputs"),
+        (cg.InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 1, 1))), "automaton states"),
         (cg.synthesize(PROBLEM, 80, relation="paper", epsilon=0.3, max_sweeps=0).controller, "without memory"),
         (cg.certify(_renamed(), stay, 10).controller, "of this problem's agents"),
     ]
@@ -204,7 +206,7 @@ def test_wrong_policies_are_refused() -> None:
         with pytest.raises(ValueError, match=message):
             cg.certify(PROBLEM, policy, 40)
     with pytest.raises(ValueError, match="finite numbers of shape"):
-        cg.InputTable(cg.Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 2, 1)))
+        cg.InputTable(Grid((np.array([-4.0, 4.0]),)), np.zeros((1, 1, 2, 1)))
     with pytest.raises(ValueError, match="`max_sweeps`"):
         cg.improve(PROBLEM, stay, 40, max_sweeps=-1)
 

@@ -94,7 +94,8 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.Specification("F goal", "ltl"), "semantics", "'co-safe' or 'finite-trace'"),
     (lambda: cg.make_problem("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
     # synthesis
-    (lambda: cg.synthesize("reach-avoid-v0"), "problem", "make one with `make_problem`"),  # type: ignore[arg-type]
+    (lambda: cg.synthesize("reach-avoid"), "id", "did you mean 'reach-avoid-v0'?"),
+    (lambda: cg.synthesize(3), "problem", "make one with `make_problem`"),
     (lambda: cg.synthesize(PROBLEM, cells=0), "cells", "positive whole number"),
     (lambda: cg.synthesize(PROBLEM, cells={"agent0": 10}), "cells", "correct the name"),
     (lambda: cg.synthesize(PROBLEM, cell=10), "cell", "did you mean `cells`?"),
@@ -113,15 +114,17 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: stepped({"agent_0": [0.0], "agent_1": [0.0], "agent_2": [0.0]}), "actions", "leave it out"),
     (lambda: batch_stepped(np.zeros((3, 2))), "actions", "one row for each of 2 worlds"),
     # certificates and policies
-    (lambda: cg.validate(PROBLEM), "certificate", "make one with `synthesize`"),  # type: ignore[arg-type]
-    (lambda: cg.check(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
-    (lambda: cg.audit(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
-    (lambda: cg.stress(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
-    (lambda: cg.gather_report(RESULT), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
-    (lambda: cg.validate_field(RESULT, [[0, 0]]), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
-    (lambda: cg.save_certificate(RESULT, "c.npz"), "certificate", "give its `.certificate`"),  # type: ignore[arg-type]
+    *(
+        (lambda verb=verb: verb(PROBLEM), "certificate", "make one with `synthesize`")
+        for verb in (cg.validate, cg.check, cg.audit, cg.stress)
+    ),
+    (lambda: cg.report(PROBLEM, "page.html"), "certificate", "make one with `synthesize`"),
+    (lambda: cg.validate_field(PROBLEM, [[0, 0]]), "certificate", "make one with `synthesize`"),
+    (lambda: cg.save_certificate(PROBLEM, "c.npz"), "certificate", "make one with `synthesize`"),  # type: ignore[arg-type]
     (lambda: cg.load_certificate("nowhere.npz"), "nowhere.npz", "write one with `save_certificate`"),
-    (lambda: cg.rollout(PROBLEM, RESULT, 10), "controller", "give the `.controller`"),  # type: ignore[arg-type]
+    (lambda: cg.rollout(PROBLEM, 3, 10), "controller", "`as_controller(problem, policy)`"),
+    (lambda: cg.rollout(PROBLEM, RESULT, 0), "episodes", "at least 1"),
+    (lambda: cg.validate(RESULT, executor="tcp://here:8786"), "executor", "open one with `executor_for`"),  # type: ignore[arg-type]
     (lambda: RESULT.controller.act({"x": np.zeros(3)}), "observations", "act in its own environment"),
     (lambda: RESULT.certificate.at([1.0]), "states", "shape (M, 2)"),
     (lambda: cg.validate(RESULT, 10, confidence=99), "confidence", "strictly between 0 and 1"),
@@ -234,13 +237,13 @@ def test_missing_extras_are_named(
 
 
 COMMANDS = [
-    (["run", "reach-avoid-v1"], "see `certigym problems`"),
+    (["run", "reach-avoid-v1"], "see `certigym describe`"),
     (["run", "reach-avoid-v0", "--horizon", "0"], "expected an integer from 1"),
     (["run", "reach-avoid-v0", "--initial-state", "a", "b"], "expected numbers, got 'a b'"),
     (["run", "reach-avoid-v0", "--json", "nowhere/r.json"], "make the folder first"),
     (["synthesize", "reach-avoid-v0", "--out", "nowhere/c.npz"], "make the folder first"),
     (["validate", "nowhere.npz"], "expected a certificate file, found none"),
-    (["render", "reach-avoid-v0", "--out", "a.txt"], "ends in .gif, .mp4 or .png"),
+    (["plot", "episode", "reach-avoid-v0", "--out", "a.txt"], "ends in .gif, .mp4 or .png"),
     (["plot", "value", "reach-avoid-v0", "--out", "a.txt"], "ends in .png, .svg, .pdf"),
     (["compare", "reach-avoid-v0", "--policies", "foo"], "FILE.py:NAME"),
     (["certify", "reach-avoid-v0", "--policy", "mine.py"], "FILE.py:NAME"),

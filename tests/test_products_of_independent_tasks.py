@@ -27,7 +27,7 @@ from certigym.synthesis.controllers.product_controller import ProductController
 from certigym.synthesis.models.abstraction import abstract
 from certigym.validation.simulation.chunks import chunk_results, frames
 from certigym.validation.simulation.cluster import executor_for
-from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import rollout
 from certigym.validation.statistics.binomial import REFUTED
 
@@ -94,7 +94,7 @@ def test_joint_episodes_have_the_verdicts_of_the_parts(monkeypatch: pytest.Monke
     dynamics, q, failed = Dynamics.of(whole), None, np.zeros(400, dtype=bool)
     tracks = []
     for part in loop.parts:
-        states = [core.joint(arranged(part)[0], frame.worlds) for frame in frames(part, *arranged(part), 0)]
+        states = [core.joint(part.arranged[0], frame.worlds) for frame in frames(part, *part.arranged, 0)]
         tracks.append([*states, *states[-1:] * (whole.horizon + 1 - len(states))])
     for joint in (np.concatenate(states, axis=1) for states in zip(*tracks, strict=True)):
         letters = core.letters(dynamics, core.split_joint(dynamics, joint))
@@ -316,8 +316,6 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
         problem.automaton  # noqa: B018
     certificate = cg.synthesize(problem, 20).certificate
     assert isinstance(certificate, ProductCertificate)
-    with pytest.raises(ValueError, match=r"give one of its `.parts`"):
-        cg.audit(certificate)
     with pytest.raises(ValueError, match="ProductController"):
         rollout(problem, cg.synthesize(problem.tasks[0], 20).controller, 10)
     assert [len(task.agents) for task in problem.tasks] == [2] * 12
@@ -350,5 +348,20 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["validate", saved, "--episodes", "5000"]) == 0
     assert main(["describe", file]) == 0
     assert "20 independent tasks" in capsys.readouterr().out
-    assert main(["audit", saved]) == 2
-    assert ".parts" in capsys.readouterr().err
+    page = tmp_path / "page.html"
+    for command in ("audit", "stress", "validate-field", "report"):
+        more = {"report": ["--out", str(page)], "validate-field": ["--random", "3"]}.get(command, [])
+        assert main([command, saved, "--episodes", "40", *more]) == 0
+    assert page.read_text(encoding="utf-8").count("<h2>Automaton</h2>") == 1  # all tasks have the same one
+    for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
+        assert main(["plot", kind, saved, "--out", str(tmp_path / f"{kind}.png")]) == 0
+
+
+def test_audits_of_products_see_a_false_part() -> None:
+    certificate = cg.synthesize(pairs(12, 3), 20).certificate
+    assert isinstance(certificate, ProductCertificate)
+    assert not cg.audit(certificate, 2000).refuted
+    boastful = tuple(replace(part, lower_bound=min(1.0, part.lower_bound + 0.2)) for part in certificate.parts)
+    report = cg.audit(ProductCertificate(certificate.problem, boastful), 2000)
+    assert report.refuted and report.start_p < 5e-4
+    assert cg.compare(certificate.problem, {"certified": certificate}, 200).entries[0].lower_bound is not None

@@ -143,21 +143,21 @@ def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.Ca
 
     task, certificate, out = tmp_path / "task.toml", tmp_path / "c.npz", tmp_path / "x.gif"
     task.write_text(TASK)
-    assert main(["render", str(task), "--cells", "40", "--out", str(out), "--seed", "1"]) == 0
+    assert main(["plot", "episode", str(task), "--cells", "40", "--out", str(out), "--seed", "1"]) == 0
     said = capsys.readouterr().out
     steps = int(said.split(": ")[1].split()[0])
     with Image.open(out) as picture:
         assert picture.n_frames == steps + 1 and picture.size == (720, 480)  # type: ignore[attr-defined]
     assert main(["synthesize", str(task), "--cells", "40", "--out", str(certificate)]) == 0
-    assert main(["render", str(certificate), "--out", str(tmp_path / "y.gif"), "--seed", "1"]) == 0
+    assert main(["plot", "episode", str(certificate), "--out", str(tmp_path / "y.gif"), "--seed", "1"]) == 0
     assert (tmp_path / "y.gif").read_bytes() == out.read_bytes()
-    assert main(["render", str(certificate), "--out", str(tmp_path / "y.png")]) == 0
+    assert main(["plot", "episode", str(certificate), "--out", str(tmp_path / "y.png")]) == 0
 
 
 def test_the_command_says_what_it_cannot_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import certigym.cli.render_command as command
+    import certigym.cli.moving_pictures as command
 
     task = tmp_path / "task.toml"
     task.write_text(TASK)
@@ -168,13 +168,13 @@ def test_the_command_says_what_it_cannot_do(
         ("x.avi", [], "expected a file that ends in .gif, .mp4 or .png"),
         ("x.gif", ["--fps", "0"], "expected 1 to 60"),
     ):
-        assert main(["render", str(task), "--cells", "20", "--out", str(tmp_path / out), *extra]) == 2
+        assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(tmp_path / out), *extra]) == 2
         assert message in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for ffmpeg counts the bytes it is given: whole pictures, the last one held."""
-    import certigym.cli.render_command as command
+    import certigym.cli.moving_pictures as command
 
     task, tool = tmp_path / "task.toml", tmp_path / "ffmpeg"
     task.write_text(TASK)
@@ -184,8 +184,8 @@ def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     tool.chmod(0o755)
     monkeypatch.setattr(command.shutil, "which", lambda name: str(tool))
     out = tmp_path / "x.mp4"
-    assert main(["render", str(task), "--cells", "20", "--out", str(out)]) == 0
+    assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(out)]) == 0
     pictures, rest = divmod(int(out.read_text()), 480 * 720 * 3)
     assert rest == 0 and 2 + 6 <= pictures <= 4 + 6
     tool.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit('no such codec')\n")
-    assert main(["render", str(task), "--cells", "20", "--out", str(out)]) == 2
+    assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(out)]) == 2

@@ -20,15 +20,14 @@ import pytest
 import certigym as cg
 from certigym.synthesis.certificates.certificate import Certificate
 from certigym.validation.audits.step_tests import audit
-from certigym.validation.reports.report import gather_report
+from certigym.validation.reports.gathering import report
 from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import TOGETHER, stream
 from certigym.validation.simulation.spread import in_order
 from certigym.validation.verdicts.fields import find_weakest, validate_field
 from certigym.validation.verdicts.stress_test import stress
-from certigym.validation.verdicts.success_rate import ValidationInterrupted
-from certigym.validation.verdicts.sweeps import sweep_horizons, synthesize_best
+from certigym.validation.verdicts.sweeps import synthesize_best, validate_horizons
 from problems import two_agents
 
 EPISODES, CHUNK = 21_300, 500
@@ -41,12 +40,12 @@ def certificate() -> Certificate:
 
 @pytest.fixture(scope="module")
 def alone(certificate: Certificate) -> np.ndarray:
-    return cg.rollout(certificate.problem, certificate.controller, EPISODES, 3, chunk=CHUNK).success
+    return cg.rollout(certificate.problem, certificate.controller, EPISODES, seed=3, chunk=CHUNK).success
 
 
 def runs(certificate: Certificate, executor: Any, progress: Callable[[int], None] | None = None) -> np.ndarray:
     return cg.rollout(
-        certificate.problem, certificate.controller, EPISODES, 3, chunk=CHUNK, executor=executor, progress=progress
+        certificate.problem, certificate.controller, EPISODES, seed=3, chunk=CHUNK, executor=executor, progress=progress
     ).success
 
 
@@ -117,9 +116,9 @@ def test_dask_gives_the_same_bits_and_a_killed_worker_loses_nothing(
 
 def test_sweeps_and_attempts_run_on_executors(certificate: Certificate) -> None:
     with ThreadPoolExecutor(2) as pool:
-        spread = sweep_horizons(certificate.problem, [1, 2, 3], 500, executor=pool, cells=30)
+        spread = validate_horizons(certificate.problem, [1, 2, 3], 500, executor=pool, cells=30)
         best, bounds = synthesize_best(certificate.problem, [{"cells": 20}, {"cells": 40}], executor=pool)
-    here = sweep_horizons(certificate.problem, [1, 2, 3], 500, cells=30)
+    here = validate_horizons(certificate.problem, [1, 2, 3], 500, cells=30)
     assert [r.successes for r in spread] == [r.successes for r in here]
     assert [r.horizon for r in spread] == [1, 2, 3]
     assert best.lower_bound == max(bounds) and len(bounds) == 2
@@ -150,16 +149,14 @@ def test_an_interrupted_validation_reports_what_was_finished(certificate: Certif
         if len(done) == 4:
             raise KeyboardInterrupt
 
-    with pytest.raises(ValidationInterrupted) as caught:
-        cg.validate(certificate, EPISODES, 3, chunk=CHUNK, progress=interrupt)
-    report = caught.value.report
-    assert report.episodes == 4 * CHUNK and report.details["interrupted"]
+    report = cg.validate(certificate, EPISODES, seed=3, chunk=CHUNK, progress=interrupt)
+    assert report.episodes == 4 * CHUNK and report.interrupted
     assert report.successes == alone[: 4 * CHUNK].sum()
     field = validate_field(certificate, [[0.3, 0.3], [1.0, 1.0]], 4000, chunk=CHUNK, progress=_interrupt_at_once())
     assert field.interrupted and field.episodes.sum() == CHUNK
 
 
-def test_every_verb_keeps_what_was_finished(certificate: Certificate) -> None:
+def test_every_verb_keeps_what_was_finished(certificate: Certificate, tmp_path: Path) -> None:
     states = [[0.3, 0.3], [1.0, 1.0]]
     search = find_weakest(certificate, 40_000, candidates=states, chunk=CHUNK, progress=_interrupt_at_once())
     assert search.interrupted and search.episodes.sum() == CHUNK
@@ -176,7 +173,7 @@ def test_every_verb_keeps_what_was_finished(certificate: Certificate) -> None:
     stressed = stress(certificate, CHUNK, chunk=CHUNK, progress=interrupt)
     assert stressed.interrupted and len(stressed.rungs) == 1
     seen.clear()
-    page = gather_report(certificate, EPISODES, chunk=CHUNK, progress=interrupt)
+    page = report(certificate, tmp_path / "page.html", EPISODES, chunk=CHUNK, progress=interrupt)
     assert page.validation.details["interrupted"] and page.validation.episodes == 3 * CHUNK
 
 
@@ -189,7 +186,7 @@ def _interrupt_at_once() -> Callable[[int], None]:
 
 DRIVER = """
 import sys
-import certigym.cli.validation_commands as commands
+import certigym.cli.work as commands
 from certigym.cli.main import main
 class Bar(commands.tqdm):
     def update(self, n=1):

@@ -39,15 +39,17 @@ MAY_IMPORT = {
     "synthesis.search",
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
-    "synthesis.checking": f"{ENVS} {CERTIFICATES}",
+    "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES}",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
-    "synthesis": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds synthesis.choosing",
+    "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
+    "synthesis.choosing",
     "validation.statistics": "",
     "validation.simulation": ENVS,
     "validation.verdicts": f"{EVIDENCE} synthesis",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.policies": f"{EVIDENCE} envs.interfaces",
-    "validation.figures": f"{EVIDENCE} envs.pictures validation.verdicts validation.audits validation.policies",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite",
+    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "
+    "validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.search synthesis.bounds "
     "validation.verdicts",

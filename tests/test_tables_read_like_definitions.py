@@ -13,7 +13,7 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.dynamics.worlds import Dynamics, Worlds
 from certigym.envs.suite.catalogue import problem_ids
 from certigym.validation.simulation.chunks import frames
-from certigym.validation.simulation.loop import Loop, arranged
+from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.mismatch import Mismatch
 from certigym.validation.simulation.rollouts import stream
 from problems import two_agents
@@ -95,7 +95,7 @@ def test_leaving_settled_worlds_changes_no_outcome(name: str, mismatch: Mismatch
     problem = cg.make_problem(name)
     controller = cg.synthesize(problem, 12 if "planar" in name or "door" in name else 60, max_sweeps=0).controller
     loop = Loop(problem, controller, seed=4, chunk=150, mismatch=mismatch)
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     parts = list(stream(loop, 1000))
     assert [len(part.success) for part in parts] == [150] * 6 + [100]
     for number, part in enumerate(parts):
@@ -125,7 +125,7 @@ def test_inadmissible_inputs_are_counted_while_the_task_is_open() -> None:
     problem = two_agents(horizon=6)
     runs = cg.rollout(problem, Restless(), 1200, seed=1, chunk=400)
     loop = Loop(problem, Restless(), seed=1, chunk=400)
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     asked, success = np.zeros((2, 3, 400), dtype=bool)
     for number in range(3):
         for frame in frames(loop, dynamics, policy, number):

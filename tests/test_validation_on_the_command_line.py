@@ -1,4 +1,4 @@
-"""Field, audit, stress, sweep and report run from a certificate file alone; reports are safe and self-contained."""
+"""Fields, audits, stress tests and reports run from a certificate file alone; reports are safe and self-contained."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.synthesis.certificates.certificate import Certificate
-from certigym.validation.reports.report import gather_report, write_report
 from certigym.validation.reports.svg import ticks
 from certigym.validation.verdicts.success_rate import ValidationReport
 from certigym.validation.verdicts.sweeps import each_report
@@ -42,11 +41,12 @@ def run(*arguments: str, out: Path) -> tuple[int, Any]:
 
 def test_every_command_speaks_json(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "r.json"
-    status, field = run("field", file, "--axes", "0", "1", "--points", "4", "--episodes", "50", out=out)
+    status, field = run("validate-field", file, "--axes", "0", "1", "--points", "4", "--episodes", "50", out=out)
     assert status == 0 and field["shape"] == [4, 4] and len(field["states"]) == 16
-    status, field = run("field", file, "--random", "5", "--low=-1,-1", "--high", "1,1", "--episodes", "50", out=out)
+    box = ("--low=-1,-1", "--high", "1,1")
+    status, field = run("validate-field", file, "--random", "5", *box, "--episodes", "50", out=out)
     assert status == 0 and len(field["states"]) == 9 and np.abs(field["states"]).max() <= 1
-    status, field = run("field", file, "--search", "--random", "20", "--episodes", "4000", out=out)
+    status, field = run("validate-field", file, "--search", "--random", "20", "--episodes", "4000", out=out)
     assert status == 0 and len(field["states"]) == 8
     status, audit = run("audit", file, "--episodes", "3000", out=out)
     assert status == 0 and audit["verdict"] == "consistent" and audit["findings"] == []
@@ -66,15 +66,15 @@ def test_mismatch_on_the_command_line(file: str, tmp_path: Path) -> None:
         assert main(["validate", file, "--mismatch", wrong]) == 2
 
 
-def test_sweeps_run_over_horizons(tmp_path: Path) -> None:
+def test_runs_go_over_horizons(tmp_path: Path) -> None:
     out = tmp_path / "r.json"
-    arguments = ("sweep", "reach-avoid-v0", "--horizons", "2", "4", "--cells", "50", "--episodes", "500")
+    arguments = ("run", "reach-avoid-v0", "--horizons", "2", "4", "--cells", "50", "--episodes", "500")
     status, rows = run(*arguments, out=out)
     assert status == 0 and [row["horizon"] for row in rows] == [2, 4]
     assert rows[0]["lower_bound"] <= rows[1]["lower_bound"]
 
 
-def test_interrupted_sweeps_leave_what_is_finished(
+def test_interrupted_runs_over_horizons_leave_what_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*arguments: Any, **settings: Any) -> Iterator[ValidationReport]:
@@ -83,7 +83,7 @@ def test_interrupted_sweeps_leave_what_is_finished(
 
     monkeypatch.setattr("certigym.cli.validation_commands.each_report", interrupted)
     path = tmp_path / "sweep.json"
-    arguments = ["sweep", "reach-avoid-v0", "--horizons", "4", "2", "--cells", "50", "--episodes", "500"]
+    arguments = ["run", "reach-avoid-v0", "--horizons", "4", "2", "--cells", "50", "--episodes", "500"]
     assert main([*arguments, "--json", str(path)]) == 130
     assert [own["horizon"] for own in json.loads(path.read_text())] == [2]
     assert len(capsys.readouterr().out.splitlines()) == 2
@@ -92,14 +92,14 @@ def test_interrupted_sweeps_leave_what_is_finished(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["field", "FILE", "--axes", "7"],
-        ["field", "FILE", "--low", "nonsense"],
-        ["field", "FILE", "--episodes", "0"],
+        ["validate-field", "FILE", "--axes", "7"],
+        ["validate-field", "FILE", "--low", "nonsense"],
+        ["validate-field", "FILE", "--episodes", "0"],
         ["audit", "FILE", "--confidence", "2"],
         ["audit", "nowhere.npz"],
         ["report", "FILE", "--axes", "0", "0", "--out", "r.html"],
         ["report", "FILE", "--out", "/nowhere/at/all.html", "--episodes", "10"],
-        ["sweep", "nothing-v0", "--horizons", "1"],
+        ["run", "nothing-v0", "--horizons", "1"],
         ["validate", "FILE", "--workers", "0"],
     ],
 )
@@ -161,7 +161,7 @@ def test_hostile_names_and_settings_stay_text(certificate: Certificate, tmp_path
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
     named = certificate.problem.replace(name=evil)
     hostile = replace(certificate, problem=named, method=evil, settings={evil: evil})
-    write_report(gather_report(hostile, 200), tmp_path / "r.html")
+    cg.report(hostile, tmp_path / "r.html", 200)
     page = parsed(tmp_path / "r.html")
     assert page.tags.count("script") == 1 and "img" not in page.tags
     assert not any(name.startswith("on") for name, _ in page.attributes)
@@ -173,9 +173,8 @@ def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
         name="one", horizon=3, agents=[agent], propositions={"g": cg.Proposition("only", [1.0], [2.0])},
         specification=cg.Specification("F g", "co-safe"),
     )  # fmt: skip
-    content = gather_report(cg.synthesize(one, 40).certificate, 500)
+    content = cg.report(cg.synthesize(one, 40), tmp_path / "r.html", 500)
     assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
-    write_report(content, tmp_path / "r.html")
     assert "middle of the initial box" in (tmp_path / "r.html").read_text()
 
 

@@ -18,12 +18,14 @@ from .make import (
 from .make import (
     vector_env as vector_env,
 )
+from .naming import as_problem as as_problem
 from .registration import register_suite as register_suite
 
 __all__ = [
     "IDS",
     "MODULES",
     "aec_env",
+    "as_problem",
     "central_env",
     "gymnasium_id",
     "make_problem",

@@ -5,6 +5,7 @@ from .certificate_file import load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .claim import Claim
 from .digits import rounded_down, rounded_up, shown_bound, significant_down, significant_up
+from .given_certificate import as_certificate, of_one_task
 from .part import AgentPart
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
@@ -18,12 +19,14 @@ __all__ = [
     "EXACT_GAP",
     "ProductCertificate",
     "Synthesis",
+    "as_certificate",
     "axis_tables",
     "checked_certificate",
     "grid_noise",
     "load_certificate",
     "lost_to_rounding",
     "nameless",
+    "of_one_task",
     "product_certificate",
     "regrow_trains",
     "relations_tried",

@@ -28,6 +28,7 @@ from .certificate import Certificate, checked_certificate
 from .certificate_reader import NUMBERS, CertificateReader
 from .part import AgentPart
 from .product import ProductCertificate, product_certificate
+from .result import Synthesis
 
 FORMAT = "certigym-certificate"
 VERSION = 1
@@ -35,8 +36,9 @@ MAX_BYTES = 2 * 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
 
 
-def save_certificate(certificate: Certificate | ProductCertificate, path: str | Path) -> None:
-    """Write a certificate to ``path`` (``.npz``); ValueError if it is none."""
+def save_certificate(certificate: Synthesis | Certificate | ProductCertificate, path: str | Path) -> None:
+    """Write the certificate, or that of a synthesis, to ``path`` (``.npz``); ValueError if it is neither."""
+    certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
     Path(path).write_bytes(data)
 

@@ -22,6 +22,7 @@ from ..controllers import ProductController
 from ..values import UNIT
 from .certificate import EXACT_GAP, Certificate
 from .claim import joint_states
+from .part import AgentPart
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,13 @@ class ProductCertificate:
         """The controllers the bound belongs to."""
         return ProductController(self.problem, tuple(part.controller for part in self.parts))
 
+    @cached_property
+    def agents(self) -> tuple[AgentPart, ...]:
+        """What is stored of each agent, in the order of the problem's agents."""
+        pairs = zip(self.problem.groups, self.parts, strict=True)
+        stored = {i: agent for group, part in pairs for i, agent in zip(group.agents, part.agents, strict=True)}
+        return tuple(stored[i] for i in range(self.problem.n_agents))
+
     def at(self, states: Any) -> FloatArray:
         """Lower bounds (M,) from each of M joint initial states, in any form that ``Certificate.at`` takes."""
         joint = joint_states(self.problem, states)
@@ -135,6 +143,11 @@ class ProductCertificate:
         ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
         own = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
         return tuple(np.concatenate([own[i] for i in group.agents]) for group in self.problem.groups)
+
+    def split(self, state: Any) -> list[tuple[Certificate, FloatArray]]:
+        """Each part with its share of a joint state, in any form that ``at`` takes."""
+        joint = joint_states(self.problem, state)[0]
+        return [(part, joint[own]) for part, own in zip(self.parts, self._columns, strict=True)]
 
     def _boxes(self, low: Any, high: Any) -> list[tuple[Certificate, tuple[FloatArray, FloatArray]]]:
         """Each part with its share of a box."""

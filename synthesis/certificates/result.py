@@ -14,7 +14,7 @@ class Synthesis:
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Certificate or ProductCertificate
     controller : Controller
     stats : dict
         ``seconds`` (abstract, synthesize), ``sweeps`` (value after each), ``starts`` (the best value from each),

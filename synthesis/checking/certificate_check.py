@@ -27,13 +27,14 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Box
 from ...envs.problem import Problem
+from ...envs.suite import as_problem
 from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
     Claim,
     ProductCertificate,
-    checked_certificate,
+    as_certificate,
     grid_noise,
     regrow_trains,
     significant_down,
@@ -90,13 +91,13 @@ class CheckReport:
         return "NOT valid: " + "; ".join(self.failures)
 
 
-def check(certificate: Certificate | ProductCertificate, problem: Problem | None = None) -> CheckReport:
+def check(certificate: Any, problem: Any = None) -> CheckReport:
     """Verify a certificate against a problem (by default the one inside it).
 
     Parameters
     ----------
-    certificate : Certificate or ProductCertificate
-    problem : Problem, optional
+    certificate : Synthesis, Certificate, ProductCertificate or path
+    problem : Problem, id or path, optional
         The certificate must have been made for exactly this problem (fingerprint).
 
     Returns
@@ -105,9 +106,10 @@ def check(certificate: Certificate | ProductCertificate, problem: Problem | None
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
         the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
+    certificate = as_certificate(certificate)
+    problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
-        return _check_product(certificate, certificate.problem if problem is None else problem)
-    problem = checked_certificate(certificate).problem if problem is None else problem
+        return _check_product(certificate, problem)
     failures: list[str] = []
     recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:

@@ -20,7 +20,17 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem, checked_problem
-from ..cells import CellLabels, Cells, FloatArray, Grid, agent_grid, cell_labels, cells_of_agent, error_labels, label_room
+from ..cells import (
+    CellLabels,
+    Cells,
+    FloatArray,
+    Grid,
+    agent_grid,
+    cell_labels,
+    cells_of_agent,
+    error_labels,
+    label_room,
+)
 from ..relations import CoupledRelation, ExactRelation, Relation
 from .agent_models import Bare, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
 from .choices import Choices

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ...envs.problem import Problem
+from ..simulation import Plan
 from ..statistics import CONSISTENT, REFUTED, holm
 
 if TYPE_CHECKING:
@@ -144,9 +146,34 @@ class AuditReport:
         return "\n".join([*lines, f"verdict      {self.verdict}"])
 
 
-def report_of(
-    problem: Problem, ledger: Ledger, episodes: int, confidence: float, seed: int, chunk: int, interrupted: bool
-) -> AuditReport:
+def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: float) -> AuditReport:
+    """The audits of independent tasks as one, in which each has had its share of the probability of a false alarm.
+
+    States of all tasks stand side by side; p-values over the tasks are adjusted by Bonferroni.
+    """
+    first, n = reports[0], len(reports)
+    strongest = max(reports, key=lambda report: report.overall_log_e)
+    return AuditReport(
+        problem=problem.name,
+        horizon=problem.horizon,
+        episodes=min(report.episodes for report in reports),
+        seed=first.seed,
+        chunk=first.chunk,
+        confidence=confidence,
+        tests=sum(report.tests for report in reports),
+        overall_log_e=strongest.overall_log_e,
+        overall_p=min(1.0, n * strongest.overall_p),
+        start_p=min(1.0, n * min(report.start_p for report in reports)),
+        contradictions=sum(report.contradictions for report in reports),
+        findings=tuple(finding for report in reports for finding in report.findings),
+        log_e=np.concatenate([report.log_e for report in reports], axis=1),
+        worlds=np.concatenate([report.worlds for report in reports], axis=1),
+        mean_increments=np.concatenate([report.mean_increments for report in reports], axis=1),
+        interrupted=any(report.interrupted for report in reports),
+    )
+
+
+def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -> AuditReport:
     """Tests and findings from the sums of an audit."""
     log_e, start = _log_e(ledger.wealth), float(_log_e(ledger.start))
     met = ledger.worlds > 0
@@ -155,7 +182,7 @@ def report_of(
     p_values = np.ones(log_e.shape)
     p_values[met] = adjusted[:-1]
     overall = float(_log_e(ledger.wealth.sum(axis=(0, 1)) + ledger.start))
-    rejected = np.argwhere((p_values <= 0.5 * (1.0 - confidence)) | (ledger.contradictions > 0))
+    rejected = np.argwhere((p_values <= 0.5 * (1.0 - plan.confidence)) | (ledger.contradictions > 0))
     rejected = rejected[np.argsort(-log_e[tuple(rejected.T)], kind="stable")]
     means = ledger.increments / np.maximum(ledger.worlds, 1)
     findings = tuple(
@@ -165,11 +192,23 @@ def report_of(
         for t, q in rejected
     )  # fmt: skip
     return AuditReport(
-        problem.name, problem.horizon, episodes, seed, chunk, confidence, int(met.sum()) + 1, overall,
-        float(np.exp(-max(overall, 0.0))), float(adjusted[-1]),
-        int(ledger.contradictions.sum()), findings, log_e, ledger.worlds.astype(np.int64), means,
-        interrupted,
-    )  # fmt: skip
+        problem=problem.name,
+        horizon=problem.horizon,
+        episodes=plan.episodes,
+        seed=plan.seed,
+        chunk=plan.chunk,
+        confidence=plan.confidence,
+        tests=int(met.sum()) + 1,
+        overall_log_e=overall,
+        overall_p=float(np.exp(-max(overall, 0.0))),
+        start_p=float(adjusted[-1]),
+        contradictions=int(ledger.contradictions.sum()),
+        findings=findings,
+        log_e=log_e,
+        worlds=ledger.worlds.astype(np.int64),
+        mean_increments=means,
+        interrupted=interrupted,
+    )
 
 
 def _log_e(wealth: NDArray[Any]) -> NDArray[Any]:

@@ -16,9 +16,9 @@ where: the fall at a pair is divided among the agents (``agent_steps``), and spl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +26,24 @@ from numpy.typing import NDArray
 from ...envs.dynamics import Dynamics
 from ...envs.dynamics import worlds as core
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, checked_certificate
+from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
 from ...synthesis.values import Terms, Trains
 from ..simulation import (
-    CHUNK,
     Batchable,
-    Executor,
     Frame,
     Loop,
-    arranged,
+    Plan,
+    TrialOptions,
+    TrialPlan,
     chunks_of,
+    collect,
     frames,
     in_order,
-    interrupts_at_checkpoints,
+    planned,
 )
 from ..statistics import check_confidence
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
-from .audit_report import AuditReport, report_of
+from .audit_report import AuditReport, joined_report, report_of
 from .ledger import STAKES, Ledger
 from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
 
@@ -61,26 +62,24 @@ class _Setup:
 
 
 def audit(
-    certificate: Certificate,
-    episodes: int = 20_000,
-    seed: int = 0,
+    certificate: Any,
+    plan: TrialPlan | int | None = None,
     *,
     problem: Problem | None = None,
     controller: Batchable | None = None,
     values: Sequence[Terms | Trains] | None = None,
     charge: Charge | None = None,
-    confidence: float = 0.999,
-    chunk: int = CHUNK,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> AuditReport:
     """Test a certificate step by step; a true one is refuted with probability at most ``1 - confidence``.
 
     Parameters
     ----------
-    certificate : Certificate
-    episodes : int
-    seed : int
+    certificate : Synthesis, Certificate, ProductCertificate or path
+        Of independent tasks, every task is audited, those that differ in names alone once.
+    plan, **trial
+        Episodes (default 20,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``. After Ctrl-C
+        the report is about the episodes finished by then.
     problem : Problem, optional
         The continuous system, if it is not the certificate's own.
     controller : optional
@@ -90,44 +89,56 @@ def audit(
     charge : Charge, optional
         ``Delta * Theta``; default: that of the certificate, 0 unless its bound is the a-posteriori one. (With a charge
         the start is not tested: the bound there may rest on a smaller Theta.)
-    confidence : float
-    chunk, executor, progress
-        As in ``validate``.
 
     Raises
     ------
     ValueError
         If a number is out of range, or the value functions are not one per step.
     """
-    check_confidence(confidence)
-    problem = checked_certificate(certificate).problem if problem is None else problem
+    settled = planned(plan, trial, 20_000)
+    check_confidence(settled.confidence)
+    certificate = as_certificate(certificate)
+    if isinstance(certificate, ProductCertificate):
+        if not problem is controller is values is charge is None:
+            raise ValueError(
+                "`certificate`: expected that of one task beside other arguments; give one of its `.parts`"
+            )
+        return _audit_of_product(certificate, settled)
+    problem = certificate.problem if problem is None else problem
     values = tuple(claimed_values(certificate) if values is None else values)
     if len(values) != problem.horizon:
         raise ValueError(f"`values`: expected one value function per step, {problem.horizon}, got {len(values)}")
-    loop = Loop(problem, certificate.controller if controller is None else controller, seed, chunk)
+    driver = certificate.controller if controller is None else controller
+    loop = Loop(problem, driver, settled.seed, settled.chunk)
     charge = charge_of(certificate, values) if charge is None else charge
-    setup, ledger, done, interrupted = _Setup(loop, certificate, values, charge), Ledger.empty(problem), 0, False
-    parts = in_order(audit_chunk, setup, chunks_of(episodes, chunk), executor)
-    try:
-        with interrupts_at_checkpoints() as checkpoint:
-            for count, part in parts:
-                ledger, done = ledger.plus(part), done + count
-                if progress is not None:
-                    progress(count)
-                checkpoint()
-    except KeyboardInterrupt:
-        if done == 0:
-            raise
-        interrupted = True
-    finally:
-        parts.close()
-    return report_of(problem, ledger, done, confidence, int(seed), int(chunk), interrupted)
+    setup, ledger, done = _Setup(loop, certificate, values, charge), Ledger.empty(problem), 0
+
+    def take(part: tuple[int, Ledger]) -> None:
+        nonlocal ledger, done
+        ledger, done = ledger.plus(part[1]), done + part[0]
+        settled.tell(part[0])
+
+    chunks = chunks_of(settled.episodes, settled.chunk)
+    interrupted = collect(in_order(audit_chunk, setup, chunks, settled.executor), take)
+    return report_of(problem, ledger, replace(settled, episodes=done), interrupted)
+
+
+def _audit_of_product(product: ProductCertificate, plan: Plan) -> AuditReport:
+    """Audits of all tasks that differ, which share the probability of a false alarm."""
+    distinct = [product.parts[same[0]] for same in product.alike]
+    each = replace(plan, confidence=1.0 - (1.0 - plan.confidence) / len(distinct))
+    reports: list[AuditReport] = []
+    for part in distinct:
+        reports.append(audit(part, each))
+        if reports[-1].interrupted:
+            break
+    return joined_report(product.problem, reports, plan.confidence)
 
 
 def audit_chunk(setup: _Setup, job: tuple[int, int]) -> tuple[int, Ledger]:
     """Ledger of one chunk (number, episodes that count)."""
     number, count = job
-    dynamics, policy = arranged(setup.loop)
+    dynamics, policy = setup.loop.arranged
     ledger = Ledger.empty(setup.loop.problem)
     before: _Moment | None = None
     for frame in frames(setup.loop, dynamics, policy, number):
@@ -163,7 +174,7 @@ def _moment(
     if time >= setup.loop.problem.horizon:
         open_ = np.zeros(count, dtype=bool)
     level = np.asarray(core.satisfied(dynamics, worlds), dtype=float)[:count]
-    cells = standing_cells(setup.certificate, dynamics, worlds, arranged(setup.loop)[1], frame.memory)[:count]
+    cells = standing_cells(setup.certificate, dynamics, worlds, setup.loop.arranged[1], frame.memory)[:count]
     here = np.flatnonzero(open_)
     if len(here):
         value = values_at(setup.values[time], worlds.q[here], cells[here])

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.pictures import coordinate_name
-from ...synthesis.certificates import Certificate, regrow_trains, shown_bound
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate, as_certificate, of_one_task, regrow_trains, shown_bound
 from ...synthesis.relations import CoupledRelation
 from ...synthesis.values import Trains
 from ..audits import standing_cells
-from ..simulation import Loop, arranged, frames
-from ..verdicts import ValidationReport, slice_starts, workspace_box
+from ..simulation import Loop, frames
+from ..verdicts import ValidationReport, slice_axes, slice_starts, workspace_box
 from .figure_regions import bands, region_boxes
 from .figure_style import (  # fmt: skip
     AT_LEAST,
@@ -47,13 +48,13 @@ STATES_SHOWN = 5
 
 
 def value_figure(
-    certificate: Certificate, axes: Sequence[int] | None = None, at: Any = None, points: int | None = None
+    certificate: Any, axes: Sequence[int] | None = None, at: Any = None, points: int | None = None
 ) -> Figure:
     """The certified lower bound over a slice of initial states: a curve over one coordinate, or a map over two.
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Synthesis, Certificate, ProductCertificate or path
     axes : sequence of int, optional
         One or two joint coordinates; default: the first coordinate of the first two agents.
     at : array_like (D,), optional
@@ -66,13 +67,14 @@ def value_figure(
     ValueError
         If the axes are not one or two different joint coordinates, or matplotlib is missing.
     """
-    shown = _coordinates(certificate, axes)
+    certificate = as_certificate(certificate)
+    problem = certificate.problem
+    shown = slice_axes(problem, axes)
     count = points or (600 if len(shown) == 1 else 160)
     if count < 2:
         raise ValueError(f"`points`: expected at least 2, got {count}")
-    states = slice_starts(certificate, shown, (count,) * len(shown), at)
+    states = slice_starts(problem, shown, (count,) * len(shown), at)
     bounds = certificate.at(states)
-    problem = certificate.problem
     names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
     title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
     if certificate.rounding is not None:
@@ -83,7 +85,7 @@ def value_figure(
         draw_bound(plot, x, bounds, "certified lower bound", upper=1.0)
         bands(plot, certificate, shown[0], across=True)
         plot.set_ylim(-0.02, 1.04)
-        plot.set_xlim(*_limits(certificate, shown[0]))
+        plot.set_xlim(*_limits(problem, shown[0]))
         plot.set_xlabel(names[0])
         plot.set_ylabel("P(satisfied) at least")
         legend_above(plot, 2)
@@ -113,8 +115,8 @@ def _map(
             levels = bands(plot, certificate, k, across)
             rows = levels if across else rows
     plot.grid(visible=False)
-    plot.set_xlim(*_limits(certificate, shown[0]))
-    plot.set_ylim(*_limits(certificate, shown[1]))
+    plot.set_xlim(*_limits(certificate.problem, shown[0]))
+    plot.set_ylim(*_limits(certificate.problem, shown[1]))
     plot.set_xlabel(names[0])
     plot.set_ylabel(names[1])
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=6 + 17 * (rows or 0))
@@ -162,11 +164,13 @@ def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[V
     return figure
 
 
-def rank_figure(certificate: Certificate) -> Figure:
+def rank_figure(certificate: Any) -> Figure:
     """Terms of the value function by automaton state against the steps left: kept ones, and those that were formed.
 
     What lies between the two was united exactly or dropped; every kept term counts, none is an estimate.
+    Of independent tasks the first one is drawn.
     """
+    certificate, _ = of_one_task(certificate)
     problem = certificate.problem
     left = problem.horizon - np.arange(problem.horizon)
     figure, (plot,) = _new(6.6, 4.0)
@@ -217,20 +221,21 @@ def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
     return np.array(kept), np.array([[len(step.origin[q]) for step in steps] for q in states])
 
 
-def relation_figure(certificate: Certificate, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
+def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
     """One episode of one agent: its state, the cell that its finite model is in, and the set the relation keeps it in.
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Synthesis, Certificate, ProductCertificate or path
     agent, coordinate : int
         Which agent, and which of its grid coordinates.
     seed : int
         Of the episode.
     """
+    certificate, agent = of_one_task(certificate, agent)
     problem = certificate.problem
-    if not 0 <= agent < problem.n_agents or not 0 <= coordinate < problem.agents[agent].n_states:
-        raise ValueError(f"`agent`, `coordinate`: expected one of {problem.n_agents} agents and its coordinates")
+    if not 0 <= coordinate < problem.agents[agent].n_states:
+        raise ValueError(f"`coordinate`: expected a number below {problem.agents[agent].n_states}, got {coordinate}")
     times, states, centres, reach = _followed(certificate, agent, coordinate, seed)
     kind = certificate.agents[agent].relation["kind"]
     figure, (plot,) = _new(6.8, 3.8)
@@ -258,7 +263,7 @@ def _followed(
     from ...envs.dynamics import worlds as core
 
     loop = Loop(certificate.problem, certificate.controller, seed, 1)
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     first = sum(a.n_states for a in certificate.problem.agents[:agent])
     controller = certificate.controller.agents[agent]
     found = []
@@ -278,19 +283,6 @@ def _followed(
     return times, states, centres, reach
 
 
-def _coordinates(certificate: Certificate, axes: Sequence[int] | None) -> tuple[int, ...]:
-    problem = certificate.problem
-    if axes is None:
-        first = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
-        return (int(first[0]), int(first[1])) if problem.n_agents > 1 else tuple(range(min(2, problem.n_states)))
-    if not 1 <= len(axes) <= 2 or len(set(axes)) != len(axes) or not all(0 <= k < problem.n_states for k in axes):
-        raise ValueError(
-            f"`axes`: expected one or two different joint coordinates from 0 to {problem.n_states - 1}, "
-            f"got {list(axes)}"
-        )
-    return tuple(int(k) for k in axes)
-
-
-def _limits(certificate: Certificate, k: int) -> tuple[float, float]:
-    low, high = workspace_box(certificate.problem)
+def _limits(problem: Problem, k: int) -> tuple[float, float]:
+    low, high = workspace_box(problem)
     return float(low[k]), float(high[k])

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
-from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, shown_bound
+from ...envs.suite import as_problem
+from ...synthesis.certificates import Certificate, as_certificate, of_one_task, shown_bound
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, SERIES, SOFT, legend_above, new_figure
@@ -26,19 +26,20 @@ MOST_VERTICES = 400
 """Largest value tree that is drawn."""
 
 
-def rollouts_figure(certificate: Certificate, episodes: int = 40, seed: int = 0) -> Figure:
+def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figure:
     """Episodes of the continuous system under the certified controllers, over the regions.
 
     Planar agents are drawn on a map, others over time. Episodes that do not satisfy the task end in a cross.
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Synthesis, Certificate, ProductCertificate or path
     episodes : int
     seed : int
     """
     if episodes < 1:
         raise ValueError(f"`episodes`: expected at least 1, got {episodes}")
+    certificate = as_certificate(certificate)
     problem = certificate.problem
     states, success = paths(Loop(problem, certificate.controller, seed, episodes), episodes)
     all_panels = panels(problem)
@@ -62,12 +63,14 @@ def rollouts_figure(certificate: Certificate, episodes: int = 40, seed: int = 0)
     return figure
 
 
-def automaton_figure(problem: Problem) -> Figure:
+def automaton_figure(problem: Any) -> Figure:
     """The task automaton: states, transitions with their numbers, and the letters that take them below.
 
     Accepting states have a double rim, states without a way to acceptance are grey. The transitions are those that a
-    letter of the workspace can take; long guards are cut.
+    letter of the workspace can take; long guards are cut. Of independent tasks the first one is drawn.
     """
+    problem = as_problem(problem)
+    problem = problem.tasks[0] if problem.groups else problem
     drawn, automaton = edges(problem), problem.automaton
     spots = {q: (x / 62.0, -y / 62.0) for q, (x, y) in places(automaton, drawn).items()}
     low, high = np.min(list(spots.values()), axis=0), np.max(list(spots.values()), axis=0)
@@ -135,17 +138,18 @@ def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
         plot.text(*spot, number, fontsize=8, color=FAILURE, ha="center", va="center", zorder=5, bbox=box)
 
 
-def tree_figure(certificate: Certificate) -> Figure:
+def tree_figure(certificate: Any) -> Figure:
     """The value tree: a vertex per kept term, right to left from acceptance, an edge per guard, coloured by state.
 
     A term of the value function with k steps left is a guard applied to a term with k - 1 steps left; the bound is the
-    sum over the terms on the left.
+    sum over the terms on the left. Of independent tasks the first one is drawn.
 
     Raises
     ------
     ValueError
         If the tree has more vertices than can be drawn; take a shorter horizon.
     """
+    certificate, _ = of_one_task(certificate)
     problem, horizon = certificate.problem, certificate.problem.horizon
     layers = _layers(certificate)
     total = sum(len(layer) for layer in layers)

@@ -145,7 +145,7 @@ def _right_noise(horizon: int, episodes: int, seed: int, confidence: float) -> d
     problem = make_problem("reach-avoid-v0", horizon=horizon)
     found = {}
     for relation in ("paper", "exact"):
-        report = validate(synthesize(problem, 1000, relation=relation), episodes, seed, confidence=confidence)
+        report = validate(synthesize(problem, 1000, relation=relation), episodes, seed=seed, confidence=confidence)
         found[relation] = {"lower_bound": report.lower_bound, "estimate": report.estimate, "verdict": report.verdict}
     wrong = [own["verdict"] for own in found.values() if own["verdict"] == REFUTED]
     return {"verdict": REFUTED if wrong else found["paper"]["verdict"], **found}

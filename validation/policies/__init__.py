@@ -1,6 +1,6 @@
 """Policies of any origin: given, learned, compared."""
 
-from .actors import load_actor
+from .actors import NotAnActor, load_actor
 from .comparison import Comparison, compare
 from .rollout_policies import IdleController, RandomController, as_controller
 from .training import ALGORITHMS, Training, train
@@ -9,6 +9,7 @@ __all__ = [
     "ALGORITHMS",
     "Comparison",
     "IdleController",
+    "NotAnActor",
     "RandomController",
     "Training",
     "as_controller",

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
+from ...envs.suite import as_problem
 from ..simulation import BatchPolicy
 from .rollout_policies import as_controller
 from .views import CentralView, SharedView, View, inputs_of
@@ -140,15 +141,19 @@ def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
         np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(kept)), **arrays)
 
 
-def load_actor(path: str | Path, problem: Problem) -> Actor:
-    """Read an actor for ``problem``.
+class NotAnActor(ValueError):
+    """A file holds no actor at all; it may hold something else."""
+
+
+def load_actor(path: str | Path, problem: Any) -> Actor:
+    """Read an actor for ``problem`` (a Problem, an id or a path).
 
     It may have been trained on another problem (another horizon, another start) as long as its sizes fit.
 
     Raises
     ------
     ValueError
-        If the file is no actor, or its sizes are not those of the problem.
+        If the file holds no actor (``NotAnActor``), or its sizes are not those of the problem.
     """
     try:
         with np.load(path, allow_pickle=False) as stored:
@@ -157,9 +162,10 @@ def load_actor(path: str | Path, problem: Problem) -> Actor:
             weights = tuple(stored[f"weight_{k}"] for k in range(count))
             biases = tuple(stored[f"bias_{k}"] for k in range(count))
     except (KeyError, ValueError, EOFError) as error:
-        raise ValueError(f"`{path}`: expected the file of an actor (.npz of `certigym train`)") from error
+        raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)") from error
     if not count or header.get("view") not in VIEWS or header.get("activation") not in ACTIVATIONS:
-        raise ValueError(f"`{path}`: expected the file of an actor (.npz of `certigym train`)")
+        raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)")
+    problem = as_problem(problem)
     view: View = VIEWS[header["view"]](problem)  # type: ignore[assignment]
     sizes = (weights[0].shape[1], weights[-1].shape[0])
     if sizes != (view.size, view.n_actions):

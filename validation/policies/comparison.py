@@ -11,18 +11,19 @@ A learner trained with several seeds is given as a sequence: one row per seed, a
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, Synthesis, shown_bound
+from ...envs.suite import as_problem
+from ...synthesis.certificates import Certificate, ProductCertificate, Synthesis, as_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
-from ..simulation import CHUNK, Batchable, Executor, Rollouts, rollout
+from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import clopper_pearson, holm, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
@@ -162,28 +163,22 @@ class Comparison:
 
 
 def compare(
-    problem: Problem,
+    problem: Any,
     policies: Mapping[str, Any],
-    episodes: int = 10_000,
-    seed: int = 0,
-    *,
-    confidence: float = 0.99,
-    chunk: int = CHUNK,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    plan: TrialPlan | int | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> Comparison:
     """Simulate policies on the same starts and noise, and test their differences.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     policies : mapping from name to policy
         Syntheses and certificates of this problem, trainings, actors, controllers, any form of
         ``synthesis.decentralised``, anything with ``batch(dynamics)``; or a sequence of these (several training seeds).
-    episodes, seed, chunk, executor, progress
-        As for ``rollout``.
-    confidence : float
-        Of the two-sided limits of each policy.
+    plan, **trial
+        Episodes (default 10,000), seed, confidence of the two-sided limits of each policy (.99), chunk, executor,
+        progress; see ``TrialPlan``.
 
     Raises
     ------
@@ -198,21 +193,26 @@ def compare(
     >>> [entry.name for entry in result.entries], len(result.pairs)
     (['centre', 'idle'], 1)
     """
+    problem, settled = as_problem(problem), planned(plan, trial, 10_000, 0.99)
     contestants = [c for name, policy in policies.items() for c in contestants_of(problem, name, policy)]
     if not contestants:
         raise ValueError("`policies`: expected at least one policy, got none")
     names = [contestant.name for contestant in contestants]
     if len(set(names)) < len(names):
         raise ValueError(f"`policies`: expected names that differ, got {', '.join(names)}")
-    runs = [
-        rollout(problem, c.controller, episodes, seed, chunk=chunk, executor=executor, progress=progress)
-        for c in contestants
-    ]
-    entries = tuple(_entry(c, run, confidence) for c, run in zip(contestants, runs, strict=True))
+    runs = [rollout(problem, contestant.controller, settled) for contestant in contestants]
+    entries = tuple(_entry(c, run, settled.confidence) for c, run in zip(contestants, runs, strict=True))
     return Comparison(
-        problem.name, problem.fingerprint, problem.horizon, int(episodes), int(seed), int(chunk), float(confidence),
-        entries, _pairs(names, runs),
-    )  # fmt: skip
+        problem=problem.name,
+        fingerprint=problem.fingerprint,
+        horizon=problem.horizon,
+        episodes=settled.episodes,
+        seed=settled.seed,
+        chunk=settled.chunk,
+        confidence=settled.confidence,
+        entries=entries,
+        pairs=_pairs(names, runs),
+    )
 
 
 def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]:
@@ -231,8 +231,8 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
             Contestant(**{**vars(part), "group": name, "name": f"{name} (seed {mark})"})
             for part, mark in zip(parts, marks, strict=True)
         ]
-    if isinstance(policy, Synthesis | Certificate):
-        certificate = policy if isinstance(policy, Certificate) else policy.certificate
+    if isinstance(policy, Synthesis | Certificate | ProductCertificate):
+        certificate = as_certificate(policy)
         if certificate.fingerprint != problem.fingerprint:
             raise ValueError(
                 f"`policies`: the certificate of {name!r} speaks of another problem ({certificate.problem.name!r}); "

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...envs.problem import Problem
+from ...envs.suite import as_problem
 from .actors import Actor, Network, actor_of, save_actor
 from .views import CentralView, SharedView, View
 
@@ -91,7 +92,7 @@ class Training:
 
 
 def train(
-    problem: Problem,
+    problem: Any,
     algorithm: str = "ppo",
     steps: int | None = None,
     seed: int = 0,
@@ -105,7 +106,7 @@ def train(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     algorithm : "ppo", "central-ppo" or "sac"
     steps : int, optional
         World steps, in all worlds together; by default ``STEPS``. The learner ends the round it is in.
@@ -124,6 +125,7 @@ def train(
     ValueError
         If an argument is unknown or out of range, or Stable-Baselines3 is not installed.
     """
+    problem = as_problem(problem)
     count = worlds or (16 if algorithm == "sac" else 64)
     _check(algorithm, seed, steps=steps, worlds=worlds)
     view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)

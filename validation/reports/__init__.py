@@ -1,8 +1,7 @@
 """One page about a certificate: numbers, pictures, verdict."""
 
-from .report import gather_report, write_report
+from .gathering import report
 
 __all__ = [
-    "gather_report",
-    "write_report",
+    "report",
 ]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import Certificate, ProductCertificate
 from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
 from ..verdicts import FieldReport, ValidationReport
@@ -20,7 +20,7 @@ class ReportContent:
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Certificate or ProductCertificate
     validation : ValidationReport
     audit : AuditReport
     checked : CheckReport
@@ -35,7 +35,7 @@ class ReportContent:
     success : (M,) bool array
     """
 
-    certificate: Certificate
+    certificate: Certificate | ProductCertificate
     validation: ValidationReport
     audit: AuditReport
     checked: CheckReport

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...envs.logic import Automaton, letter_text
 from ...envs.pictures import coordinate_name, panels
-from ...synthesis.certificates import rounded_down, shown_bound
+from ...synthesis.certificates import Certificate, ProductCertificate, rounded_down, shown_bound
 from ..verdicts import tried_lines
 from .inline_pictures import automaton_picture, bound_curve, margin_pictures, rollouts_picture
 
@@ -18,11 +18,15 @@ if TYPE_CHECKING:
     from .content import ReportContent
 
 
+MOST_AUTOMATA = 4
+"""Automata of independent tasks that are drawn."""
+
+
 def page_of(content: ReportContent) -> str:
     """The whole page."""
     problem = content.certificate.problem
     sections = [
-        _claim(content), _curve(content), *_map(content), *_rollouts(content), _automaton(problem.automaton),
+        _claim(content), _curve(content), *_map(content), *_rollouts(content), *_automata(content.certificate),
         _audit(content), _settings(content), _again(content),
     ]  # fmt: skip
     data = json.dumps(content.to_dict(), allow_nan=False).replace("<", "\\u003c")
@@ -33,7 +37,7 @@ def page_of(content: ReportContent) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(problem.name)}: certificate</title><style>{STYLE}</style></head><body><main>"
         f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, "
-        f"{escape(problem.automaton.semantics)}; task <code>{escape(_cut(task, 400))}</code></p>"
+        f"{escape(problem.specification.semantics)}; task <code>{escape(_cut(task, 400))}</code></p>"
         f'<div class="grid">{"".join(sections)}</div></main>'
         f'<script type="application/json" id="data">{data}</script></body></html>\n'
     )
@@ -119,6 +123,14 @@ def _rollouts(content: ReportContent) -> list[str]:
     if len(shown) > 6:
         sections.append(_section("Rollouts", f"<p class=soft>and {len(shown) - 6} more panels, not drawn</p>"))
     return sections
+
+
+def _automata(certificate: Certificate | ProductCertificate) -> list[str]:
+    """The automaton of the task, or those of the independent tasks that differ in more than names."""
+    if isinstance(certificate, Certificate):
+        return [_automaton(certificate.problem.automaton)]
+    distinct = [certificate.parts[same[0]].problem.automaton for same in certificate.alike]
+    return [_automaton(automaton) for automaton in distinct[:MOST_AUTOMATA]]
 
 
 def _automaton(automaton: Automaton) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
-from .loop import BatchPolicy, Loop, arranged, check_whole
+from .loop import BatchPolicy, Loop, check_whole
 from .mismatch import degraded, disturbed
 from .streams import Streams
 
@@ -65,7 +65,7 @@ def chunk_results(loop: Loop, chunks: Sequence[tuple[int, int]]) -> list[ChunkRe
 
 def _outcomes(loop: Loop, numbers: Sequence[int]) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
     """Success and inadmissible inputs of the worlds of some chunks."""
-    dynamics, policy = arranged(loop)
+    dynamics, policy = loop.arranged
     if hasattr(policy, "selected") and not _is_degraded(loop):
         return _leaving_settled(loop, dynamics, policy, numbers)
     return [_to_the_end(loop, dynamics, policy, number) for number in numbers]
@@ -175,7 +175,12 @@ def _generator(loop: Loop, *key: int) -> np.random.Generator:
 
 def paths(loop: Loop, episodes: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """States (T + 1, M, D) of the first episodes up to their decision (NaN afterwards), and their success (M,)."""
-    dynamics, policy = arranged(loop)
+    if loop.problem.groups:
+        tasks = [paths(part, episodes) for part in loop.parts]
+        columns = np.concatenate(loop.columns)
+        together = np.concatenate([states for states, _ in tasks], axis=2)
+        return together[:, :, np.argsort(columns)], np.logical_and.reduce([success for _, success in tasks])
+    dynamics, policy = loop.arranged
     states = np.full((loop.problem.horizon + 1, episodes, loop.problem.n_states), np.nan)
     decided = np.zeros(episodes, dtype=bool)
     number, _ = next(chunks_of(episodes, loop.chunk))

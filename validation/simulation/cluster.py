@@ -26,14 +26,26 @@ class DaskExecutor:
 
     Parameters
     ----------
-    client : distributed.Client
+    client : distributed.Client or str
+        A client, or the address of a scheduler, to which one is opened.
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or Dask distributed is not installed.
 
     Examples
     --------
-    ``validate(certificate, executor=DaskExecutor(Client("tcp://head:8786")))``
+    ``validate(certificate, executor=DaskExecutor("tcp://head:8786"))``
     """
 
     client: Any
+
+    def __post_init__(self) -> None:
+        if isinstance(self.client, str):
+            object.__setattr__(self, "client", _client_of(self.client))
+        if not hasattr(self.client, "submit"):
+            raise ValueError(f"`client`: expected a Dask client or the address of a scheduler, got {self.client!r}")
 
     def share(self, shared: Any) -> Any:
         """An object for all jobs, as a task: if the worker that holds it is lost, another one makes it again."""
@@ -58,19 +70,31 @@ def dask_cluster(address: str, workers: int | None = None) -> Iterator[DaskExecu
     OSError
         If no scheduler answers.
     """
+    if address != "local":
+        with _client_of(address) as client:
+            yield DaskExecutor(client)
+        return
+    Client, LocalCluster = _distributed()
+    settings = {"n_workers": _checked_workers(workers), "threads_per_worker": 1, "processes": True}
+    with LocalCluster(**settings, dashboard_address=":0") as local, Client(local, set_as_default=False) as client:
+        client.run(_ignore_interrupts)
+        yield DaskExecutor(client)
+
+
+def _client_of(address: str) -> Any:
+    """A client of the scheduler at an address."""
+    Client, _ = _distributed()
+    return Client(address, timeout="15s", set_as_default=False)
+
+
+def _distributed() -> tuple[Any, Any]:
+    """Dask's client and local cluster, if they are installed."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError("`--dask`: needs Dask distributed; pip install 'certigym[distributed]'") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # lost workers are expected, and dealt with
-    if address != "local":
-        with Client(address, timeout="15s", set_as_default=False) as client:
-            yield DaskExecutor(client)
-        return
-    settings = {"n_workers": _checked_workers(workers), "threads_per_worker": 1, "processes": True}
-    with LocalCluster(**settings, dashboard_address=":0") as local, Client(local, set_as_default=False) as client:
-        client.run(_ignore_interrupts)
-        yield DaskExecutor(client)
+    return Client, LocalCluster
 
 
 @contextmanager

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class BatchPolicy(Protocol):
 
 
 class Batchable(Protocol):
-    """Anything that can be arranged for batches, such as ``certigym.synthesis.controllers.controller.Controller``."""
+    """Anything that can be arranged for batches, such as ``synthesis.controllers.Controller``."""
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """The policy for batches of ``dynamics``."""
@@ -70,6 +69,16 @@ class Loop:
         for name, least in (("seed", 0), ("chunk", 1)):
             check_whole(name, getattr(self, name), least)
 
+    def __reduce__(self) -> tuple[type[Loop], tuple[Any, ...]]:
+        """Workers are sent the fields alone; they arrange their own policies."""
+        return Loop, tuple(getattr(self, field.name) for field in fields(self))
+
+    @cached_property
+    def arranged(self) -> tuple[Dynamics, BatchPolicy]:
+        """Dynamics and policy, arranged once and not once per chunk."""
+        dynamics = Dynamics.of(self.problem)
+        return dynamics, self.controller.batch(dynamics)
+
     @cached_property
     def parts(self) -> tuple[Loop, ...]:
         """Loops of the independent tasks, each with noise of its own; the loop itself where there is one task.
@@ -86,24 +95,19 @@ class Loop:
                 f"{type(self.controller).__name__}; simulate the problems of `problem.tasks` one by one"
             )
         seeds = np.random.SeedSequence(self.seed).generate_state(len(groups), np.uint64).tolist()
-        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
         loops = []
-        for group, task, own, seed in zip(groups, self.problem.tasks, self.controller.parts, seeds, strict=True):
-            columns = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in group.agents])
+        tasks = zip(self.problem.tasks, self.controller.parts, self.columns, seeds, strict=True)
+        for task, controller, columns, seed in tasks:
             starts = None if self.starts is None else self.starts[:, columns]
-            loops.append(Loop(task, own, seed, self.chunk, starts, self.mismatch))
+            loops.append(Loop(task, controller, seed, self.chunk, starts, self.mismatch))
         return tuple(loops)
 
-
-_ARRANGED: WeakKeyDictionary[Loop, tuple[Dynamics, BatchPolicy]] = WeakKeyDictionary()
-
-
-def arranged(loop: Loop) -> tuple[Dynamics, BatchPolicy]:
-    """Dynamics and policy of a loop, arranged once and not once per chunk."""
-    if loop not in _ARRANGED:
-        dynamics = Dynamics.of(loop.problem)
-        _ARRANGED[loop] = dynamics, loop.controller.batch(dynamics)
-    return _ARRANGED[loop]
+    @cached_property
+    def columns(self) -> tuple[NDArray[np.int64], ...]:
+        """Components of a joint state that belong to each of the independent tasks."""
+        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
+        components = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return tuple(np.concatenate([components[i] for i in group.agents]) for group in self.problem.groups)
 
 
 def check_whole(name: str, value: Any, least: int) -> None:

@@ -12,20 +12,21 @@ ask for that; episodes in which one did (before it was decided) are counted as `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem, checked_problem
 from .chunks import ChunkResult, chunk_results, chunks_of
-from .loop import CHUNK, Batchable, Loop
+from .loop import Loop
 from .mismatch import Mismatch
-from .spread import AHEAD, Executor, in_order, interrupts_at_checkpoints
+from .spread import AHEAD, Executor, in_order
+from .trials import TrialOptions, TrialPlan, collect, planned
 
 TOGETHER = 65536
 """Numbers that the states of chunks simulated side by side may have, if one chunk alone has fewer."""
@@ -64,60 +65,54 @@ class Rollouts:
 
 def rollout(
     problem: Problem,
-    controller: Batchable,
-    episodes: int,
-    seed: int = 0,
+    controller: Any,
+    plan: TrialPlan | int | None = None,
     *,
     initial_state: Any = None,
-    chunk: int = CHUNK,
     mismatch: Mismatch | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> Rollouts:
-    """Simulate ``episodes`` episodes of the continuous system under ``controller``, the same for any executor.
+    """Simulate episodes of the continuous system under ``controller``, the same for any executor.
 
     Parameters
     ----------
     problem : Problem
-    controller : object with ``batch(dynamics)``
-    episodes : int
-        Positive.
-    seed : int
-        Not negative.
+    controller : Synthesis, certificate, or object with ``batch(dynamics)``
+    plan, **trial
+        Episodes (default 10,000), seed, chunk, executor, progress; see ``TrialPlan``.
     initial_state : optional
         Start of every episode, as in ``Problem.replace``; default: the problem's own start.
-    chunk : int
-        Worlds per chunk.
     mismatch : Mismatch, optional
         How the system differs from the model.
-    executor : Executor, optional
-        Where chunks are computed; default: here.
-    progress : callable, optional
-        Called with the number of episodes finished since the last call.
 
     Raises
     ------
     ValueError
         If a number is out of range.
+    KeyboardInterrupt
+        On Ctrl-C: policies can be compared only over the same episodes, so that a part of them is nothing.
     """
     checked_problem(problem)
+    controller = getattr(controller, "controller", controller)  # of a synthesis or certificate
     if not hasattr(controller, "batch"):
         raise ValueError(
-            f"`controller`: expected an object with `batch(dynamics)`, got {type(controller).__name__}; give the "
-            "`.controller` of a synthesis or certificate, or `as_controller(problem, policy)`"
+            f"`controller`: expected an object with `batch(dynamics)`, got {type(controller).__name__}; give a "
+            "synthesis, a certificate, or `as_controller(problem, policy)`"
         )
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
-    loop = Loop(problem, controller, seed, chunk, mismatch=mismatch)
-    parts = []
-    with interrupts_at_checkpoints() as checkpoint, closing(stream(loop, episodes, executor)) as chunks:
-        for part in chunks:
-            parts.append(part)
-            if progress is not None:
-                progress(len(part.success))
-            checkpoint()
+    settled = planned(plan, trial, 10_000)
+    loop = Loop(problem, controller, settled.seed, settled.chunk, mismatch=mismatch)
+    parts: list[ChunkResult] = []
+
+    def take(part: ChunkResult) -> None:
+        parts.append(part)
+        settled.tell(len(part.success))
+
+    if collect(stream(loop, settled.episodes, settled.executor), take):
+        raise KeyboardInterrupt
     success = np.concatenate([part.success for part in parts])
-    return Rollouts(success, int(seed), int(chunk), sum(part.inadmissible for part in parts))
+    return Rollouts(success, settled.seed, settled.chunk, sum(part.inadmissible for part in parts))
 
 
 def stream(loop: Loop, episodes: int, executor: Executor | None = None) -> Generator[ChunkResult, None, None]:

@@ -1,28 +1,28 @@
 """Tests of claims by rollouts: at a start, over fields of starts, under mismatch, over horizons."""
 
 from .fields import FieldReport, find_weakest, validate_field
-from .starts import corner_starts, random_starts, slice_starts, start_box, workspace_box
+from .starts import corner_starts, random_starts, slice_axes, slice_starts, start_box, workspace_box
 from .stress_test import LADDERS, StressReport, stress
-from .success_rate import ValidationInterrupted, ValidationReport, tried_lines, validate
-from .sweeps import each_report, sweep_horizons, synthesize_best
+from .success_rate import ValidationReport, tried_lines, validate
+from .sweeps import each_report, synthesize_best, validate_horizons
 
 __all__ = [
     "FieldReport",
     "LADDERS",
     "StressReport",
-    "ValidationInterrupted",
     "ValidationReport",
     "corner_starts",
     "each_report",
     "find_weakest",
     "random_starts",
+    "slice_axes",
     "slice_starts",
     "start_box",
     "stress",
-    "sweep_horizons",
     "synthesize_best",
     "tried_lines",
     "validate",
     "validate_field",
+    "validate_horizons",
     "workspace_box",
 ]

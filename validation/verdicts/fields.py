@@ -8,16 +8,15 @@ refuted anywhere with probability at most ``(1 - confidence) / 2``, whatever the
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...synthesis.certificates import Certificate, checked_certificate, rounded_down
-from ..simulation import CHUNK, Executor, Loop, Mismatch, interrupts_at_checkpoints, stream
+from ...synthesis.certificates import as_certificate, rounded_down
+from ..simulation import ChunkResult, Loop, Mismatch, TrialOptions, TrialPlan, collect, planned, stream
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
 from .starts import corner_starts, neighbours, random_starts
 
@@ -130,33 +129,29 @@ class FieldReport:
 
 
 def validate_field(
-    certificate: Certificate,
+    certificate: Any,
     states: Any,
-    episodes: int = 2000,
-    seed: int = 0,
+    plan: TrialPlan | int | None = None,
     *,
-    confidence: float = 0.999,
     shape: tuple[int, ...] | None = None,
-    chunk: int = CHUNK,
     mismatch: Mismatch | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> FieldReport:
-    """Test the claims at many initial states together, with ``episodes`` rollouts of each.
+    """Test the claims at many initial states together.
+
+    A true certificate is refuted anywhere with probability at most ``(1 - confidence) / 2``.
 
     Parameters
     ----------
-    certificate : Certificate
+    certificate : Synthesis, Certificate, ProductCertificate or path
     states : array_like, shape (N, D)
-        Joint initial states (see ``validation.starts``).
-    episodes : int
-        Per state. On Ctrl-C the report is about those finished, about equally many of each state.
-    seed : int
-    confidence : float
-        A true certificate is refuted anywhere with probability at most ``(1 - confidence) / 2``.
+        Joint initial states (see ``validation.verdicts.starts``).
+    plan, **trial
+        Episodes of each state (default 2000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
+        After Ctrl-C the report is about those finished, about equally many of each state.
     shape : tuple of int, optional
         Shape of the slice that the states are.
-    chunk, mismatch, executor, progress
+    mismatch : Mismatch, optional
         As in ``validate``.
 
     Raises
@@ -164,52 +159,52 @@ def validate_field(
     ValueError
         If a shape or number is wrong.
     """
-    checked_certificate(certificate)
-    check_confidence(confidence)
+    settled = planned(plan, trial, 2000)
+    certificate = as_certificate(certificate)
+    check_confidence(settled.confidence)
     states = np.atleast_2d(np.asarray(states, dtype=float))
     claims = certificate.at(states)
     shape = (len(states),) if shape is None else tuple(shape)
     if int(np.prod(shape)) != len(states):
         raise ValueError(f"`shape`: expected sizes whose product is {len(states)}, got {shape}")
-    loop = Loop(certificate.problem, certificate.controller, seed, chunk, starts=states, mismatch=mismatch)
+    loop = Loop(certificate.problem, certificate.controller, settled.seed, settled.chunk, states, mismatch)
     successes, tried = (np.zeros(len(states), dtype=np.int64) for _ in range(2))
-    row, interrupted, chunks = 0, False, stream(loop, episodes * len(states), executor)
-    try:
-        with interrupts_at_checkpoints() as checkpoint:
-            for part in chunks:
-                which = np.arange(row, row + len(part.success)) % len(states)
-                successes += np.bincount(which, weights=part.success, minlength=len(states)).astype(np.int64)
-                tried += np.bincount(which, minlength=len(states))
-                row += len(part.success)
-                if progress is not None:
-                    progress(len(part.success))
-                checkpoint()
-    except KeyboardInterrupt:
-        if tried.min() == 0:
-            raise
-        interrupted = True
-    finally:
-        chunks.close()
-    limits = [clopper_pearson(int(k), int(n), confidence) for k, n in zip(successes, tried, strict=True)]
+
+    def take(part: ChunkResult) -> None:
+        # episode r began at state r modulo N
+        which = np.arange(tried.sum(), tried.sum() + len(part.success)) % len(states)
+        successes[:] += np.bincount(which, weights=part.success, minlength=len(states)).astype(np.int64)
+        tried[:] += np.bincount(which, minlength=len(states))
+        settled.tell(len(part.success))
+
+    interrupted = collect(stream(loop, settled.episodes * len(states), settled.executor), take)
+    if tried.min() == 0:  # some state has not been tried at all
+        raise KeyboardInterrupt
+    limits = [clopper_pearson(int(k), int(n), settled.confidence) for k, n in zip(successes, tried, strict=True)]
     return FieldReport(
-        states=states, lower_bounds=claims, successes=successes, episodes=tried,
-        ci_low=np.array([low for low, _ in limits]), ci_high=np.array([high for _, high in limits]),
-        p_refuted=holm(p_at_least(successes, tried, claims)), p_confirmed=holm(p_at_most(successes, tried, claims)),
-        confidence=confidence, seed=int(seed), chunk=int(chunk), shape=shape, interrupted=interrupted,
-    )  # fmt: skip
+        states=states,
+        lower_bounds=claims,
+        successes=successes,
+        episodes=tried,
+        ci_low=np.array([low for low, _ in limits]),
+        ci_high=np.array([high for _, high in limits]),
+        p_refuted=holm(p_at_least(successes, tried, claims)),
+        p_confirmed=holm(p_at_most(successes, tried, claims)),
+        confidence=settled.confidence,
+        seed=settled.seed,
+        chunk=settled.chunk,
+        shape=shape,
+        interrupted=interrupted,
+    )
 
 
 def find_weakest(
-    certificate: Certificate,
-    episodes: int = 100_000,
-    seed: int = 0,
+    certificate: Any,
+    plan: TrialPlan | int | None = None,
     *,
     candidates: Any = None,
     keep: int = 8,
-    confidence: float = 0.999,
-    chunk: int = CHUNK,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> FieldReport:
     """Search for the initial state at which a certificate is weakest, then test the finalists on fresh noise.
 
@@ -219,41 +214,38 @@ def find_weakest(
 
     Parameters
     ----------
-    certificate : Certificate
-    episodes : int
-        In all.
+    certificate : Synthesis, Certificate, ProductCertificate or path
+    plan, **trial
+        Episodes in all (default 100,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
     candidates : array_like, shape (N, D), optional
         Where the search begins; default: the corners of the workspaces and 192 random states.
     keep : int
         Finalists.
-    confidence, chunk, executor, progress
-        As in ``validate_field``.
 
     Returns
     -------
     FieldReport
         About the finalists; after Ctrl-C, about the candidates of the round that was going on.
     """
-    problem = checked_certificate(certificate).problem
+    settled = planned(plan, trial, 100_000)
+    certificate, seed = as_certificate(certificate), settled.seed
+    problem = certificate.problem
     if candidates is None:
         candidates = np.concatenate([corner_starts(problem), random_starts(problem, 192, seed)])
     states = np.atleast_2d(np.asarray(candidates, dtype=float))
     rounds = max(1, int(np.ceil(np.log2(max(len(states) / keep, 2)))))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31 + 1,)))
     for k in range(rounds):
-        each = max(1, episodes // (2 * rounds * len(states)))
-        pilot = validate_field(certificate, states, each, _derived(seed, k), confidence=confidence, chunk=chunk,
-                               executor=executor, progress=progress)  # fmt: skip
+        each = max(1, settled.episodes // (2 * rounds * len(states)))
+        pilot = validate_field(certificate, states, replace(settled, episodes=each, seed=_derived(seed, k)))
         if pilot.interrupted:
             return pilot
         order = np.lexsort((pilot.margins, p_at_least(pilot.successes, pilot.episodes, pilot.lower_bounds)))
         last = k == rounds - 1
         worst = states[order[: keep if last else max(keep, len(states) // 3)]]
         states = worst if last else np.concatenate([worst, neighbours(certificate, worst[: len(worst) // 2], rng)])
-    return validate_field(
-        certificate, states, max(1, episodes // (2 * len(states))), _derived(seed, rounds), confidence=confidence,
-        chunk=chunk, executor=executor, progress=progress,
-    )  # fmt: skip
+    each = max(1, settled.episodes // (2 * len(states)))
+    return validate_field(certificate, states, replace(settled, episodes=each, seed=_derived(seed, rounds)))
 
 
 def _derived(seed: int, number: int) -> int:

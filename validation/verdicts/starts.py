@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import Certificate, ProductCertificate
 
 Box = tuple[Any, Any]
 
@@ -52,13 +52,13 @@ def random_starts(problem: Problem, count: int, seed: int = 0, box: Box | None =
 
 
 def slice_starts(
-    certificate: Certificate, axes: Sequence[int], shape: Sequence[int], base: Any = None, box: Box | None = None
+    problem: Problem, axes: Sequence[int], shape: Sequence[int], base: Any = None, box: Box | None = None
 ) -> NDArray[Any]:
     """Grid (prod(shape), D) of states that differ from ``base`` in one or two joint coordinates.
 
     Parameters
     ----------
-    certificate : Certificate
+    problem : Problem
     axes : sequence of int
         Which joint coordinates vary.
     shape : sequence of int
@@ -68,7 +68,6 @@ def slice_starts(
     box : (low, high), optional
         Range (D,) of the axes; default: all workspaces.
     """
-    problem = certificate.problem
     low, high = _checked_box(problem, box)
     if len(axes) != len(shape) or not axes or any(not 0 <= axis < problem.n_states for axis in axes):
         raise ValueError(f"`axes`: expected joint coordinates from 0 to {problem.n_states - 1}, got {list(axes)}")
@@ -82,7 +81,28 @@ def slice_starts(
     return points
 
 
-def neighbours(certificate: Certificate, states: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
+def slice_axes(problem: Problem, axes: Sequence[int] | None) -> tuple[int, ...]:
+    """Joint coordinates of a slice: those given, or the first ones of the first two agents.
+
+    Raises
+    ------
+    ValueError
+        If they are not one or two different joint coordinates.
+    """
+    if axes is None:
+        first = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
+        return (int(first[0]), int(first[1])) if problem.n_agents > 1 else tuple(range(min(2, problem.n_states)))
+    if not 1 <= len(axes) <= 2 or len(set(axes)) != len(axes) or not all(0 <= k < problem.n_states for k in axes):
+        raise ValueError(
+            f"`axes`: expected one or two different joint coordinates from 0 to {problem.n_states - 1}, got "
+            f"{list(axes)}"
+        )
+    return tuple(int(k) for k in axes)
+
+
+def neighbours(
+    certificate: Certificate | ProductCertificate, states: NDArray[Any], rng: np.random.Generator
+) -> NDArray[Any]:
     """One state next to each of (N, D): a random coordinate moved by up to two of its cells, inside the workspace."""
     low, high = workspace_box(certificate.problem)
     width = np.concatenate([2.0 * part.grid.half_widths.max(axis=0) for part in certificate.agents])

@@ -7,13 +7,13 @@ is certified: a bound speaks of its model, and a rung says what rollouts show wh
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from ...synthesis.certificates import Certificate, checked_certificate, rounded_down
-from ..simulation import CHUNK, FAMILIES, Executor, Mismatch, rollout
+from ...synthesis.certificates import as_certificate, rounded_down
+from ..simulation import FAMILIES, Mismatch, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
 from .success_rate import claim_at
 
@@ -115,40 +115,35 @@ class StressReport:
 
 
 def stress(
-    certificate: Certificate,
-    episodes: int = 20_000,
-    seed: int = 0,
+    certificate: Any,
+    plan: TrialPlan | int | None = None,
     *,
     ladders: Mapping[str, Sequence[Mismatch]] | None = None,
-    confidence: float = 0.999,
     initial_state: Any = None,
-    chunk: int = CHUNK,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> StressReport:
     """Test the nominal bound under mismatches; see the module for what the verdicts mean.
 
     Parameters
     ----------
-    certificate : Certificate
-    episodes : int
-        Per mismatch.
-    seed : int
+    certificate : Synthesis, Certificate, ProductCertificate or path
+    plan, **trial
+        Episodes per mismatch (default 20,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
+        After Ctrl-C the report is about the rungs that were finished.
     ladders : mapping from str to sequence of Mismatch, optional
         From mild to severe; default: ``LADDERS``.
-    confidence, initial_state, chunk, executor, progress
+    initial_state : optional
         As in ``validate``.
     """
-    check_confidence(confidence)
-    checked_certificate(certificate)
+    settled = planned(plan, trial, 20_000)
+    check_confidence(settled.confidence)
+    certificate, episodes = as_certificate(certificate), settled.episodes
     problem, lower, _, _ = claim_at(certificate, initial_state)
     pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
     counts: list[int] = []
-    settings: dict[str, Any] = {"chunk": chunk, "executor": executor, "progress": progress}
     try:
         for mismatch in (None, *(rung for _, rung in pairs)):
-            runs = rollout(problem, certificate.controller, episodes, seed, mismatch=mismatch, **settings)
-            counts.append(runs.successes)
+            counts.append(rollout(problem, certificate.controller, settled, mismatch=mismatch).successes)
     except KeyboardInterrupt:
         if len(counts) < 2:
             raise
@@ -156,19 +151,19 @@ def stress(
     pairs = pairs[: len(counts) - 1]
     against = holm(p_at_least(counts[1:], episodes, lower))
     in_favour = holm(p_at_most(counts[1:], episodes, lower))
-    level = 0.5 * (1.0 - confidence)
+    level = 0.5 * (1.0 - settled.confidence)
     rungs = []
     for (name, rung), k, p, opposite in zip(pairs, counts[1:], against, in_favour, strict=True):
         verdict = REFUTED if p <= level else CONFIRMED if opposite <= level or lower <= 0.0 else CONSISTENT
-        rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, confidence), verdict))
+        rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, settled.confidence), verdict))
     return StressReport(
-        problem.name,
-        problem.horizon,
-        lower,
-        episodes,
-        int(seed),
-        confidence,
-        counts[0] / episodes,
-        tuple(rungs),
-        interrupted,
+        problem=problem.name,
+        horizon=problem.horizon,
+        lower_bound=lower,
+        episodes=episodes,
+        seed=settled.seed,
+        confidence=settled.confidence,
+        nominal=counts[0] / episodes,
+        rungs=tuple(rungs),
+        interrupted=interrupted,
     )

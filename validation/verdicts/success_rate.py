@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
+from ... import __version__
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
     Certificate,
     ProductCertificate,
     Synthesis,
-    checked_certificate,
+    as_certificate,
     relations_tried,
     rounded_up,
     shown_bound,
 )
-from ..simulation import CHUNK, Executor, Loop, Mismatch, interrupts_at_checkpoints, stream
+from ..simulation import (
+    ChunkResult,
+    Loop,
+    Mismatch,
+    TrialOptions,
+    TrialPlan,
+    collect,
+    planned,
+    stream,
+)
 from ..statistics import (
     CONSISTENT,
     REFUTED,
@@ -82,6 +91,11 @@ class ValidationReport:
     rank: int
     seconds: dict[str, float | None]
     details: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the rollouts early."""
+        return bool(self.details.get("interrupted", False))
 
     @property
     def refuted(self) -> bool:
@@ -144,87 +158,59 @@ _ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_g
 """What reports take from the statistics of a synthesis."""
 
 
-class ValidationInterrupted(KeyboardInterrupt):
-    """The rollouts were interrupted; ``report`` is about the episodes finished by then, a prefix in index order."""
-
-    def __init__(self, report: ValidationReport) -> None:
-        super().__init__(f"interrupted after {report.episodes} episodes")
-        self.report = report
-
-
 def validate(
-    result: Synthesis | Certificate | ProductCertificate,
-    episodes: int = 100_000,
-    seed: int = 0,
+    result: Any,
+    plan: TrialPlan | int | None = None,
     *,
-    confidence: float = 0.999,
     initial_state: Any = None,
-    chunk: int = CHUNK,
     sequential: bool = False,
     mismatch: Mismatch | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[int], None] | None = None,
+    **trial: Unpack[TrialOptions],
 ) -> ValidationReport:
     """Test a certified bound with independent rollouts of the continuous system under its own controller.
 
+    A true certificate is refuted with probability at most ``1 - confidence``.
+
     Parameters
     ----------
-    result : Synthesis, Certificate or ProductCertificate
-    episodes : int
-        The most, if ``sequential``.
-    seed : int
-    confidence : float
-        Of the two-sided limits; a true certificate is refuted with probability at most ``1 - confidence``.
+    result : Synthesis, Certificate, ProductCertificate or path
+    plan, **trial
+        Episodes (default 100,000; the most, if ``sequential``), seed, confidence of the two-sided limits (.999), chunk,
+        executor, progress; see ``TrialPlan``. After Ctrl-C the report is about the episodes finished by then, a prefix
+        in index order.
     initial_state : optional
         Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there.
-    chunk : int
-        Worlds per chunk of the simulation; part of the random record.
     sequential : bool
         Stop at the first episode that confirms or refutes the claim. Verdict and limits come from e-processes, which
         hold at whatever time one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
         Simulate a system that differs from the certified model; only the lower bound is tested then.
-    executor : Executor, optional
-        Where chunks are computed; the report is the same for any.
-    progress : callable, optional
-        Called with the number of episodes finished.
 
     Raises
     ------
     ValueError
         If a number is out of range.
-    ValidationInterrupted
-        On Ctrl-C, with the report so far, if at least one chunk was finished.
     """
     began = time.perf_counter()
-    check_confidence(confidence)
-    certificate = result.certificate if isinstance(result, Synthesis) else result
-    if not isinstance(certificate, ProductCertificate):
-        checked_certificate(certificate)
+    settled = planned(plan, trial, 100_000)
+    check_confidence(settled.confidence)
+    certificate = as_certificate(result)
     problem, lower, gap, start = claim_at(certificate, initial_state)
     gap = gap if mismatch is None else None  # of another system nobody claims an upper bound
-    loop = Loop(problem, certificate.controller, seed, chunk, mismatch=mismatch)
-    state, inadmissible, interrupted = SequentialState(lower, gap, confidence), 0, False
-    chunks = stream(loop, episodes, executor)
-    try:
-        with interrupts_at_checkpoints() as checkpoint:
-            for part in chunks:
-                state = state.advance(part.success) if sequential else state.add(part.success)
-                inadmissible += part.inadmissible
-                if progress is not None:
-                    progress(len(part.success))
-                if state.verdict != CONSISTENT:
-                    break
-                checkpoint()
-    except KeyboardInterrupt:
-        if state.episodes == 0:
-            raise
-        interrupted = True
-    finally:
-        chunks.close()
+    loop = Loop(problem, certificate.controller, settled.seed, settled.chunk, mismatch=mismatch)
+    state, inadmissible = SequentialState(lower, gap, settled.confidence), 0
+
+    def take(part: ChunkResult) -> bool:
+        nonlocal state, inadmissible
+        state = state.advance(part.success) if sequential else state.add(part.success)
+        inadmissible += part.inadmissible
+        settled.tell(len(part.success))
+        return state.verdict != CONSISTENT
+
+    interrupted = collect(stream(loop, settled.episodes, settled.executor), take)
     limits = confidence_sequence if sequential else clopper_pearson
-    ci_low, ci_high = limits(state.successes, state.episodes, confidence)
-    details = _details(certificate, start, seed, chunk) | {"inadmissible": inadmissible, "sequential": sequential}
+    ci_low, ci_high = limits(state.successes, state.episodes, settled.confidence)
+    details = _details(certificate, start, settled) | {"inadmissible": inadmissible, "sequential": sequential}
     if sequential:
         details |= {"log_e_refuted": _finite(state.log_refuted), "log_e_confirmed": _finite(state.log_confirmed)}
     if mismatch is not None:
@@ -238,7 +224,7 @@ def validate(
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
         if initial_state is None:
             details |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
-    report = ValidationReport(
+    return ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
         method=certificate.method,
@@ -250,15 +236,12 @@ def validate(
         estimate=state.successes / state.episodes,
         ci_low=ci_low,
         ci_high=ci_high,
-        confidence=confidence,
+        confidence=settled.confidence,
         verdict=state.verdict if sequential else verdict(lower, gap, ci_low, ci_high),
         rank=certificate.rank,
         seconds={**seconds, "validate": time.perf_counter() - began},
         details=details,
     )
-    if interrupted:
-        raise ValidationInterrupted(report)
-    return report
 
 
 def claim_at(
@@ -277,16 +260,15 @@ def _finite(value: float) -> float:
     return float(min(max(value, -1e6), 1e6))
 
 
-def _details(certificate: Certificate | ProductCertificate, start: str, seed: int, chunk: int) -> dict[str, Any]:
-    from ... import __version__
-
+def _details(certificate: Certificate | ProductCertificate, start: str, plan: TrialPlan) -> dict[str, Any]:
+    """What a report says of the claim, the random record and the versions."""
     return {
         "start": start,
         "bound": certificate.bound,
         "fingerprint": certificate.fingerprint,
         "settings": certificate.settings,
-        "seed": seed,
-        "chunk": chunk,
+        "seed": plan.seed,
+        "chunk": plan.chunk,
         "certigym": __version__,
         "numpy": np.__version__,
     }

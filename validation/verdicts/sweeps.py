@@ -9,18 +9,12 @@ from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate
 from ...synthesis.horizons import each_horizon
 from ...synthesis.synthesize import synthesize
-from ..simulation import Executor, in_order
+from ..simulation import Executor, TrialOptions, TrialPlan, in_order, planned
 from .success_rate import ValidationReport, validate
 
 
-def sweep_horizons(
-    problem: Problem,
-    horizons: Iterable[int],
-    episodes: int = 20_000,
-    seed: int = 0,
-    *,
-    executor: Executor | None = None,
-    **settings: Any,
+def validate_horizons(
+    problem: Any, horizons: Iterable[int], plan: TrialPlan | int | None = None, **options: Any
 ) -> list[ValidationReport]:
     """Synthesize and validate the problem at every horizon; reports in the order of ``horizons``.
 
@@ -28,28 +22,28 @@ def sweep_horizons(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     horizons : iterable of int
         Control steps.
-    episodes, seed
-        Of each validation.
-    executor : Executor, optional
-        Where rollouts are computed; default: here.
-    **settings
-        Arguments of ``synthesize``, such as ``cells``.
+    plan : TrialPlan or int, optional
+        Of each validation; default: 20,000 episodes.
+    **options
+        Fields of ``TrialPlan``, such as ``episodes``; all others are arguments of ``synthesize``, such as ``cells``.
     """
-    asked = list(horizons)
-    found = {own.horizon: own for own in each_report(problem, asked, episodes, seed, executor=executor, **settings)}
-    return [found[horizon] for horizon in asked]
+    trial: TrialOptions = {}
+    for name in [name for name in options if name in TrialOptions.__optional_keys__ and name != "progress"]:
+        trial[name] = options.pop(name)  # type: ignore[literal-required]
+    asked, settled = list(horizons), planned(plan, trial, 20_000)
+    reports = {report.horizon: report for report in each_report(problem, asked, settled, options)}
+    return [reports[horizon] for horizon in asked]
 
 
 def each_report(
-    problem: Problem, horizons: Iterable[int], episodes: int, seed: int, *, executor: Executor | None = None,
-    **settings: Any,
-) -> Iterator[ValidationReport]:  # fmt: skip
-    """``sweep_horizons`` one by one, in increasing order of horizons."""
-    for found in each_horizon(problem, horizons, **settings):
-        yield validate(found, episodes, seed, executor=executor)
+    problem: Any, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
+) -> Iterator[ValidationReport]:
+    """``validate_horizons`` one by one, in increasing order of horizons."""
+    for result in each_horizon(problem, horizons, **(settings or {})):
+        yield validate(result, plan)
 
 
 def synthesize_best(

@@ -1,4 +1,4 @@
-"""What sub-commands share: the problem and state that options name, and where results are shown."""
+"""From options to arguments: the problem, cells, relation and budget that they name; and where results are shown."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
     elif Path(name).is_file():
         problem = load_problem(name)
     else:
-        raise ValueError(f"`{name}`: expected a suite id (see `certigym problems`) or a problem file, found neither")
+        raise ValueError(f"`{name}`: expected a suite id (see `certigym describe`) or a problem file, found neither")
     return problem if horizon is None else problem.replace(horizon=horizon)
 
 

@@ -1,4 +1,4 @@
-"""What the sub-commands about learned and given policies do; every function returns an exit status."""
+"""The commands about learned and given policies: ``train``, ``compare``, ``certify``."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from ..envs.problem import Problem
-from ..synthesis.certificates import Synthesis, load_certificate, save_certificate
+from ..synthesis.certificates import load_certificate, save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
-from ..synthesis.synthesize import synthesize as synthesize_problem
+from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
-from ..validation.policies import ALGORITHMS, IdleController, RandomController, Training, load_actor
+from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
 from ..validation.policies import compare as compare_policies
-from ..validation.policies import train as train_baseline
 from .given import cells_of, problem_of, relation_of, show
+from .work import trained, trials
 
 
 def train(options: Namespace) -> int:
@@ -26,7 +24,7 @@ def train(options: Namespace) -> int:
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
     problem = problem_of(options)
-    training = _trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
+    training = trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
     path = training.save(options.out)
     if options.plot:
         draw_curves([training], options.plot)
@@ -45,7 +43,8 @@ def compare(options: Namespace) -> int:
     """Make or load the policies, simulate them, print table and tests."""
     problem = problem_of(options)
     policies = {name: _policy(problem, name, options) for name in options.policies.split(",")}
-    result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
+    with trials(options, options.episodes * len(policies)) as plan:
+        result = compare_policies(problem, policies, plan)
     if options.plot:
         draw_comparison(result, options.plot)
     show(options, result, result.to_dict())
@@ -63,7 +62,8 @@ def certify(options: Namespace) -> int:
         last = policies["improved"] = improve_policy(problem, policy, cells, **relation_of(options))
     if options.out:
         save_certificate(last.certificate, options.out)
-    result = compare_policies(problem, policies, options.episodes, options.seed, confidence=options.confidence)
+    with trials(options, options.episodes * len(policies)) as plan:
+        result = compare_policies(problem, policies, plan)
     note = "The bounds belong to the policies wrapped on the cells (certified, improved), not to the raw one."
     show(options, f"{result}\n{note}", result.to_dict())
     return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
@@ -71,12 +71,10 @@ def certify(options: Namespace) -> int:
 
 def _policy(problem: Problem, name: str, options: Namespace) -> Any:
     """A policy by its word on the command line."""
-    cells = cells_of(options)
     if name == "certified":
-        found: Synthesis = synthesize_problem(problem, cells)
-        return found
+        return synthesize(problem, cells_of(options), **relation_of(options))
     if name in ALGORITHMS:
-        return [_trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
+        return [trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
     if name in ("random", "idle"):
         return RandomController() if name == "random" else IdleController()
     return _given(problem, name)
@@ -101,19 +99,5 @@ def _given(problem: Problem, name: str) -> Any:
         )
     try:
         return load_actor(name, problem)
-    except ValueError as error:
-        if "was trained on" in str(error):
-            raise
+    except NotAnActor:
         return load_certificate(name)
-
-
-def _trained(
-    problem: Problem, algorithm: str, steps: int | None, seed: int, worlds: int | None, reward: str
-) -> Training:
-    with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
-
-        def progress(count: int, success: float) -> None:
-            bar.set_postfix_str(f"success {success:.3f}")
-            bar.update(count)
-
-        return train_baseline(problem, algorithm, steps, seed, worlds=worlds, reward=reward, progress=progress)

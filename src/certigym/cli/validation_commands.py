@@ -1,162 +1,168 @@
-"""What the sub-commands about validation do; every function returns an exit status."""
+"""The commands that test: ``validate``, ``validate-field``, ``audit``, ``stress``, ``report``, ``reproduce``."""
 
 from __future__ import annotations
 
+import json
+import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+import numpy as np
 
-from ..synthesis.certificates import Certificate, Synthesis, load_certificate, rounded_down
+from ..envs.problem import Problem
+from ..synthesis.certificates import load_certificate, rounded_down
 from ..validation.audits import audit as audit_certificate
-from ..validation.reports import gather_report, write_report
-from ..validation.simulation import Executor, Mismatch, executor_for
+from ..validation.paper import refute_published
+from ..validation.paper import reproduce as paper_figures
+from ..validation.reports import report as write_report
+from ..validation.simulation import Mismatch
 from ..validation.verdicts import (
     LADDERS,
-    FieldReport,
-    ValidationInterrupted,
     ValidationReport,
     corner_starts,
     each_report,
     find_weakest,
     random_starts,
     slice_starts,
-    validate_field,
     workspace_box,
 )
 from ..validation.verdicts import stress as stress_certificate
 from ..validation.verdicts import validate as validate_certificate
-from .given import cells_of, named_problem, show, write_json
+from ..validation.verdicts import validate_field as field_of
+from .given import budget_of, cells_of, problem_of, relation_of, search_of, show, state_of, write_json
+from .work import trials
 
-Progress = Callable[[int], None]
+
+def validate(options: Namespace) -> int:
+    """Test a saved certificate."""
+    return validate_result(options, load_certificate(options.certificate), state_of(options))
 
 
-def validate_result(options: Namespace, result: Synthesis | Certificate, initial_state: Any) -> int:
-    """Validate, print, write; what Ctrl-C leaves is printed and written too, with status 130."""
-    status = 0
-    with _rollouts(options, options.episodes) as (executor, progress):
-        try:
-            report: ValidationReport = validate_certificate(
-                result, options.episodes, options.seed, confidence=options.confidence, initial_state=initial_state,
-                sequential=options.sequential, mismatch=_mismatch(options.mismatch), executor=executor,
-                progress=progress,
-            )  # fmt: skip
-        except ValidationInterrupted as interrupted:
-            report, status = interrupted.report, 130
+def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
+    """Validate, print, write; after Ctrl-C what is there is printed and written, with status 130."""
+    with trials(options, options.episodes) as plan:
+        report = validate_certificate(
+            result,
+            plan,
+            initial_state=initial_state,
+            sequential=options.sequential,
+            mismatch=_mismatch(options.mismatch),
+        )
     show(options, report, report.to_dict())
-    return status or int(report.refuted)
+    return 130 if report.interrupted else int(report.refuted)
 
 
-def field(options: Namespace) -> int:
+def print_horizons(options: Namespace) -> int:
+    """Synthesize and validate at several horizons, a row as soon as it is there; Ctrl-C leaves those that are."""
+    problem = problem_of(options)
+    settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), **search_of(options)}
+    if options.json != "-":
+        print(problem.name, flush=True)
+    reports: list[ValidationReport] = []
+    interrupted = False
+    with trials(options) as plan:
+        try:
+            for report in each_report(problem, options.horizons, plan, settings):
+                if report.interrupted:
+                    raise KeyboardInterrupt
+                reports.append(report)
+                if options.json != "-":
+                    bound, rate = rounded_down(report.lower_bound), f"simulated {report.estimate:.6f}"
+                    print(f"{report.horizon:>4}  P >= {bound}  {rate}  {report.verdict}", flush=True)
+        except KeyboardInterrupt:  # of an unfinished validation, nothing is kept
+            interrupted = True
+    write_json(options, [report.to_dict() for report in reports])
+    return 130 if interrupted else int(any(report.refuted for report in reports))
+
+
+def validate_field(options: Namespace) -> int:
     """Test a saved certificate at many starts."""
     certificate = load_certificate(options.certificate)
-    states, shape = _starts(options, certificate)
-    count = options.episodes if options.search else options.episodes * len(states)
-    with _rollouts(options, count) as (executor, progress):
+    states, shape = _starts(options, certificate.problem)
+    with trials(options, options.episodes if options.search else options.episodes * len(states)) as plan:
         if options.search:
-            report: FieldReport = find_weakest(
-                certificate, options.episodes, options.seed, candidates=states, confidence=options.confidence,
-                executor=executor, progress=progress,
-            )  # fmt: skip
+            report = find_weakest(certificate, plan, candidates=states)
         else:
-            report = validate_field(
-                certificate, states, options.episodes, options.seed, confidence=options.confidence, shape=shape,
-                executor=executor, progress=progress,
-            )  # fmt: skip
+            report = field_of(certificate, states, plan, shape=shape)
     show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.verdict == "refuted")
 
 
 def audit(options: Namespace) -> int:
     """Audit a saved certificate."""
-    certificate = load_certificate(options.certificate)
-    with _rollouts(options, options.episodes) as (executor, progress):
-        report = audit_certificate(
-            certificate, options.episodes, options.seed, confidence=options.confidence, executor=executor,
-            progress=progress,
-        )  # fmt: skip
+    with trials(options, options.episodes) as plan:
+        report = audit_certificate(options.certificate, plan)
     show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.refuted)
 
 
 def stress(options: Namespace) -> int:
     """Test a saved certificate under mismatches; always status 0, for no rung is certified."""
-    certificate = load_certificate(options.certificate)
     rungs = 1 + sum(len(rungs) for rungs in LADDERS.values())
-    with _rollouts(options, options.episodes * rungs) as (executor, progress):
-        report = stress_certificate(
-            certificate, options.episodes, options.seed, confidence=options.confidence, executor=executor,
-            progress=progress,
-        )  # fmt: skip
+    with trials(options, options.episodes * rungs) as plan:
+        report = stress_certificate(options.certificate, plan)
     show(options, report, report.to_dict())
     return 130 if report.interrupted else 0
 
 
-def sweep(options: Namespace) -> int:
-    """Synthesize and validate at several horizons, a row as soon as it is found; Ctrl-C leaves those that are there."""
-    problem = named_problem(options.problem)
-    cells = cells_of(options)
-    shown = options.json != "-"
-    if shown:
-        print(problem.name, flush=True)
-    reports: list[ValidationReport] = []
-    interrupted = False
-    with executor_for(options.dask, options.workers) as executor:
-        try:
-            for r in each_report(
-                problem, options.horizons, options.episodes, options.seed, executor=executor, cells=cells
-            ):
-                reports.append(r)
-                if shown:
-                    row = f"{r.horizon:>4}  P >= {rounded_down(r.lower_bound)}  simulated {r.estimate:.6f}  {r.verdict}"
-                    print(row, flush=True)
-        except KeyboardInterrupt:  # of an unfinished validation, nothing is kept
-            interrupted = True
-    write_json(options, [r.to_dict() for r in reports])
-    return 130 if interrupted else int(any(r.refuted for r in reports))
-
-
 def report(options: Namespace) -> int:
     """Write one page about a saved certificate."""
-    certificate = load_certificate(options.certificate)
-    with _rollouts(options, None) as (executor, progress):
-        content = gather_report(
-            certificate, options.episodes, options.seed, confidence=options.confidence, axes=options.axes,
-            executor=executor, progress=progress,
-        )  # fmt: skip
-    write_report(content, options.out)
+    with trials(options) as plan:
+        content = write_report(options.certificate, options.out, replace(plan), axes=options.axes)
     show(options, f"{content.validation}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
 
 
-@contextmanager
-def _rollouts(options: Namespace, total: int | None) -> Iterator[tuple[Executor | None, Progress]]:
-    """Executor and progress bar."""
-    with (
-        executor_for(options.dask, options.workers) as executor,
-        tqdm(total=total, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar,
-    ):
-        yield executor, lambda n: bar.update(n) and None
+def reproduce(options: Namespace) -> int:
+    """Recompute a figure or table of the paper, or refute its certificate."""
+    if options.out and Path(options.out).exists() and not Path(options.out).is_dir():
+        raise ValueError(f"`--out`: expected a folder, got the file {options.out!r}; name a folder, it is made")
+
+    def say(text: str) -> None:
+        if options.json != "-":
+            print(text)
+
+    if options.what == "refutation":
+        result: Any = refute_published()
+        where = ", ".join(f"{x:g}" for x in result["worst_initial_state"])
+        say(
+            f"published certificate at T = {result['T']}: {result['verdict']} at {result['refuted']} of "
+            f"{result['initial_states']} initial states; largest excess {result['worst_excess']:.4f} at ({where})"
+        )
+        say(f"certificates at the right noise: {result['right_noise_verdict']}")
+        if options.out:
+            Path(options.out).mkdir(parents=True, exist_ok=True)
+            (Path(options.out) / "refutation.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    else:
+        folder = Path(options.out or "reproduced")
+        result = getattr(paper_figures, options.what)(folder, progress=say)
+        say(f"written to {folder}")
+        if not options.what.startswith("table") and not (folder / f"{options.what}.png").exists():
+            print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
+    write_json(options, result)
+    return 0
 
 
-def _starts(options: Namespace, certificate: Certificate) -> tuple[Any, tuple[int, ...] | None]:
-    low, high = workspace_box(certificate.problem)
-    box = (low if options.low is None else _numbers(options.low, "--low"),
-           high if options.high is None else _numbers(options.high, "--high"))  # fmt: skip
+def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] | None]:
+    """Starts that the options of ``validate-field`` ask for, and their shape if they are a slice."""
+    low, high = workspace_box(problem)
+    box = (
+        low if options.low is None else _numbers(options.low, "--low"),
+        high if options.high is None else _numbers(options.high, "--high"),
+    )
     if options.axes is None:
-        import numpy as np
-
-        problem = certificate.problem
         corners = corner_starts(problem, box=box)
         return np.concatenate([corners, random_starts(problem, options.random, options.seed, box)]), None
     shape = tuple(options.points or [20])
     shape = shape * len(options.axes) if len(shape) == 1 else shape
-    return slice_starts(certificate, options.axes, shape, box=box), shape
+    return slice_starts(problem, options.axes, shape, box=box), shape
 
 
 def _numbers(words: Sequence[str], option: str) -> list[float]:
+    """Numbers separated by blanks or commas."""
     try:
         return [float(word) for word in " ".join(words).replace(",", " ").split()]
     except ValueError:

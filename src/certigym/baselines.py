@@ -1,0 +1,5 @@
+"""Policies to compare with: learners of Stable-Baselines3 (the extra ``rl``), random ones, ones that do nothing."""
+
+from .validation.policies import ALGORITHMS, IdleController, RandomController, Training, load_actor, train
+
+__all__ = ["ALGORITHMS", "IdleController", "RandomController", "Training", "load_actor", "train"]

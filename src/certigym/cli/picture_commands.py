@@ -1,0 +1,63 @@
+"""The command ``plot``: one figure of a problem or certificate, or one episode as a moving picture."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from typing import Any
+
+from ..synthesis.certificates import load_certificate
+from ..synthesis.synthesize import synthesize
+from ..validation import figures
+from ..validation.figures import check_format
+from ..validation.verdicts import validate_horizons
+from .given import cells_of, problem_of, relation_of, show
+from .moving_pictures import render_rollout
+
+
+def plot(options: Namespace) -> int:
+    """Draw one figure, or one episode."""
+    if options.kind == "episode":
+        shown = render_rollout(_certificate(options), options.out, options.seed, options.fps)
+        verdict = "satisfied" if shown["satisfied"] else "not satisfied"
+        show(options, f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}", shown)
+        return 0
+    check_format(options.out, "--out")
+    figures.save_figure(_figure(options), options.out)
+    text = f"{options.kind} of {options.problem}, written to {options.out}"
+    drawn = {"kind": options.kind, "problem": options.problem, "seed": options.seed, "figure": options.out}
+    show(options, text, drawn)
+    return 0
+
+
+def _figure(options: Namespace) -> Any:
+    """The figure of the kind that is asked for."""
+    if options.kind == "automaton":
+        return figures.automaton_figure(_problem(options))
+    if options.kind == "horizon":
+        problem = _problem(options)
+        horizons = options.horizons or range(1, problem.horizon + 1)
+        settings = {"cells": cells_of(options), **relation_of(options)}
+        plan = {"episodes": options.episodes or 2000, "seed": options.seed}
+        return figures.horizon_figure(validate_horizons(problem, horizons, **settings, **plan))
+    certificate = _certificate(options)
+    if options.kind == "value":
+        return figures.value_figure(certificate, options.axes)
+    if options.kind == "rollouts":
+        return figures.rollouts_figure(certificate, 40 if options.episodes is None else options.episodes, options.seed)
+    if options.kind == "relation":
+        return figures.relation_figure(certificate, options.agent, seed=options.seed)
+    return figures.rank_figure(certificate) if options.kind == "rank" else figures.tree_figure(certificate)
+
+
+def _problem(options: Namespace) -> Any:
+    """The problem that is named, or that of the certificate that is named."""
+    return _certificate(options).problem if options.problem.endswith(".npz") else problem_of(options)
+
+
+def _certificate(options: Namespace) -> Any:
+    """The certificate that is named, or one of the problem that is named."""
+    if not options.problem.endswith(".npz"):
+        return synthesize(problem_of(options), cells_of(options), **relation_of(options)).certificate
+    if options.horizon is not None or options.initial_state is not None or options.cells is not None:
+        raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate has its own; leave them out")
+    return load_certificate(options.problem)

@@ -1,0 +1,63 @@
+"""The long work of commands, with a progress bar: synthesis, rollouts, training."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from ..envs.problem import Problem
+from ..synthesis.certificates import Synthesis
+from ..synthesis.synthesize import synthesize
+from ..validation.policies import Training
+from ..validation.policies import train as train_baseline
+from ..validation.simulation import TrialPlan, executor_for
+from .given import budget_of, cells_of, problem_of, relation_of, search_of
+
+
+def synthesized(options: Namespace) -> Synthesis:
+    """The synthesis that problem, models and search options ask for."""
+    problem, cells = problem_of(options), cells_of(options)
+    with tqdm(desc="synthesize", unit=" sweeps", disable=None, leave=False) as bar:
+
+        def report(text: str, value: float) -> None:
+            bar.set_postfix_str(f"value {value:.6f}")
+            bar.update()
+
+        chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
+        result = synthesize(problem, cells, **chosen, progress=report)
+    record = result.stats.get("cells")
+    if isinstance(record, dict) and options.json != "-":
+        shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
+        print(f"{shapes} cells, the best of {len(record['tried'])} runs: {record['stopped']}")
+    return result
+
+
+@contextmanager
+def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
+    """The plan of the rollouts that the options ask for, on its executor, with a bar of ``total`` episodes."""
+    with (
+        executor_for(options.dask, options.workers) as executor,
+        tqdm(total=total, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar,
+    ):
+
+        def progress(count: int) -> None:
+            bar.update(count)
+
+        numbers = options.episodes, options.seed, options.confidence
+        yield TrialPlan(*numbers, executor=executor, progress=progress)
+
+
+def trained(
+    problem: Problem, algorithm: str, steps: int | None, seed: int, worlds: int | None, reward: str
+) -> Training:
+    """A trained baseline."""
+    with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
+
+        def progress(count: int, success: float) -> None:
+            bar.set_postfix_str(f"success {success:.3f}")
+            bar.update(count)
+
+        return train_baseline(problem, algorithm, steps, seed, worlds=worlds, reward=reward, progress=progress)

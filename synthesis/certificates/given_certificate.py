@@ -1,0 +1,61 @@
+"""Whatever stands for a certificate, as one: a synthesis, a certificate of either kind, or the path of a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .certificate import Certificate
+from .certificate_file import load_certificate
+from .product import ProductCertificate
+from .result import Synthesis
+
+
+def as_certificate(value: Any) -> Certificate | ProductCertificate:
+    """Return the certificate that a value stands for.
+
+    Parameters
+    ----------
+    value : Synthesis, Certificate, ProductCertificate, str or Path
+        Text is the path of a certificate file.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these, or the file holds no certificate.
+    """
+    if isinstance(value, Synthesis):
+        return value.certificate
+    if isinstance(value, str | Path):
+        return load_certificate(value)
+    if not isinstance(value, Certificate | ProductCertificate):
+        raise ValueError(
+            f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
+            "one with `synthesize`, `certify` or `load_certificate`"
+        )
+    return value
+
+
+def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
+    """Return the certificate of the task that an agent has a part in, and the agent's number there.
+
+    Parameters
+    ----------
+    value : Synthesis, Certificate, ProductCertificate, str or Path
+    agent : int
+        Number of the agent in the whole problem.
+
+    Raises
+    ------
+    ValueError
+        If it stands for no certificate, or there is no such agent.
+    """
+    certificate = as_certificate(value)
+    if not 0 <= agent < certificate.problem.n_agents:
+        raise ValueError(f"`agent`: expected a number from 0 to {certificate.problem.n_agents - 1}, got {agent}")
+    if isinstance(certificate, Certificate):
+        return certificate, agent
+    for group, part in zip(certificate.problem.groups, certificate.parts, strict=True):
+        if agent in group.agents:
+            return part, group.agents.index(agent)
+    raise AssertionError("every agent has a part in one task")
