@@ -77,13 +77,13 @@ def value_figure(
     bounds = certificate.at(states)
     names = [f"start of {coordinate_name(problem, k)} (state units)" for k in shown]
     title = f"{problem.name}, horizon {problem.horizon}: {certificate.bound} bound"
-    if certificate.rounding is not None:
+    if isinstance(certificate, Certificate) and certificate.rounding is not None:
         title += ", 0 where runs from its start do not come"
     if len(shown) == 1:
         figure, (plot,) = _new(6.4, 3.8)
         x = states[:, shown[0]]
         draw_bound(plot, x, bounds, "certified lower bound", upper=1.0)
-        bands(plot, certificate, shown[0], across=True)
+        bands(plot, problem, shown[0], across=True)
         plot.set_ylim(-0.02, 1.04)
         plot.set_xlim(*_limits(problem, shown[0]))
         plot.set_xlabel(names[0])
@@ -91,11 +91,11 @@ def value_figure(
         legend_above(plot, 2)
         plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=24)
         return figure
-    return _map(certificate, shown, states, bounds.reshape(count, count).T, names, title)
+    return _map(problem, shown, states, bounds.reshape(count, count).T, names, title)
 
 
 def _map(
-    certificate: Certificate, shown: Sequence[int], states: NDArray[Any], grid: NDArray[Any], names: Sequence[str],
+    problem: Problem, shown: Sequence[int], states: NDArray[Any], grid: NDArray[Any], names: Sequence[str],
     title: str,
 ) -> Figure:  # fmt: skip
     """Bounds (N, N) over two coordinates, with contours that the scale repeats, and the regions."""
@@ -109,14 +109,14 @@ def _map(
         scale.add_lines(plot.contour(x, y, grid, levels=inside, colors=colors, linewidths=0.9))
         scale.set_ticks([0.0, *inside, *([1.0] if inside[-1] < 0.97 else [])])
         scale.ax.yaxis.set_major_formatter("{x:g}")
-    rows = region_boxes(plot, certificate, shown)
+    rows = region_boxes(plot, problem, shown)
     for k, across in zip(shown, (True, False), strict=True):
         if rows is None:
-            levels = bands(plot, certificate, k, across)
+            levels = bands(plot, problem, k, across)
             rows = levels if across else rows
     plot.grid(visible=False)
-    plot.set_xlim(*_limits(certificate.problem, shown[0]))
-    plot.set_ylim(*_limits(certificate.problem, shown[1]))
+    plot.set_xlim(*_limits(problem, shown[0]))
+    plot.set_ylim(*_limits(problem, shown[1]))
     plot.set_xlabel(names[0])
     plot.set_ylabel(names[1])
     plot.set_title(title, loc="left", fontsize=10, color=SOFT, pad=6 + 17 * (rows or 0))
@@ -207,7 +207,7 @@ def rank_figure(certificate: Any) -> Figure:
 
 def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
     """Terms (Q, T) that each automaton state keeps at each time, and those that were formed."""
-    if certificate.rounding is not None:
+    if isinstance(certificate, Certificate) and certificate.rounding is not None:
         columns: list[list[int]] = []
 
         def note(time: int, value: Trains) -> None:

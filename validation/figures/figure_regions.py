@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import Panel
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate
 from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
 
 if TYPE_CHECKING:
@@ -39,10 +38,10 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
     return found
 
 
-def bands(plot: Axes, certificate: Certificate, k: int, across: bool) -> int:
+def bands(plot: Axes, problem: Problem, k: int, across: bool) -> int:
     """Draw the regions of joint coordinate k as bars along the upper (``across``) or right edge; returns their rows."""
     taken: list[tuple[int, float, float]] = []
-    for number, (name, (a, b)) in enumerate(intervals(certificate.problem, k).items()):
+    for number, (name, (a, b)) in enumerate(intervals(problem, k).items()):
         level = next(n for n in range(len(taken) + 1) if all(n != m or b <= c or d <= a for m, c, d in taken))
         taken.append((level, a, b))
         place, color = 1.015 + 0.055 * level, REGIONS[number % len(REGIONS)]
@@ -59,9 +58,8 @@ def bands(plot: Axes, certificate: Certificate, k: int, across: bool) -> int:
     return 1 + max((level for level, _, _ in taken), default=-1)
 
 
-def region_boxes(plot: Axes, certificate: Certificate, shown: Sequence[int]) -> int | None:
+def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | None:
     """Outline the regions where both coordinates belong to one agent; None if they do not."""
-    problem = certificate.problem
     owner = np.repeat(np.arange(problem.n_agents), [agent.n_states for agent in problem.agents])
     if owner[shown[0]] != owner[shown[1]]:
         return None
