@@ -1,6 +1,6 @@
 """From a formula, HOA text or a table of transitions to the minimal automaton. Knows no agents."""
 
-from .automaton import SEMANTICS, Automaton
+from .automaton import SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions
 from .formula import RESERVED, Formula, FormulaError
 from .guard_diagrams import letter_text
@@ -19,6 +19,7 @@ __all__ = [
     "SEMANTICS",
     "automaton_from_hoa",
     "automaton_from_transitions",
+    "followed",
     "letter_text",
     "over_propositions",
     "parse_formula",

@@ -315,6 +315,24 @@ class Automaton:
         )
 
 
+def followed(automaton: Automaton, entry: int, positions: Mapping[int, int], holds: Sequence[bool]) -> int:
+    """Return the entry that an entry leads to by the propositions of one agent (exact).
+
+    Parameters
+    ----------
+    automaton : Automaton
+    entry : int
+        As in `root`, `low` and `high`: a diagram node, or a state coded as ``-1 - q``.
+    positions : mapping from int to int
+        By the number of a proposition of the agent, its place in `holds`; others stop the walk.
+    holds : sequence of bool
+        Which propositions of the agent hold.
+    """
+    while entry >= 0 and (k := positions.get(int(automaton.variable[entry]))) is not None:
+        entry = int(automaton.high[entry] if holds[k] else automaton.low[entry])
+    return entry
+
+
 def check_semantics(semantics: object) -> None:
     """Raise ValueError unless `semantics` is one of the two names."""
     if not isinstance(semantics, str) or semantics not in SEMANTICS:

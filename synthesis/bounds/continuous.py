@@ -29,7 +29,7 @@ from scipy.ndimage import maximum_filter1d
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
-from ..cells import FloatArray
+from ..cells import FloatArray, in_grid_coordinates
 from ..models import AgentModel, JointModel, Kernel, gaussian_table
 from ..search import favourable_successors
 from ..values import UNIT, Occupancy, to_host
@@ -69,8 +69,7 @@ class Optimist:
     def of(cls, agent: LinearAgent, model: AgentModel) -> Optimist | None:
         """The optimistic model on the cells of ``model``; None if its lattice were too large."""
         grid, coordinates = model.grid, model.relation.coordinates
-        inverse = np.linalg.inv(coordinates)
-        deviations = np.sqrt(np.diag(inverse @ agent.noise_covariance @ inverse.T))
+        deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
         low, high = _means(agent, grid.centres, grid.half_widths, coordinates)
         axes, firsts, widths = [], [], []
         for k, (edges, deviation) in enumerate(zip(grid.edges, deviations, strict=True)):
@@ -161,12 +160,11 @@ def _means(
     agent: LinearAgent, centres: FloatArray, halves: FloatArray, coordinates: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (S, d), in grid coordinates, of boxes around all means that the points of each cell can be led to."""
-    inverse = np.linalg.inv(coordinates)
-    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    moves = in_grid_coordinates(agent, coordinates)
     middle, reach = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
-    centre = centres @ A.T + inverse @ agent.offset + B @ middle
-    spread = halves @ np.abs(A).T + np.abs(B) @ reach
-    slack = 1e-12 * (np.abs(centre) + spread + np.abs(centres) @ np.abs(A).T)
+    centre = centres @ moves.A.T + moves.offset + moves.B @ middle
+    spread = halves @ np.abs(moves.A).T + np.abs(moves.B) @ reach
+    slack = 1e-12 * (np.abs(centre) + spread + np.abs(centres) @ np.abs(moves.A).T)
     return centre - spread - slack, centre + spread + slack
 
 

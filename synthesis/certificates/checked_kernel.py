@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc
+
+from ..cells import FloatArray
 
 if TYPE_CHECKING:
     from .part import AgentPart
-
-FloatArray = NDArray[Any]
 
 
 def axis_tables(

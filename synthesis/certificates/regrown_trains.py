@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
+from ..cells import FloatArray
 from ..values import (
     Cells,
     Guards,
@@ -32,8 +33,6 @@ from ..values import (
 )
 from .checked_kernel import axis_tables, smooth
 from .part import AgentPart
-
-FloatArray = NDArray[Any]
 
 
 class BrokenTrainError(ValueError):

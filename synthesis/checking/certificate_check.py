@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.agents import Box
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
+from ..cells import FloatArray
 from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
@@ -46,8 +46,6 @@ from .guard_check import wrong_guards
 from .regrown_tree import BrokenTreeError, regrow
 from .relation_check import verify_relation
 from .upper_end import MOST, attained, inexact
-
-FloatArray = NDArray[Any]
 
 CORRELATION = 1e-11
 """Largest correlation of the noises of two grid axes that passes for rounding."""

@@ -11,19 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..cells import start_share
+from ..cells import FloatArray, start_share
 from ..certificates import axis_tables
 
 if TYPE_CHECKING:
     from ..certificates import Certificate
-
-FloatArray = NDArray[Any]
 
 
 class TooManyProducts(RuntimeError):

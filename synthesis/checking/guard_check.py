@@ -7,17 +7,16 @@ agent by agent, through its decision diagram; letters are never listed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
+from ...envs.logic import followed
 from ...envs.problem import Problem
+from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate
 from ..relations import CoupledRelation
-
-FloatArray = NDArray[Any]
 
 
 def wrong_guards(certificate: Certificate) -> list[str]:
@@ -76,10 +75,7 @@ def _targets(problem: Problem, q: int, classes: list[NDArray[np.bool_]]) -> set[
                 following.add(entry)
                 continue
             for row in rows:
-                e = entry
-                while e >= 0 and (k := positions.get(int(automaton.variable[e]))) is not None:
-                    e = int(automaton.high[e] if row[k] else automaton.low[e])
-                following.add(e)
+                following.add(followed(automaton, entry, positions, row))
         frontier = following
     return {-1 - entry for entry in frontier}
 
@@ -93,9 +89,7 @@ def joint_cells_by_target(problem: Problem, q: int, classes: Sequence[NDArray[np
         following: dict[int, int] = {}
         for entry, count in counts.items():
             for row, number in zip(rows, numbers.tolist(), strict=True):
-                e = entry
-                while e >= 0 and (k := positions.get(int(automaton.variable[e]))) is not None:
-                    e = int(automaton.high[e] if row[k] else automaton.low[e])
+                e = followed(automaton, entry, positions, row)
                 following[e] = following.get(e, 0) + count * number
         counts = following
     return {-1 - entry: count for entry, count in counts.items()}

@@ -8,15 +8,13 @@ anew from the complementary error function, and united terms are regrown soundly
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cells import FloatArray
 from ..certificates import Certificate, axis_tables, smooth
 from ..values import Terms
-
-FloatArray = NDArray[Any]
 
 
 class BrokenTreeError(ValueError):

@@ -7,13 +7,11 @@ the coupling fails. Comparisons carry their tolerance on the restrictive side.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from ...envs.agents import LinearAgent
+from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..relations import (
     CoupledRelation,
@@ -24,8 +22,6 @@ from ..relations import (
     ellipsoid_support,
     tube_generators,
 )
-
-FloatArray = NDArray[Any]
 
 
 def verify_relation(agent: LinearAgent, part: AgentPart) -> list[str]:

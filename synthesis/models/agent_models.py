@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid, RelationRefused
+from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from ..relations import (
     CoupledRelation,
     Relation,
@@ -61,8 +61,7 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
     relation = exact_relation(agent, coordinates)
     reach = np.abs(relation.B) @ relation.input_half_width
     means = relation.means(grid.centres)
-    inverse = np.linalg.inv(coordinates)
-    deviations = np.sqrt(np.diag(inverse @ agent.noise_covariance @ inverse.T))
+    deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
         lowest, highest = means[:, k].min() - reach[k], means[:, k].max() + reach[k]

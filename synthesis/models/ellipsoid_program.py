@@ -23,13 +23,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from ...envs.agents import LinearAgent
-from ..cells import RelationRefused
-
-FloatArray = NDArray[Any]
+from ..cells import FloatArray, RelationRefused, in_grid_coordinates
 
 SIDE = 0.02
 """Weight of states that do not decide the objective; it keeps the ellipsoid from being long where that is free."""
@@ -56,12 +53,12 @@ class EllipsoidProgram:
         self, agent: LinearAgent, coordinates: FloatArray, half: FloatArray, room: FloatArray, delta: float
     ) -> None:
         self.cp = cp = _solver()
-        inverse, self.units = np.linalg.inv(coordinates), half
+        moves, self.units = in_grid_coordinates(agent, coordinates), half
         self.room = np.maximum(0.5 * (agent.input_box.high - agent.input_box.low), 1e-9)
-        self.A = inverse @ agent.A @ coordinates / half[:, None] * half
-        self.B = inverse @ agent.B / half[:, None] * self.room
+        self.A = moves.A / half[:, None] * half
+        self.B = moves.B / half[:, None] * self.room
         self.useful = np.any(self.B != 0, axis=0) & (agent.input_box.high > agent.input_box.low)
-        self.deviations = np.sqrt(np.diag(inverse @ agent.noise_covariance @ inverse.T)) / half
+        self.deviations = np.sqrt(np.diag(moves.covariance)) / half
         self.labels = coordinates * half / room[:, None]
         # the distance of means that delta allows, a little less so that enlarging the answer does not exceed it
         self.distance = 2.0 * float(ndtri(0.5 * (1.0 + delta))) * (1.0 - 1e-6)

@@ -16,17 +16,13 @@ The solver is not trusted: of the multiples of its answer the smallest is taken 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid, RelationRefused
+from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from ..relations import Ellipsoid, disturbance_of, ellipsoid_failure, ellipsoid_is_invariant
 from .ellipsoid_program import Answer, EllipsoidProgram
-
-FloatArray = NDArray[Any]
 
 PRICE = 2.0
 """Weight of the input share next to the label share."""
@@ -74,8 +70,7 @@ def find_ellipsoid(
     for name, value in (("delta", delta), ("share", 0.0 if share is None else share)):
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1.0:
             raise ValueError(f"`{name}`: expected a number of at least 0 and below 1, got {value!r}")
-    inverse = np.linalg.inv(coordinates)
-    noise = np.diag(inverse @ agent.noise_covariance @ inverse.T)
+    noise = np.diag(in_grid_coordinates(agent, coordinates).covariance)
     if delta > 0 and np.any(noise <= 0):
         raise RelationRefused(
             f"agent `{agent.name}`: `delta` > 0 needs a positive definite `noise_covariance`, got a singular one; "
@@ -173,8 +168,8 @@ def _proved(
 ) -> Ellipsoid:
     """The smallest multiple of an answer that is proved invariant, with D scaled to the distance of outputs."""
     X, feedback, coupling = answer.X, answer.feedback, answer.coupling
-    inverse = np.linalg.inv(coordinates)
-    closed = inverse @ agent.A @ coordinates + inverse @ agent.B @ feedback - coupling
+    moves = in_grid_coordinates(agent, coordinates)
+    closed = moves.A + moves.B @ feedback - coupling
     outputs = agent.output_matrix @ coordinates
     farthest = float(np.sqrt(np.max(np.linalg.eigvalsh(outputs @ X @ outputs.T))))
     shape = np.linalg.inv(X) * farthest**2

@@ -13,15 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ..cells import FloatArray
 from ..values import UNIT, add_rows, empty, multiply_into, namespace, resident
-
-FloatArray = NDArray[Any]
 
 SMALLEST = 1e-60
 """Masses below this are set to 0: a lower bound still, and no denormal numbers in the products."""

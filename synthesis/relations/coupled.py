@@ -15,16 +15,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from .exact import apply
-from .rows import Row, rows_of, times
-
-FloatArray = NDArray[Any]
+from ..cells import FloatArray
+from .rows import Row, product, rows_of, times
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +96,7 @@ class CoupledRelation:
         """Grid coordinates (d, ...) of states (d, ...), a new array."""
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
-        return apply(np.linalg.inv(self.coordinates), states)
+        return product(rows_of(np.linalg.inv(self.coordinates)), states)
 
     def means(self, centres: FloatArray) -> FloatArray:
         """(S, A, d) mean of the abstract successor of each cell centre (S, d) under each input."""
@@ -127,7 +124,7 @@ class CoupledRelation:
 
 
 def coupling_failure(distance: float) -> float:
-    """Upper bound on the total variation distance of two standard normal policies whose means are ``distance`` apart.
+    """Upper bound on the total variation distance of two standard normals whose means are ``distance`` apart.
 
     ``2 Phi(distance / 2) - 1``, rounded up.
 

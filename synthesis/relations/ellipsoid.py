@@ -19,17 +19,13 @@ feedback K on the error is added here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid, RelationRefused
+from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation, coupling_failure
 from .tube import INFLATE, input_grid
-
-FloatArray = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +89,8 @@ def ellipsoid_relation(
     ValueError
         If the inputs are used up, the noise of an axis that F uses is 0, or ``delta`` is smaller than what F costs.
     """
-    inverse = np.linalg.inv(coordinates)
-    B, variances = inverse @ agent.B, np.diag(inverse @ agent.noise_covariance @ inverse.T).copy()
+    moves = in_grid_coordinates(agent, coordinates)
+    B, variances = moves.B, np.diag(moves.covariance).copy()
     reserve = ellipsoid.support(ellipsoid.feedback)
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
@@ -108,9 +104,9 @@ def ellipsoid_relation(
     widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
     return CoupledRelation(
         kind="ellipsoid",
-        A=inverse @ agent.A @ coordinates,
+        A=moves.A,
         B=B,
-        drift=inverse @ agent.offset,
+        drift=moves.offset,
         covariance=variances,
         feedback=ellipsoid.feedback,
         coupling=ellipsoid.coupling,

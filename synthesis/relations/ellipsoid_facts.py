@@ -15,14 +15,12 @@ their lambda, half of them will do.
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import erf
 
-FloatArray = NDArray[Any]
+from ..cells import FloatArray
 
 UNIT = 2.0**-53
 

@@ -16,15 +16,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import RelationRefused
-
-FloatArray = NDArray[Any]
+from ..cells import FloatArray, RelationRefused, in_grid_coordinates
+from .rows import Row, product, rows_of, times
 
 MARGIN = 1e-12
 """Relative reserve on inputs that keeps a computed input inside its box in spite of rounding; always restrictive."""
@@ -81,7 +78,7 @@ class ExactRelation:
         """Grid coordinates (d, ...) of states (d, ...), a new array."""
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
-        return apply(np.linalg.inv(self.coordinates), states)
+        return product(rows_of(np.linalg.inv(self.coordinates)), states)
 
     @property
     def has_state_coordinates(self) -> bool:
@@ -110,17 +107,17 @@ class ExactRelation:
 
         They are ``B^+ (aims - A x) + u_mid``.
         """
-        dynamics, inverse, centres = self._numbers
-        gaps = [aim - combined(row, states) for aim, row in zip(aims, dynamics, strict=True)]
-        inputs = np.empty((len(inverse), *gaps[0].shape))
-        for own, row, centre in zip(inputs, inverse, centres, strict=True):
-            np.add(combined(row, gaps), centre, out=own)
+        dynamics, inverse, centres = self._rows
+        gaps = [aim - times(row, states) for aim, row in zip(aims, dynamics, strict=True)]
+        inputs = product(inverse, gaps)
+        for component, centre in zip(inputs, centres, strict=True):
+            component += centre
         return inputs
 
     @cached_property
-    def _numbers(self) -> tuple[list[list[float]], list[list[float]], list[float]]:
+    def _rows(self) -> tuple[tuple[Row, ...], tuple[Row, ...], list[float]]:
         """A, B^+ and u_mid as plain numbers, which arrays are multiplied by sooner than by numpy's."""
-        return self.A.tolist(), self.right_inverse.tolist(), self.input_centre.tolist()
+        return rows_of(self.A), rows_of(self.right_inverse), self.input_centre.tolist()
 
 
 def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
@@ -137,8 +134,8 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
             f"got a {agent.B.shape[0]} x {agent.B.shape[1]} matrix of rank {np.linalg.matrix_rank(agent.B)}; "
             "give the agent as many independent inputs as states"
         )
-    inverse = np.linalg.inv(coordinates)
-    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    moves = in_grid_coordinates(agent, coordinates)
+    A, B = moves.A, moves.B
     box = agent.input_box
     centre = 0.5 * (box.low + box.high)
     half = np.minimum(box.high - centre, centre - box.low)
@@ -146,7 +143,7 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
         A=_clean(A),
         B=_clean(B),
         right_inverse=_clean(np.linalg.pinv(B)),
-        drift=inverse @ agent.offset + B @ centre,
+        drift=moves.offset + B @ centre,
         input_centre=centre,
         input_half_width=half,
         coordinates=coordinates,
@@ -157,17 +154,3 @@ def _clean(matrix: FloatArray) -> FloatArray:
     """Set entries to 0 that are rounding noise next to the largest of the matrix (they only blur structure)."""
     scale = np.max(np.abs(matrix), initial=0.0)
     return np.where(np.abs(matrix) <= 1e-15 * scale, 0.0, matrix)
-
-
-def apply(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """``matrix @ vectors`` over the first axis, term by term, so that the result does not depend on the batch."""
-    return np.stack([combined(row, vectors) for row in matrix])
-
-
-def combined(row: Sequence[float] | FloatArray, vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
-    """``row @ vectors``, a new array, term by term."""
-    total: FloatArray = row[0] * vectors[0]
-    for coefficient, component in zip(row[1:], vectors[1:], strict=True):
-        if coefficient != 0.0:
-            total = total + coefficient * component
-    return total

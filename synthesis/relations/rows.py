@@ -6,12 +6,10 @@ Entries that are 0 cost nothing, and no array is made that is not needed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[Any]
+from ..cells import FloatArray
 
 Row = tuple[tuple[int, float], ...]
 """Positions and values of the entries of a row that are not 0."""

@@ -12,16 +12,11 @@ normal distributions whose means differ by F e). The paper has K = 0.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
-from ..cells import RelationRefused
+from ..cells import FloatArray, RelationRefused
 from .coupled import CoupledRelation, coupling_failure
-
-FloatArray = NDArray[Any]
 
 
 def paper_relation(

@@ -12,17 +12,13 @@ and workspace shrink by E, the abstract inputs by K E.
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ...envs.agents import LinearAgent
-from ..cells import Grid, RelationRefused
+from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation
-
-FloatArray = NDArray[Any]
 
 LONGEST = 400
 """Most terms of the zonotope."""
@@ -60,8 +56,8 @@ def tube_relation(
     ValueError
         If the feedback does not stabilise, or the tube uses up the inputs.
     """
-    inverse = np.linalg.inv(coordinates)
-    A, B, drift = inverse @ agent.A @ coordinates, inverse @ agent.B, inverse @ agent.offset
+    moves = in_grid_coordinates(agent, coordinates)
+    A, B, drift = moves.A, moves.B, moves.offset
     disturbance = disturbance_of(grid, snap)
     generators = tube_generators(A + B @ feedback, disturbance)
     if generators is None:
@@ -80,7 +76,7 @@ def tube_relation(
         A=A,
         B=B,
         drift=drift,
-        covariance=np.diag(inverse @ agent.noise_covariance @ inverse.T).copy(),
+        covariance=np.diag(moves.covariance).copy(),
         feedback=feedback,
         coupling=np.zeros_like(A),
         reach=reach,
@@ -140,8 +136,8 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
     ValueError
         If the agent is not stabilisable.
     """
-    inverse = np.linalg.inv(coordinates)
-    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    moves = in_grid_coordinates(agent, coordinates)
+    A, B = moves.A, moves.B
     cells = disturbance_of(grid, None)
     room = 0.5 * (agent.input_box.high - agent.input_box.low)
     found = []
@@ -169,8 +165,8 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
 
     ``room_for_labels`` (d,) is the half width, per state, of the narrowest region that labels are to be kept in.
     """
-    inverse = np.linalg.inv(coordinates)
-    A, B = inverse @ agent.A @ coordinates, inverse @ agent.B
+    moves = in_grid_coordinates(agent, coordinates)
+    A, B = moves.A, moves.B
     room = np.maximum(0.5 * (agent.input_box.high - agent.input_box.low), 1e-9)
     disturbance = disturbance_of(grid, None)
     scored: list[tuple[float, int, FloatArray]] = []

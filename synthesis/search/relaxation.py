@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.logic import Automaton
+from ...envs.logic import Automaton, followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..models import AgentModel, JointModel, Policies
@@ -145,9 +145,7 @@ def favourable_successors(problem: Problem) -> list[NDArray[np.bool_]]:
             following: set[int] = set()
             for c, row in enumerate(classes):
                 for entry in frontier:
-                    e = entry
-                    while e >= 0 and (k := positions.get(int(automaton.variable[e]))) is not None:
-                        e = int(automaton.high[e] if row[k] else automaton.low[e])
+                    e = followed(automaton, entry, positions, row)
                     following.add(e)
                     tables[i][q, c, list(ends(e))] = True
             frontier = following

@@ -207,6 +207,20 @@ class Guards:
         return np.flatnonzero(self.source == q)
 
 
+def candidate_depths(
+    origin: IndexArray, merges: Merges, guards: Guards, depths: Sequence[NDArray[np.int64]]
+) -> NDArray[np.int64]:
+    """Steps to acceptance of rows (guard, term of the next step) of one state; united ones carry the larger depth."""
+    own = np.zeros(len(origin), dtype=np.int64)
+    targets = guards.target[origin[:, 0]]
+    for target in np.unique(targets):
+        here = targets == target
+        own[here] = depths[target][origin[here, 1]] + 1
+    for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
+        own[into] = max(own[into], own[absorbed])
+    return own
+
+
 def term_depths(
     skeleton: Sequence[Skeleton], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], ...]:
@@ -218,14 +232,7 @@ def term_depths(
             if absorbing[q]:
                 following.append(np.zeros(int(accepting[q]), dtype=np.int64))
                 continue
-            own = np.zeros(len(origin), dtype=np.int64)
-            targets = guards.target[origin[:, 0]]
-            for target in np.unique(targets):
-                here = targets == target
-                own[here] = depths[target][origin[here, 1]] + 1
-            for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
-                own[into] = max(own[into], own[absorbed])
-            following.append(own[kept])
+            following.append(candidate_depths(origin, merges, guards, depths)[kept])
         depths = following
     return tuple(depths)
 

@@ -23,7 +23,7 @@ from ...synthesis.cells import FloatArray
 from ...synthesis.models import JointModel, Policies
 from ...synthesis.relations import joint_delta
 from ...synthesis.search import Candidates, assemble, best_choices, candidates, gather, terminal_terms
-from ...synthesis.values import Terms, compress
+from ...synthesis.values import Terms, candidate_depths, compress
 
 ALIVE = 1e-15
 """The paper's pruning rule: terms whose largest value does not exceed this are dropped."""
@@ -85,7 +85,7 @@ def paper_steps(joint: JointModel, kind: str) -> Iterator[HeuristicStep]:
                 )
                 new_depths.append(np.zeros(int(joint.accepting[q]), dtype=np.int64))
                 continue
-            depth = _depths(joint, options, q, depths)
+            depth = candidate_depths(options.origin[q], options.merges[q], joint.guards, depths)[options.row[q]]
             chosen, part, kept = _choose(
                 joint, options, q, [policy[q] for policy in policies], 1.0 + delta * (t - depth)
             )
@@ -103,19 +103,6 @@ def paper_policies(joint: JointModel, kind: str) -> Policies:
     return tuple(
         np.stack([policies[i] for policies in reversed(steps)]).astype(np.int32) for i in range(len(joint.models))
     )
-
-
-def _depths(joint: JointModel, options: Candidates, q: int, depths: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Steps to acceptance of every candidate of state q; united ones carry the larger."""
-    origin, merges = options.origin[q], options.merges[q]
-    own = np.zeros(len(origin), dtype=np.int64)
-    targets = joint.guards.target[origin[:, 0]]
-    for target in np.unique(targets):
-        here = targets == target
-        own[here] = depths[target][origin[here, 1]] + 1
-    for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
-        own[into] = max(own[into], own[absorbed])
-    return own[options.row[q]]
 
 
 def _choose(

@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...synthesis.cells import Grid
-
-FloatArray = NDArray[Any]
+from ...synthesis.cells import FloatArray, Grid
 
 LOW, HIGH, CELLS, EPSILON, A, B = -20.0, 5.0, 1000, 0.1, 0.9, 0.5
 INPUTS = np.linspace(-5.0, 5.0, 10)

@@ -17,12 +17,11 @@ from scipy.special import betainc
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
 from ...envs.suite import make_problem
+from ...synthesis.cells import FloatArray
 from ...synthesis.synthesize import synthesize
-from ..statistics import REFUTED
+from ..statistics import REFUTED, holm
 from ..verdicts import validate
 from .published import INPUTS, PublishedStep, published_curve, published_grid
-
-FloatArray = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,7 @@ def refute_published(
     p_values = np.where(
         successes == episodes, 1.0, betainc(episodes - successes, successes + 1.0, 1.0 - np.minimum(claims, 1.0))
     )
-    refuted = _holm(p_values, 1.0 - confidence)
+    refuted = holm(p_values) <= 1.0 - confidence
     estimates = successes / episodes
     excess = claims - estimates
     worst = int(np.argmax(excess))
@@ -129,15 +128,6 @@ def _simulate(step: PublishedStep, starts: FloatArray, episodes: int, seed: int)
             worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, episodes))
         successes[k] = int(core.satisfied(dynamics, worlds).sum())
     return successes
-
-
-def _holm(p_values: FloatArray, level: float) -> NDArray[np.bool_]:
-    """Rejected hypotheses; any true one is among them with probability at most ``level``."""
-    order = np.argsort(p_values)
-    passed = p_values[order] <= level / (len(p_values) - np.arange(len(p_values)))
-    rejected = np.zeros(len(p_values), dtype=bool)
-    rejected[order[: int(np.argmin(passed)) if not passed.all() else len(p_values)]] = True
-    return rejected
 
 
 def _right_noise(horizon: int, episodes: int, seed: int, confidence: float) -> dict[str, Any]:
