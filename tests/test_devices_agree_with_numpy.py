@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,12 @@ from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_table
 from certigym.synthesis.search.ascent import Limits, Sweep, forward, resting_policies, sweep
 from certigym.synthesis.values import devices as arrays
 from certigym.synthesis.values.devices import (
+    Residents,
     add_rows,
     add_runs,
     beside,
     concatenate,
     device_put,
-    resident,
     take,
     to_host,
 )
@@ -161,11 +162,11 @@ def test_kernels_smooth_and_push_alike() -> None:
 
 
 def test_tables_are_copied_once_and_forgotten_with_their_owner() -> None:
-    table, reference = np.arange(6.0), device_put(DEVICE)(np.zeros(1))
-    before = len(arrays._residents)
-    assert resident(table, reference) is resident(table, reference)
-    assert len(arrays._residents) == before + 1
-    assert resident(table, table) is table and beside(table, table) is table
-    del table
+    residents, table, reference = Residents(), np.arange(6.0), device_put(DEVICE)(np.zeros(1))
+    assert residents.beside(table, reference) is residents.beside(table, reference)
+    assert len(residents.copies) == 1
+    assert residents.beside(table, table) is table and beside(table, table) is table
+    copy = weakref.ref(residents.beside(table, reference))
+    del residents
     gc.collect()
-    assert len(arrays._residents) == before
+    assert copy() is None

@@ -4,6 +4,7 @@ from .agent import LinearAgent, checked_name
 from .box import Box
 from .checks import checked_count, float_array, read_only, shown
 from .labeling import Labeling, Proposition, contains, inside, linear, row_times
+from .saving import write_bytes, write_json, write_text
 
 __all__ = [
     "Box",
@@ -19,4 +20,7 @@ __all__ = [
     "read_only",
     "row_times",
     "shown",
+    "write_bytes",
+    "write_json",
+    "write_text",
 ]

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import write_bytes
 from ...envs.problem import problem_from_dict
 from ..values import Skeleton
 from .certificate import Certificate, checked_certificate
@@ -40,7 +41,7 @@ def save_certificate(certificate: Synthesis | Certificate | ProductCertificate, 
     """Write the certificate, or that of a synthesis, to ``path`` (``.npz``); ValueError if it is neither."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
-    Path(path).write_bytes(data)
+    write_bytes(path, data)
 
 
 def _packed_product(product: ProductCertificate) -> bytes:

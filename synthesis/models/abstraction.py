@@ -12,7 +12,7 @@ bound instead of an exact value (THEORY section 1).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -32,6 +32,7 @@ from ..cells import (
     label_room,
 )
 from ..relations import CoupledRelation, ExactRelation, Relation
+from ..values import Residents
 from .agent_models import Bare, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
 from .choices import Choices
 from .kernel import Kernel
@@ -63,6 +64,8 @@ class AgentModel:
         Label set of each cell, for arriving in it.
     start_labels : CellLabels
         Label set of the points of each cell, for starting in it.
+    residents : Residents
+        Masks of its cells on devices.
     """
 
     grid: Grid
@@ -72,6 +75,7 @@ class AgentModel:
     choices: Choices
     labels: CellLabels
     start_labels: CellLabels
+    residents: Residents = field(default_factory=Residents, repr=False)
 
     @property
     def n_cells(self) -> int:

@@ -11,7 +11,7 @@ points (means) that the kernel table is read at: the distribution of the next st
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -21,11 +21,39 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid
 from ..relations import ExactRelation
+from ..values import Array, Residents, beside
 
 StepPolicy = NDArray[np.int32]
 
 BAND_BYTES = 200_000_000
 """Memory for remembered bands of admissible targets, per agent model."""
+
+
+Band = tuple[NDArray[np.int64], NDArray[np.bool_]]
+"""Lattice points (N,) that some of a block of cells can choose, and which each of them can, (cells, N)."""
+
+
+class WindowMemory:
+    """What has been computed of windows, for the next sweep; it changes no result, only how long one takes."""
+
+    def __init__(self) -> None:
+        self.bands: dict[bytes, Band] = {}
+        self.bricks: dict[int, list[NDArray[np.int64]]] = {}
+        self.size = 0
+        self.kept: set[int] = set()
+        self.residents = Residents()
+
+    def remember(self, key: bytes, band: Band) -> None:
+        """Keep a band, as long as all bands together stay below ``BAND_BYTES``."""
+        if self.size + band[1].nbytes <= BAND_BYTES:
+            self.bands[key] = band
+            self.size += band[1].nbytes
+            self.kept.add(id(band[1]))
+
+    def beside(self, allowed: NDArray[np.bool_], reference: Array) -> Array:
+        """Which points are allowed, on the device of another array; bands that are kept are copied once."""
+        known = id(allowed) in self.kept
+        return self.residents.beside(allowed, reference) if known else beside(allowed, reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +68,8 @@ class TargetWindows:
     relation : ExactRelation
     low, high : (S, d) int32 arrays
         Bounding box ``low <= index < high`` of the admissible targets of each cell.
+    memory : WindowMemory
+        What has been computed of them.
     """
 
     grid: Grid
@@ -47,6 +77,7 @@ class TargetWindows:
     relation: ExactRelation
     low: NDArray[np.int32]
     high: NDArray[np.int32]
+    memory: WindowMemory = field(default_factory=WindowMemory, repr=False)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -74,23 +105,11 @@ class TargetWindows:
         wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
         return np.all(wanted <= self.reserve[cells], axis=-1)
 
-    @cached_property
-    def _bands(self) -> dict[bytes, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        return {}
-
-    @cached_property
-    def _band_bytes(self) -> list[int]:
-        return [0]
-
-    @cached_property
-    def _blocks(self) -> dict[int, list[NDArray[np.int64]]]:
-        return {}
-
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
         """All cells, in bricks of about ``size`` of them: their windows have more in common than those of a line."""
-        if size not in self._blocks:
-            self._blocks[size] = _bricks(self.grid.shape, size)
-        return self._blocks[size]
+        if size not in self.memory.bricks:
+            self.memory.bricks[size] = _bricks(self.grid.shape, size)
+        return self.memory.bricks[size]
 
     def band(self, block: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Lattice points (N,) that some of a block of cells can choose, increasing, and which each can (cells, N).
@@ -98,8 +117,8 @@ class TargetWindows:
         Kept for the next call as long as all bands together stay below ``BAND_BYTES``.
         """
         key, count = block.tobytes(), len(block)
-        if key in self._bands:
-            return self._bands[key]
+        if key in self.memory.bands:
+            return self.memory.bands[key]
         low, high = self.low[block], self.high[block]
         nonempty = np.all(low < high, axis=1)
         if not nonempty.any():
@@ -117,9 +136,7 @@ class TargetWindows:
                 allowed &= self.admissible(block[:, None], flat[None, :])
             used = allowed.any(axis=0)
             found = flat[used], allowed[:, used]
-        if self._band_bytes[0] + found[1].nbytes <= BAND_BYTES:
-            self._bands[key] = found
-            self._band_bytes[0] += found[1].nbytes
+        self.memory.remember(key, found)
         return found
 
     @cached_property

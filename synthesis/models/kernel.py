@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ..cells import FloatArray
-from ..values import UNIT, add_rows, empty, multiply_into, namespace, resident
+from ..values import UNIT, Residents, add_rows, empty, multiply_into, namespace
 
 SMALLEST = 1e-60
 """Masses below this are set to 0: a lower bound still, and no denormal numbers in the products."""
@@ -74,10 +74,13 @@ class AxisTable:
         Lattice points Z and cells S.
     blocks : tuple of (z0, z1, s0, s1, (z1 - z0, s1 - s0) array)
         Entries of lattice points z0 .. z1 - 1 and cells s0 .. s1 - 1; the ranges of lattice points tile 0 .. Z.
+    residents : Residents
+        The entries on devices.
     """
 
     shape: tuple[int, int]
     blocks: tuple[tuple[int, int, int, int, NDArray], ...]
+    residents: Residents = field(default_factory=Residents, repr=False)
 
     @classmethod
     def dense(cls, table: NDArray) -> AxisTable:
@@ -95,7 +98,7 @@ class AxisTable:
         """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
-            return values[..., s0:s1] @ resident(entries, values).T
+            return values[..., s0:s1] @ self.residents.beside(entries, values).T
         if values.ndim > 2:
             return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
         groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
@@ -112,7 +115,7 @@ class AxisTable:
         for z0, z1, s0, s1, entries in self.blocks:
             a, b = max(s0, first), min(s1, last)
             if a < b:
-                own = resident(entries, values)[:, a - s0 : b - s0]
+                own = self.residents.beside(entries, values)[:, a - s0 : b - s0]
                 multiply_into(values[:, a:b], own.T, smoothed[:, z0:z1])
             else:
                 smoothed[:, z0:z1] = 0.0
@@ -125,7 +128,7 @@ class AxisTable:
         products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
         if products < LARGE or not isinstance(masses, np.ndarray):
             for z0, z1, s0, s1, entries in self.blocks:
-                pushed[..., s0:s1] += masses[..., z0:z1] @ resident(entries, masses)
+                pushed[..., s0:s1] += masses[..., z0:z1] @ self.residents.beside(entries, masses)
             return pushed
         used = np.flatnonzero(
             (masses != 0).any(axis=tuple(range(masses.ndim - 1)))

@@ -48,6 +48,6 @@ def times(row: Row, vectors: Sequence[FloatArray] | FloatArray, out: FloatArray 
 def product(rows: Sequence[Row], vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """All rows times vectors (d, ...): a new array (n, ...)."""
     result = np.empty((len(rows), *vectors[0].shape))
-    for row, own in zip(rows, result, strict=True):
-        times(row, vectors, own)
+    for k, row in enumerate(rows):
+        times(row, vectors, result[k, ...])  # a view, of single numbers, too
     return result

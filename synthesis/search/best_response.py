@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray
 from ..models import Choices, InputMenu, StepPolicy, TargetWindows
-from ..values import beside, namespace, resident, take, to_host
+from ..values import beside, namespace, take, to_host
 
 BLOCK = 64
 """Cells per block."""
@@ -84,7 +84,7 @@ def _best_in_window(
     if len(flat) == 0:
         return np.full(len(allowed), -1), np.full(len(allowed), -np.inf)
     first, value = _largest(
-        namespace(table).where(resident(allowed, table), weights @ take(table, flat, axis=1), -np.inf)
+        namespace(table).where(choices.memory.beside(allowed, table), weights @ take(table, flat, axis=1), -np.inf)
     )
     return np.where(np.isfinite(value), flat[first], -1), value
 

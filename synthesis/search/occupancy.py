@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models import AgentModel, StepPolicy
-from ..values import Guards, Occupancy, Terms, _masses, beside, compress, distinct, empty, merge_rows, resident, take
+from ..values import Guards, Occupancy, Terms, _masses, beside, compress, distinct, empty, merge_rows, take
 
 
 def push(
@@ -86,7 +86,7 @@ def _step(
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)
-    return take(pushed, source) * take(resident(masks, pushed), mask)
+    return take(pushed, source) * take(model.residents.beside(masks, pushed), mask)
 
 
 def _largest(

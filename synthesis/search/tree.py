@@ -35,7 +35,6 @@ from ..values import (
     distinct,
     merge_rows,
     namespace,
-    resident,
     take,
     to_host,
 )
@@ -101,7 +100,7 @@ def candidates(
         key = guards.mask[guard, i].astype(np.int64) * len(value.factors[i]) + child_rows[:, i]
         pairs, rows[:, i] = distinct(key)
         mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
-        masked = take(resident(masks[i], value.factors[i]), mask) * take(value.factors[i], factor)
+        masked = take(models[i].residents.beside(masks[i], value.factors[i]), mask) * take(value.factors[i], factor)
         factors.append(masked)
         alive &= to_host(namespace(masked).any(masked != 0, axis=1))[rows[:, i]]
 

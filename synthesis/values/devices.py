@@ -13,7 +13,6 @@ reserve for rounding in every bound holds for any order (THEORY section 9).
 from __future__ import annotations
 
 import importlib
-import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -121,20 +120,25 @@ def beside(array: NDArray[Any], reference: Array) -> Array:
     return namespace(reference).asarray(own, device=device(reference))
 
 
-def resident(array: NDArray[Any], reference: Array) -> Array:
-    """``beside``, remembered as long as the numpy array lives, which must not change: tables, masks and windows."""
-    if isinstance(reference, np.ndarray):
-        return array
-    from array_api_compat import device
+class Residents:
+    """Copies of arrays on devices, each made once; they live as long as the record that holds them.
 
-    key = (id(array), str(device(reference)))
-    if key not in _residents:
-        weakref.finalize(array, _residents.pop, key, None)
-        _residents[key] = beside(array, reference)
-    return _residents[key]
+    The arrays must not change: tables, masks and windows.
+    """
 
+    def __init__(self) -> None:
+        self.copies: dict[tuple[int, str], tuple[NDArray[Any], Array]] = {}
 
-_residents: dict[tuple[int, str], Array] = {}
+    def beside(self, array: NDArray[Any], reference: Array) -> Array:
+        """A numpy array on the device of another array, as ``beside`` gives it."""
+        if isinstance(reference, np.ndarray):
+            return array
+        from array_api_compat import device
+
+        key = (id(array), str(device(reference)))
+        if key not in self.copies:  # the array is kept, too, so that its number stays its own
+            self.copies[key] = array, beside(array, reference)
+        return self.copies[key][1]
 
 
 def empty(shape: tuple[int, ...], reference: Array) -> Array:

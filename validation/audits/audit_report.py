@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ..simulation import Plan
 from ..statistics import CONSISTENT, REFUTED, holm
@@ -133,7 +133,7 @@ class AuditReport:
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         lines = [

@@ -7,6 +7,7 @@ central one sees all states and cannot.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import write_bytes
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
@@ -137,8 +139,9 @@ def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
     }  # fmt: skip
     arrays = {f"weight_{k}": w for k, w in enumerate(network.weights)}
     arrays |= {f"bias_{k}": b for k, b in enumerate(network.biases)}
-    with Path(path).open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(kept)), **arrays)
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(kept)), **arrays)
+    write_bytes(path, file.getvalue())
 
 
 class NotAnActor(ValueError):

@@ -10,7 +10,6 @@ A learner trained with several seeds is given as a sequence: one row per seed, a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
@@ -19,6 +18,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, Synthesis, as_certificate, shown_bound
@@ -126,7 +126,7 @@ class Comparison:
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         width = max(len("policy"), *(len(entry.name) for entry in self.entries))

@@ -11,7 +11,6 @@ versions and machine give the same actor.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from .actors import Actor, Network, actor_of, save_actor
@@ -86,7 +86,7 @@ class Training:
         save_actor(
             self.actor, target / "actor.npz", **{k: record[k] for k in ("algorithm", "seed", "steps", "seconds")}
         )
-        (target / "training.json").write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(target / "training.json", record)
         self.model.save(target / "model.zip")
         return target / "actor.npz"
 

@@ -14,6 +14,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import write_text
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
 from ...synthesis.checking import check
 from ..audits import audit, bound_by_steps_left, claimed_values
@@ -49,7 +50,7 @@ def report(
         Joint coordinates of the map, one or two; default: the first of the first two agents.
     """
     content = gathered(certificate, planned(plan, trial, 100_000), axes)
-    Path(path).write_text(page_of(content), encoding="utf-8")
+    write_text(path, page_of(content))
     return content
 
 

@@ -7,7 +7,6 @@ refuted anywhere with probability at most ``(1 - confidence) / 2``, whatever the
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -15,6 +14,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import write_json
 from ...synthesis.certificates import as_certificate, rounded_down
 from ..simulation import ChunkResult, Loop, Mismatch, TrialOptions, TrialPlan, collect, planned, stream
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
@@ -110,7 +110,7 @@ class FieldReport:
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         w = self.weakest

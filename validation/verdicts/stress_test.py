@@ -6,12 +6,12 @@ is certified: a bound speaks of its model, and a rung says what rollouts show wh
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
+from ...envs.agents import write_json
 from ...synthesis.certificates import as_certificate, rounded_down
 from ..simulation import FAMILIES, Mismatch, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
@@ -98,7 +98,7 @@ class StressReport:
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         lines = [

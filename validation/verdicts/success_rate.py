@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ... import __version__
+from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
@@ -109,7 +109,7 @@ class ValidationReport:
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, self.to_dict())
 
     def __str__(self) -> str:
         claim = shown_bound(self.lower_bound, self.gap)

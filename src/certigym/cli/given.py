@@ -9,6 +9,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem, load_problem, split_axes
 from ..envs.suite import make_problem, problem_ids
 
@@ -106,4 +107,4 @@ def write_json(options: Namespace, data: Any) -> None:
         json.dump(data, sys.stdout, indent=2, allow_nan=False)
         print()
     elif options.json is not None:
-        Path(options.json).write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        save_json(options.json, data)

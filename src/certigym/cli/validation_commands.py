@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem
 from ..synthesis.certificates import load_certificate, rounded_down
 from ..validation.audits import audit as audit_certificate
@@ -135,7 +135,7 @@ def reproduce(options: Namespace) -> int:
         say(f"certificates at the right noise: {result['right_noise_verdict']}")
         if options.out:
             Path(options.out).mkdir(parents=True, exist_ok=True)
-            (Path(options.out) / "refutation.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+            save_json(Path(options.out) / "refutation.json", result)
     else:
         folder = Path(options.out or "reproduced")
         result = getattr(paper_figures, options.what)(folder, progress=say)
