@@ -9,13 +9,14 @@ each agent stays safe with probability .626213 for 6 steps and .430846 for 10, s
 
 from __future__ import annotations
 
-from ..agents import LinearAgent, Proposition, checked_count
+from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count
 from ..problem import Problem, Specification
 from .make import environments
 
 
 def problem(n_agents: int = 2, horizon: int = 6) -> Problem:
     """Return the autonomous decoupled chain of the literature."""
+    n_agents = checked_count(n_agents, "n_agents", most=MOST_AGENTS)
     agent = LinearAgent(
         name="agent",
         A=[[0.8]],
@@ -28,7 +29,7 @@ def problem(n_agents: int = 2, horizon: int = 6) -> Problem:
         initial_state=[0.0],
     )
     return Problem(
-        name=f"decoupled-chain-{checked_count(n_agents, 'n_agents')}-v0",
+        name=f"decoupled-chain-{n_agents}-v0",
         horizon=horizon,
         agents=agent.copies(n_agents),
         propositions={"safe": Proposition("agent_*", [-1.0], [1.0])},

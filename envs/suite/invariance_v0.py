@@ -8,7 +8,7 @@ Two settings from the literature: "A" pulls towards 0 (a = .9, b = .5, variance 
 
 from __future__ import annotations
 
-from ..agents import LinearAgent, Proposition, checked_count, shown
+from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count, shown
 from ..problem import Problem, Specification
 from .make import environments
 
@@ -20,6 +20,7 @@ def problem(n_agents: int = 4, horizon: int = 7, setting: str = "A") -> Problem:
     if setting not in _SETTINGS:
         raise ValueError(f"`setting`: expected 'A' or 'B', got {shown(setting)}")
     a, b, variance = _SETTINGS[setting]
+    n_agents = checked_count(n_agents, "n_agents", most=MOST_AGENTS)
     agent = LinearAgent(
         name="agent",
         A=[[a]],
@@ -32,7 +33,7 @@ def problem(n_agents: int = 4, horizon: int = 7, setting: str = "A") -> Problem:
         initial_state=[0.0],
     )
     return Problem(
-        name=f"invariance-{checked_count(n_agents, 'n_agents')}-v0",
+        name=f"invariance-{n_agents}-v0",
         horizon=horizon,
         agents=agent.copies(n_agents),
         propositions={"safe": Proposition("agent_*", [-5.0], [5.0])},
