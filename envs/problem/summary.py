@@ -68,7 +68,7 @@ def summary_html(title: str, agents: Sequence[LinearAgent], facts: Sequence[tupl
 
 def _agents_text(kind: AgentKind) -> str:
     each = " each" if len(kind.names) > 1 else ""
-    sizes = f"{counted(kind.n_states, 'state')}, {counted(kind.n_inputs, 'input')}{each}"
+    sizes = f"{counted(kind.n_states, 'state')} and {counted(kind.n_inputs, 'input')}{each}"
     return f"{len(kind.names)} with {sizes}: {names_text(kind.names)}"
 
 
