@@ -61,7 +61,7 @@ def edges(problem: Problem) -> list[Edge]:
 
 
 def _possible(assignment: Mapping[int, bool], problem: Problem) -> dict[int, bool] | None:
-    """Return the cube without literals that others of the same agent imply; None if no point of the workspace has it."""
+    """Return the cube without literals that others of the agent imply; None if no point of the workspace has it."""
     result: dict[int, bool] = {}
     for positions, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
         literals = {k: assignment[p] for k, p in enumerate(positions.tolist()) if p in assignment}
