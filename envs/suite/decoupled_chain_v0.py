@@ -1,10 +1,10 @@
 """Autonomous decoupled chain: any number of agents, which no input moves, stay safe or not by chance alone.
 
-A yardstick for probabilities, not for policies: the inputs are there, as an environment needs them, but B = 0. From 0
-each agent stays safe with probability .626213 for 6 steps and .430846 for 10, so 14 agents do for 6 steps with
-1.426e-3.
+A yardstick for probabilities, not for policies: an environment needs inputs, but B = 0. From 0 each agent stays safe
+with probability .626213 for 6 steps and .430846 for 10 steps, so all of 14 agents stay safe for 6 steps with
+probability 1.426e-3.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

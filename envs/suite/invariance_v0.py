@@ -1,9 +1,9 @@
 """Invariance of any number of agents (IV-N): every agent must stay in a safe interval up to the horizon.
 
-Two settings from the literature: "A" pulls towards 0 (a = .9, b = .5, variance .25), "B" drifts freely with much noise
-(a = b = 1, variance 1). The verdict is known at the horizon.
+There are two settings from the literature. In "A" the agents are pulled towards 0 (a = .9, b = .5, variance .25). In
+"B" they drift freely with much noise (a = b = 1, variance 1). The task is judged at the horizon.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count, shown
 from ..problem import Problem, Specification
 from .make import environments
 
+# State coefficient a, input coefficient b and noise variance.
 _SETTINGS = {"A": (0.9, 0.5, 0.25), "B": (1.0, 1.0, 1.0)}
 
 

@@ -1,8 +1,8 @@
 """Reach-avoid of any number of agents (RA-N): all stay safe until one of them reaches the target.
 
-A scaling family: one more agent is one more that can help, and one more that can fail.
+A scaling family: each further agent can help, and can fail.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
