@@ -137,16 +137,17 @@ class LinearAgent:
             "offset": float_array(zero if offset is None else offset, "offset", (d,), f"{[0.0] * d}"),
         }
         for key, value in values.items():
-            object.__setattr__(self, key, value)
+            object.__setattr__(self, key, value)  # the record is frozen
 
     def __repr__(self) -> str:
         sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
-        deviations = np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0)).tolist()
+        deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))]
+        each = deviations[:1] if len(set(deviations)) == 1 else deviations
         rows = [
             ("workspace", box_text(self.state_low, self.state_high)),
             ("inputs", box_text(self.input_low, self.input_high)),
             ("start", "none" if self.initial_low is None else _start_text(self.initial)),
-            ("deviation", f"{shortened(', '.join(f'{x:g}' for x in deviations))} of the noise"),
+            ("noise", f"standard deviation {shortened(', '.join(each))}"),
         ]
         return tree_text(f"LinearAgent {self.name!r}: {', '.join(sizes)}", rows)
 
@@ -190,6 +191,7 @@ class LinearAgent:
     @cached_property
     def noise_factor(self) -> np.ndarray:
         """L, shape (d, d), with `L L' = Sigma` up to rounding; exact square roots where Sigma is diagonal."""
+        # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
         covariance = self.noise_covariance
         if (covariance == np.diag(np.diag(covariance))).all():
             return read_only(np.diag(np.sqrt(np.diag(covariance))))
@@ -211,6 +213,7 @@ class LinearAgent:
 
     def replace(self, **changes: Any) -> LinearAgent:
         """Return a copy with some constructor arguments changed; a new start replaces the whole old one."""
+        # A new start may be a point or a box: drop both old corners, not just the one that is named.
         data = self.to_dict()
         if any(key.startswith("initial_") for key in changes):
             data.pop("initial_low", None)

@@ -78,6 +78,7 @@ def checked_count(value: Any, argument: str, least: int = 1, most: int | None = 
     unit : str
         What is counted, such as "control steps"; shown in the error.
     """
+    # A Boolean is an int in Python, but never meant as a count.
     is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if not is_whole or value < least or (most is not None and value > most):
         span = f"of at least {least}" if most is None else f"from {least} to {most}"

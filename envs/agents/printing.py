@@ -17,17 +17,17 @@ MOST_NAMES = 4
 
 
 def tree_text(title: str, rows: Sequence[tuple[str, object]]) -> str:
-    """Return a title and one line per row, name and value, drawn as the branches of a tree.
+    """Return a title and one line per row, name and value, drawn as the branches of a tree in ASCII.
 
     Examples
     --------
     >>> print(tree_text("Pair", [("left", 1), ("right", "two")]))
     Pair
-    ├─ left   1
-    └─ right  two
+    |-- left   1
+    `-- right  two
     """
     width = max((len(name) for name, _ in rows), default=0)
-    branches = ["├─"] * (len(rows) - 1) + ["└─"]
+    branches = ["|--"] * (len(rows) - 1) + ["`--"]
     lines = [f"{branch} {name:<{width}}  {value}" for branch, (name, value) in zip(branches, rows)]
     return "\n".join([title, *lines])
 
@@ -39,6 +39,7 @@ def counted(n: int, noun: str, plural: str = "") -> str:
 
 def shortened(text: str, limit: int = 120) -> str:
     """Return a text on one line, cut off with dots if it is longer than `limit` characters."""
+    # Only the beginning is split: formulas may have half a million characters.
     line = " ".join(text[: 2 * limit].split())
     return line if len(line) <= limit and len(text) <= 2 * limit else f"{line[: limit - 3]}..."
 
@@ -61,6 +62,7 @@ def box_text(low: FloatArray, high: FloatArray, closed: bool = True) -> str:
     closed : bool
         Whether the upper faces belong to the box; the lower ones always do.
     """
+    # Gather runs of equal intervals, so that a box of twenty equal axes is one factor.
     end = "]" if closed else ")"
     factors: list[tuple[str, int]] = []
     for a, b in zip(low, high):

@@ -85,6 +85,7 @@ def block_of(problem: Problem, group: list[int]) -> Block:
     def stacked(arrays: Sequence[np.ndarray | None]) -> np.ndarray:
         return read_only(np.stack([np.asarray(a) for a in arrays], axis=-1)[..., None])
 
+    # Propositions of all agents of the block stand side by side; `owners` says which agent each belongs to.
     regions_low = np.concatenate([labeling.low[i] for i in group], axis=1)
     regions_high = np.concatenate([labeling.high[i] for i in group], axis=1)
     counts = [len(labeling.agent_propositions[i]) for i in group]
@@ -106,6 +107,7 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         owners=read_only(np.repeat(np.arange(len(group)), counts)),
         region_low=read_only(regions_low[..., None]),
         region_high=read_only(regions_high[..., None]),
+        # Components of an agent are consecutive in a joint state; here they are the rows.
         columns=read_only(
             np.stack([np.arange(problem.columns[i].start, problem.columns[i].stop) for i in group], axis=1)
         ),

@@ -121,6 +121,7 @@ class OneWorld:
 
     def begin(self, worlds: Worlds) -> World:
         """Return the only world of a batch."""
+        # Blocks order agents by their sizes; a single world has them in the order of the problem.
         states: list[Any] = [None] * len(self.agents)
         for block, x in zip(self.dynamics.blocks, worlds.states):
             for place, agent in enumerate(block.agents):
@@ -172,6 +173,7 @@ class OneWorld:
 
     def _letter(self, states: tuple[Any, ...]) -> tuple[int, bool]:
         """Return the letter of the states, and whether an agent is outside its workspace."""
+        # Propositions are the bits of an integer, which is quick to build and to look up.
         letter, outside = 0, False
         for a, x in zip(self.agents, states):
             outside = outside or not inside(x, a.state_low, a.state_high)
@@ -187,7 +189,7 @@ class OneWorld:
         if key not in self._following:
             if len(self._following) >= _MEMORY:
                 self._following.clear()
-            automaton = self.dynamics.problem.automaton
+            automaton = self.dynamics.problem.automaton  # its next state is slow for a single letter
             bits = np.array([letter >> p & 1 for p in range(len(automaton.propositions))], dtype=bool)
             self._following[key] = int(automaton.next_state(np.asarray(q), bits))
         return self._following[key]

@@ -71,6 +71,7 @@ class Dynamics:
     @classmethod
     def of(cls, problem: Problem) -> Dynamics:
         """Return the dynamics of a problem; agents of equal sizes share a block."""
+        # Blocks come in the order of their first agents, which fixes the order of all random numbers.
         members: dict[tuple[int, int, int], list[int]] = {}
         for i, agent in enumerate(problem.agents):
             members.setdefault((agent.n_states, agent.n_inputs, agent.n_outputs), []).append(i)
@@ -208,6 +209,7 @@ def transition(
     ValueError
         If the worlds are at the horizon.
     """
+    # The time is a number, or one per world after a restart.
     over = worlds.time >= dynamics.problem.horizon
     if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
@@ -234,6 +236,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     result = np.zeros((len(dynamics.problem.propositions), states[0].shape[-1]), dtype=bool)
     for block, x in zip(dynamics.blocks, states):
         if block.propositions.size:
+            # One row per proposition: the outputs of the agent that owns it.
             with np.errstate(over="ignore", invalid="ignore"):
                 y = x if block.identity_output else linear(block.C, x)
             result[block.propositions] = contains(y.take(block.owners, axis=1), block.region_low, block.region_high)

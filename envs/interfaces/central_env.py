@@ -96,13 +96,14 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         joint_action = np.asarray(action)
         if joint_action.shape != self.action_space.shape:
             raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
+        # Cut the joint action into those of the agents, and scale or clip each.
         inputs = [
             input_of(joint_action[columns], agent, self._actions, "action")
             for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
         ]
         reward, terminated, truncated = self._episode.step(inputs, self.np_random)
         info = self._info()
-        if terminated or truncated:
+        if terminated or truncated:  # learners read the key in the last step alone
             info["is_success"] = info["satisfied"]
         return self._observation(), reward, terminated, truncated, info
 

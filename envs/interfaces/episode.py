@@ -65,6 +65,7 @@ class Episode:
         dynamics = self.dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
+        # The start is drawn by the batched core, so that one world and a batch of one agree.
         worlds = core.initial(dynamics, rng, 1)
         self._world = self.one_world.begin(worlds)
         self._track = [self._world]
@@ -79,7 +80,7 @@ class Episode:
         if not self.one_world.settled(world):
             world = self.one_world.step(world, inputs, rng.standard_normal(self.one_world.n_draws).tolist())
             self._world = world
-            if self.render_mode is not None:
+            if self.render_mode is not None:  # only pictures need the past
                 self._track.append(world)
         terminated = self.one_world.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon

@@ -93,6 +93,7 @@ def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
     ValueError
         If the action has another length or is not finite.
     """
+    # Plain numbers, as a single world computes on them.
     numbers = np.asarray(action).tolist()
     size = len(agent.input_low)
     if not isinstance(numbers, list) or len(numbers) != size or not all(map(_is_number, numbers)):
@@ -121,6 +122,7 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
             f"`actions`: expected finite numbers of shape (number of worlds, {problem.n_inputs}), got shape "
             f"{joint_actions.shape}"
         )
+    # Columns of the joint action for each component and agent of a block: (m, n).
     starts = np.array([columns.start for columns in problem.input_columns])
     result = []
     for block in dynamics.blocks:

@@ -135,8 +135,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         """
         if self._rng is None:
             raise RuntimeError("call `reset` before `step`")
-        if not self.agents:
+        if not self.agents:  # the episode is over: PettingZoo expects empty answers
             return {}, {}, {}, {}, {}
+        # All agents end together: the task is one.
         ended = self.agents
         reward, terminated, truncated = self._episode.step(self._inputs(actions), self._rng)
         if terminated or truncated:
@@ -194,6 +195,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     def _inputs(self, actions: dict[str, Any]) -> list[list[float]]:
         """Return the inputs for the actions of all agents; raise ValueError if one is missing, wrong or unknown."""
         inputs = []
+        # With one action for every agent, a stranger shows by the number of actions.
         if len(actions) > len(self.possible_agents):
             stranger = next(name for name in actions if name not in self.possible_agents)
             raise ValueError(f"`actions`: expected agents of the problem, got {stranger!r}; leave it out")

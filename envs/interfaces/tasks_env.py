@@ -159,6 +159,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             self._is_co_safe or self._time() >= self.problem.horizon
         ):
             return False
+        # The automaton states of all tasks, as their agents were told them.
         states = (self._last_infos[task][task.possible_agents[0]]["automaton_state"] for task in self.tasks)
         return all(task.problem.automaton.accepting[q] for task, q in zip(self.tasks, states, strict=True))
 
@@ -167,6 +168,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         start = (options or {}).get("initial_state")
         if start is None:
             return [None] * len(self.tasks)
+        # The problem checks the start and splits it by agents.
         agents = self.problem.replace(initial_state=start).agents
         states = {agent.name: agent.initial.low for agent in agents}
         return [{"initial_state": [states[name] for name in task.possible_agents]} for task in self.tasks]

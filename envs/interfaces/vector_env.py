@@ -98,6 +98,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._worlds: core.Worlds | None = None
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
+        # States at all times are stored only if pictures may be asked for.
         self._track = np.zeros((0, self.num_envs, self.problem.n_states))
         if self.render_mode is not None:
             self._track = np.zeros((self.problem.horizon + 1, self.num_envs, self.problem.n_states))
@@ -114,6 +115,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         options : dict, optional
             `initial_state` replaces the start of the worlds that are reset; `reset_mask`, bool (M,), selects them.
         """
+        # Several seeds are hashed into one, since one generator serves all worlds.
         if isinstance(seed, list | tuple):
             self.np_random = np.random.default_rng(np.random.SeedSequence([int(s) for s in seed]))
         elif seed is not None:
@@ -154,6 +156,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
             worlds = core.restart(self._dynamics, worlds, fresh, self.np_random)
+        # Worlds that the start has settled do not move, but end in this step.
         moving = ~(fresh | self._settled(worlds))
         worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
         terminated = self._settled(worlds) & ~fresh
@@ -215,6 +218,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         rewards = np.where(fresh, 0.0, core.satisfied(self._dynamics, worlds).astype(np.float64))
         if self._potential is None:
             return rewards
+        # Shaping pays the difference of potentials; that of an ended world is 0.
         levels = self._potential.at(worlds)
         rewards = rewards + np.where(fresh, 0.0, self.discount * np.where(ended, 0.0, levels) - self._levels)
         self._levels = levels
@@ -222,6 +226,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _restarted(self, ended: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
         """Restart ended worlds within the step; return the new infos, with the last observations and infos in them."""
+        # Gymnasium expects the last observations as an array of objects, None in worlds that go on.
         final = joint_observations(self._dynamics, self._present(), self._dtype)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):

@@ -174,6 +174,7 @@ class Automaton:
 
     def _walk(self, q: np.ndarray, letters: np.ndarray) -> np.ndarray:
         """Return the next states by following the diagrams, all entries together, one step per level."""
+        # `at` is coded like the entries: a node while it is at least 0, a state in the end.
         at = self.root[q.reshape(-1)].astype(np.int64)
         flat = letters.reshape(len(self.propositions), q.size)
         active = np.flatnonzero(at >= 0)

@@ -57,18 +57,13 @@ def automaton_from_transitions(
     True
     """
     check_semantics(semantics)
-    for field, names in (("propositions", propositions), ("states", states), ("accepting", accepting)):
-        if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
-            raise ValueError(f"`{field}`: expected a list of names, got {names!r}")
     families = families or {}
-    check_names(propositions, families)
-    index = {name: q for q, name in enumerate(states)}
-    for field, name in [("initial", initial), *(("accepting", name) for name in accepting)]:
-        _state(field, name, index)
+    index = _checked_states(propositions, families, states, initial, accepting)
     diagrams = DecisionDiagrams()
     reader = NormalForm(propositions, families, co_safe=False)
     guarded = _guarded(transitions, index, diagrams, reader)
     fallback = None if otherwise is None else _state("otherwise", otherwise, index)
+    # The diagram of a state joins its guards; every letter must then have exactly one target.
     roots: list[int] = []
     for q, name in enumerate(states):
         if semantics == "co-safe" and name in accepting:  # absorbing
@@ -81,6 +76,24 @@ def automaton_from_transitions(
         roots.append(root)
     accepts = [name in accepting for name in states]
     return automaton_from_diagrams(propositions, semantics, states, index[initial], accepts, diagrams, roots)
+
+
+def _checked_states(
+    propositions: Sequence[str],
+    families: Mapping[str, Sequence[str]],
+    states: Sequence[str],
+    initial: str,
+    accepting: Sequence[str],
+) -> dict[str, int]:
+    """Return the states' indices by name; raise ValueError if a list is malformed or a state is unknown."""
+    for field, names in (("propositions", propositions), ("states", states), ("accepting", accepting)):
+        if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
+            raise ValueError(f"`{field}`: expected a list of names, got {names!r}")
+    check_names(propositions, families)
+    index = {name: q for q, name in enumerate(states)}
+    for field, name in [("initial", initial), *(("accepting", name) for name in accepting)]:
+        _state(field, name, index)
+    return index
 
 
 def _guarded(

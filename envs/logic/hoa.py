@@ -60,6 +60,7 @@ def automaton_from_hoa(text: str, propositions: Sequence[str]) -> Automaton:
     reader = HoaReader(text, diagrams, variable_of)
     hoa = reader.read()
     start = _start(hoa)
+    # Accepting marks must lead into absorbing states; letters without an edge lead into a trap.
     edges = {number: _edges(state, diagrams, reader.variables) for number, state in hoa.states.items()}
     sinks = _accepting_sinks(edges, diagrams)
     _check_terminal(edges, sinks)
@@ -138,6 +139,7 @@ def _graph(
     """Return the completed automaton; states are numbered from 1, and 0 is the trap for letters without an edge."""
     mentioned = [start, *edges, *(edge.target for out in edges.values() for edge in out)]
     number = {state: i + 1 for i, state in enumerate(dict.fromkeys(mentioned))}
+    # Sinks become absorbing states; guards of the others must not overlap unless their targets agree.
     roots = [diagrams.terminal(0)]
     for state, q in number.items():
         if state in sinks:

@@ -159,6 +159,7 @@ class HoaReader:
             self.hoa.atoms.append(re.sub(r"\\(.)", r"\1", written[1:-1], flags=re.DOTALL))
         if len(set(self.hoa.atoms)) < count:
             raise hoa_error("expected different atomic propositions, got one twice", token.line)
+        # Labels name propositions by their position in this header.
         self.variables = [self.variable_of(name) for name in self.hoa.atoms]
 
     def _conjunction(self) -> list[int]:

@@ -117,6 +117,7 @@ def _run(text: str) -> str:
     program = shutil.which("mona")
     if program is None:
         raise ValueError('`backend`: expected the program mona on the path for "mona", found none; use "builtin"')
+    # No shell is involved, and the file name is fixed: formulas cannot reach the command line.
     with tempfile.TemporaryDirectory(prefix="certigym-mona-") as folder:
         (Path(folder) / "formula.mona").write_text(text, encoding="ascii")
         try:
@@ -145,6 +146,7 @@ def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_sta
     n_states = int(count.group(1))
     if n_states > max_states + 1:
         raise FormulaError(f"the automaton needs more than `max_states` = {max_states} states")
+    # A cube such as 0X1 is a conjunction of literals over the declared propositions; X leaves one open.
     diagrams = DecisionDiagrams()
     guarded: list[list[tuple[int, int]]] = [[] for _ in range(n_states)]
     for source, cube, target in re.findall(r"^State (\d+): ([01X]*) *-> state (\d+)$", output, re.MULTILINE):

@@ -87,6 +87,7 @@ class Picture:
         self._panels = panels(problem)[:_PANELS_SHOWN]
         self._frames = _cells(len(self._panels))
         self._colors = dict(zip(_region_names(self._panels), cycle(_REGION_COLORS)))
+        # All that never changes is drawn once.
         self._background = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         self._window: Window | None = None
         draw = self._draw(self._background, "RGBA")
@@ -143,6 +144,7 @@ class Picture:
     def _points(self, panel: Panel, cell: tuple[int, ...], y: np.ndarray) -> list[tuple[float, float]]:
         """Return the pixels of a curve (t + 1, k), moved to the rim of the panel if they lie beyond it."""
         left, top, right, bottom = cell
+        # Positions as shares of the axes; a point beyond the panel is drawn just outside its rim.
         share = (y - np.array(panel.low)) / (np.array(panel.high) - np.array(panel.low))
         share = np.clip(np.nan_to_num(share, nan=0.0), -0.02, 1.02)
         across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
@@ -172,6 +174,7 @@ class Picture:
         for value, y in ((panel.high[-1], top - 4), (panel.low[-1], bottom - 10)):
             text = f"{value:g}"
             draw.text((left - 5 - 6 * len(text), y), text, fill=_INK, font=self._small)
+        # Limits of the axes: the coordinate, or time from 0 to the horizon.
         ends = (panel.low[0], panel.high[0]) if panel.is_map else (0, self._problem.horizon)
         draw.text((left, bottom + 4), f"{ends[0]:g}" if panel.is_map else "t = 0", fill=_INK, font=self._small)
         draw.text((right - 8 * len(f"{ends[1]:g}"), bottom + 4), f"{ends[1]:g}", fill=_INK, font=self._small)
@@ -190,6 +193,7 @@ class Picture:
         """Draw what the column at the right shows at this time."""
         x = WIDTH - SIDE + 12
         draw.text((x, 54), f"t = {time} of {self._problem.horizon}", fill=_INK, font=self._font)
+        # A state beyond the list is shown below it while the automaton is in it.
         if q in (listed := self._listed()):
             self._state(draw, listed.index(q), q, True)
         else:

@@ -79,6 +79,7 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
             shown[key] = _robot(key, shown[key], single) if key in shown else single
         else:
             shown[agent.name] = single
+    # Over time, a panel also needs equal regions: bands of different agents could not be told apart.
     groups: dict[object, list[_Shown]] = {}
     for item in shown.values():
         axes = (tuple(item.box.low), tuple(item.box.high), len(item.box.low) == 2 or _signature(item.regions))
@@ -105,6 +106,7 @@ def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
 def _agent(problem: Problem, i: int, number: int) -> _Shown:
     """Return one agent on the axes that its regions restrict."""
     agent = problem.agents[i]
+    # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
     named = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
@@ -128,6 +130,7 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
 
 def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
     """Return two scalar agents as the coordinates of one robot; a region of one of them becomes a band."""
+    # A region of x says nothing about y: it reaches over the whole height of the map, and the other way round.
     low, high = np.append(x.box.low, y.box.low), np.append(x.box.high, y.box.high)
     bands = [Region(r.name, (r.low[0], float(low[1])), (r.high[0], float(high[1]))) for r in x.regions]
     bands += [Region(r.name, (float(low[0]), r.low[0]), (float(high[0]), r.high[0])) for r in y.regions]

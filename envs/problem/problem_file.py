@@ -118,6 +118,7 @@ def _agents(tables: Any) -> list[LinearAgent]:
         raise ValueError(f"[[agents]]: expected at least one table, got {shown(tables)}")
     agents: list[LinearAgent] = []
     for position, table in enumerate(tables):
+        # Name the table by its number, and by its name if it has a readable one.
         where = f"[[agents]] number {position + 1}"
         if isinstance(table, Mapping) and isinstance(table.get("name"), str):
             where += f" ({shown(table['name'], 40)})"
@@ -157,6 +158,7 @@ def _specification(
     if written_as == ["formula"]:
         _check_keys(table, where, ("formula", "semantics"))
         return _prefixed(where, lambda: Specification(table["formula"], table["semantics"]))
+    # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
     if written_as == ["hoa"]:
         _check_keys(table, where, ("hoa",), ("semantics",))
@@ -177,6 +179,7 @@ def _hoa_text(value: Any, folder: Path | None) -> str:
     where = "[specification] `hoa`"
     if not isinstance(value, str):
         raise ValueError(f"{where}: expected HOA text or a path, got {shown(value)}")
+    # No path starts like the text of an automaton.
     if value.lstrip().startswith("HOA:"):
         return value
     if folder is None:
@@ -199,6 +202,7 @@ def _by_hand(table: Mapping[str, Any], names: list[str], families: Mapping[str, 
     rows = table["transitions"]
     if not isinstance(rows, list):
         raise ValueError(f"`transitions`: expected a list of [source, guard, target], got {shown(rows)}")
+    # TOML gives plain values: check them here, so that errors name the key and not a Python type.
     for row in rows:
         if not isinstance(row, list) or len(row) != 3 or not all(isinstance(text, str) for text in row):
             raise ValueError(f"`transitions`: expected [source, guard, target], three strings, got {shown(row)}")

@@ -242,6 +242,7 @@ class Problem:
     @cached_property
     def initial_q(self) -> int | None:
         """Automaton state after the letter of the start; None if several letters are possible or a start is outside."""
+        # Put the letter together agent by agent; each start box must have a single class.
         letter = np.zeros(len(self.propositions), dtype=bool)
         for i, agent in enumerate(self.agents):
             start = agent.initial
@@ -280,6 +281,7 @@ class Problem:
         ValueError
             As at construction.
         """
+        # Neither start nor noise changes propositions or regions, so everything derived from them is handed on.
         changes: dict[str, Any] = {}
         if name is not None:
             changes["name"] = name
@@ -294,6 +296,7 @@ class Problem:
                 agents.append(agent.replace(**start) if start else agent)
             changes["agents"] = tuple(agents)
         if disturbance_scale is not None:
+            # Scale the agents with their new starts, so that both changes apply.
             factor = float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0]
             if factor < 0.0:
                 raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
@@ -321,6 +324,7 @@ class Problem:
             if len(value) != self.n_agents:
                 raise ValueError(f"`{argument}`: expected {self.n_agents} vectors, one per agent, got {len(value)}")
             return dict(zip(self.agent_names, value))
+        # Anything else has to be a joint vector, which is cut into those of the agents.
         joint = float_array(value, argument, (self.n_states,), f"{[0.0] * min(self.n_states, 4)}")
         return {name: joint[columns] for name, columns in zip(self.agent_names, self.columns)}
 
@@ -411,4 +415,5 @@ def _automaton(
         raise ValueError(
             f"`automaton`: expected propositions among {shown(list(names))}, got {shown(unknown[0])}; declare it"
         )
+    # Its propositions may stand in another order, and some of the problem's may be missing.
     return over_propositions(specification.automaton, names)

@@ -150,6 +150,7 @@ def _agent_of_block(agent: LinearAgent, block: Block, taken: set[str]) -> Linear
     """Return the agent of one block; a block without inputs gets one that is 0."""
     components, inputs, outputs = block
     start = agent.initial
+    # Rows and columns of the block are cut out of every matrix; no other entry of these rows is nonzero.
     return LinearAgent(
         name=_fresh(f"{agent.name}_{_axes(block)}", taken),
         A=agent.A[np.ix_(components, components)],
@@ -246,6 +247,7 @@ def _in_formula(
 
 def _joined(operator: str, operands: list[Formula]) -> Formula:
     """Return a conjunction or disjunction, without parentheses around operands of the same kind."""
+    # `a & (b & c)` would print its parentheses and hide that it is one conjunction.
     flat: list[Formula] = []
     for operand in operands:
         flat += operand.operands if operand.operator == operator else (operand,)

@@ -32,6 +32,7 @@ class AgentKind:
 
 def agent_kinds(agents: Sequence[LinearAgent]) -> list[AgentKind]:
     """Return the kinds of the agents, in the order in which they first appear."""
+    # Equal texts are equal enough here: what a reader cannot tell apart is one kind.
     names: dict[tuple[int, int, str], list[str]] = {}
     for agent in agents:
         kind = (agent.n_states, agent.n_inputs, box_text(agent.state_low, agent.state_high))

@@ -54,6 +54,7 @@ def make_problem(id: str, **arguments: Any) -> Problem:
         close = get_close_matches(str(key), MODULES, n=1)
         remedy = f"did you mean {close[0]!r}?" if close else f"the ids are {', '.join(problem_ids())}"
         raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
+    # Load the one module that is needed; its parameters are the problem's arguments.
     make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
     changes = {name: arguments.pop(name) for name in _CHANGES if name in arguments}
     parameters = list(signature(make).parameters)

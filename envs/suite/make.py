@@ -114,6 +114,7 @@ def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
     ValueError
         If `problem` is not one of these, or if there are arguments without an id.
     """
+    # A text is the path of a problem file if it ends like one, and an id otherwise.
     if isinstance(problem, str) and not problem.endswith(".toml"):
         return make_problem(problem, **arguments)
     if isinstance(problem, str | Path):
