@@ -189,7 +189,7 @@ class OneWorld:
         if key not in self._following:
             if len(self._following) >= _MEMORY:
                 self._following.clear()
-            automaton = self.dynamics.problem.automaton  # its next state is slow for a single letter
+            automaton = self.dynamics.problem.automaton
             bits = np.array([letter >> p & 1 for p in range(len(automaton.propositions))], dtype=bool)
             self._following[key] = int(automaton.next_state(np.asarray(q), bits))
         return self._following[key]

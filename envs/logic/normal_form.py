@@ -52,6 +52,7 @@ class Terms:
         literal: tuple[int, bool] | None = None,
         bounds: tuple[int, int] | None = None,
     ) -> Term:
+        """Return the term with these fields, the same object each time."""
         key = (operator, operands, literal, bounds)
         term = self._table.get(key)
         if term is None:
@@ -141,6 +142,7 @@ class NormalForm:
         return entry[1]
 
     def _read(self, formula: Formula, positive: bool) -> Term:
+        """Return the term of a formula that has not been read yet, or of its negation."""
         operator, operands = formula.operator, formula.operands
         if operator == "!":
             return self.read(operands[0], not positive)

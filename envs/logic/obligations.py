@@ -86,6 +86,7 @@ class Obligations:
         return node
 
     def _expand(self, term: Term) -> int:
+        """Return the diagram of a term that has not been expanded yet."""
         diagrams = self.diagrams
         if term.propositional:
             return propositional_diagram(term, diagrams, self._expanded)
@@ -223,6 +224,7 @@ class Obligations:
         return implied
 
     def _implies(self, a: Term, b: Term, depth: int) -> bool:
+        """Return whether some rule shows that `a` implies `b`."""
         # Without temporal operators, diagrams decide. Otherwise take the Boolean operators apart, the invertible ones
         # first, and then look for a temporal rule.
         if a.propositional and b.propositional:

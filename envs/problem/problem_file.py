@@ -146,6 +146,7 @@ def _propositions(table: Any) -> dict[str, Proposition]:
 def _specification(
     table: Any, propositions: Mapping[str, Proposition], agents: Sequence[LinearAgent], folder: Path | None
 ) -> Specification:
+    """Return the specification of the table: a formula, HOA text, an automaton as plain values, or one by hand."""
     where = "[specification]"
     if not isinstance(table, Mapping):
         raise ValueError(f"{where}: expected a table, got {shown(table)}")

@@ -145,7 +145,7 @@ class Problem:
         return summary_html(self.name, self.agents, self._facts())
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Names and values of what a summary says below the agents."""
+        """Return the rows of a summary below the agents, name and value."""
         if self.groups:
             sizes = [group.automaton.n_states for group in self.groups]
             span = f"{min(sizes)}" if min(sizes) == max(sizes) else f"{min(sizes)} to {max(sizes)}"
