@@ -1,7 +1,7 @@
 """Agents, propositions, task automata, problems and the environments that step them.
 
-The modules of the suite are here, too, as other environment packages have them: ``from certigym.envs import
-reach_avoid_v0``.
+The modules of the suite can be imported from here, as in other environment packages:
+``from certigym.envs import reach_avoid_v0``.
 """
 
 from importlib import import_module

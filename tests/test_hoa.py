@@ -101,7 +101,7 @@ REFUSED = {
     "state twice": (UNTIL.replace("State: 1", "State: 0"), "state 0 once"),
     "state out of range": (UNTIL.replace("[1] 0", "[1] 5"), "states below 2, got 5"),
     "huge number": (UNTIL.replace("[1] 0", "[1] 99999999999"), "below 10"),
-    "capital header": (UNTIL.replace("name:", "Controller:"), "its capital says that it matters"),
+    "capital header": (UNTIL.replace("name:", "Controller:"), "its capital letter says that it matters"),
     "other version": (UNTIL.replace("v1", "v2"), "HOA: v1"),
     "no HOA": ("digraph {}", "HOA: v1"),
     "empty": ("", "HOA: v1"),

@@ -238,7 +238,7 @@ def test_missing_extras_are_named(
 
 COMMANDS = [
     (["run", "reach-avoid-v1"], "see `certigym describe`"),
-    (["run", "reach-avoid-v0", "--horizon", "0"], "expected an integer from 1"),
+    (["run", "reach-avoid-v0", "--horizon", "0"], "expected a whole number from 1"),
     (["run", "reach-avoid-v0", "--initial-state", "a", "b"], "expected numbers, got 'a b'"),
     (["run", "reach-avoid-v0", "--json", "nowhere/r.json"], "make the folder first"),
     (["synthesize", "reach-avoid-v0", "--out", "nowhere/c.npz"], "make the folder first"),

@@ -55,7 +55,7 @@ GOAL = {"goal": cg.Proposition("left", [0.0], [5.0])}
 PROBLEM = [
     ({"name": ""}, r"`name`: expected a line of 1 to 200"),
     ({"name": "a\nb"}, r"`name`: expected a line"),
-    ({"horizon": 0}, r"`horizon`: expected an integer from 1 to 1000000 \(control steps\), got 0"),
+    ({"horizon": 0}, r"`horizon`: expected a whole number from 1 to 1000000 \(control steps\), got 0"),
     ({"horizon": 3.0}, r"`horizon`: .*got 3.0"),
     ({"horizon": True}, r"`horizon`: .*got True"),
     ({"agents": []}, r"`agents`: expected a list of at least one LinearAgent"),
@@ -136,7 +136,7 @@ def test_suite_arguments() -> None:
         cg.make_problem("reach-avoid-v1")
     with pytest.raises(ValueError, match=r"`horizn`: no argument of reach-avoid-v0; did you mean `horizon`\?"):
         cg.make_problem("reach-avoid-v0", horizn=3)
-    with pytest.raises(ValueError, match=r"`n_agents`: expected an integer from 1 to 10000, got 0"):
+    with pytest.raises(ValueError, match=r"`n_agents`: expected a whole number from 1 to 10000, got 0"):
         cg.make_problem("invariance-v0", n_agents=0)
     with pytest.raises(ValueError, match=r"`setting`: expected 'A' or 'B', got 'C'"):
         cg.make_problem("invariance-v0", setting="C")

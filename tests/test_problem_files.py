@@ -83,18 +83,21 @@ BAD = [
     ("name = ", "task.toml: expected TOML, got: "),
     ("", "task.toml: the problem: `name` is missing"),
     (TOML.replace("horizon = 12", "horizn = 12"), "the problem: unknown key 'horizn'; did you mean `horizon`?"),
-    (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected an integer"),
+    (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected a whole number"),
     (TOML.replace("noise_covariance = [[0.25]]", ""), "number 1 ('left'): `noise_covariance` is missing"),
     (TOML.replace("A = [[0.9]]", "A = [['0.9']]"), "task.toml: [[agents]] number 1 ('left'): `A`: expected numbers"),
     (TOML.replace("input_low", "input_lo", 1), "unknown key 'input_lo'; did you mean `input_low`?"),
-    (TOML.replace("copies = 3", "copies = 0"), "number 2 ('drone'): `copies`: expected an integer from 1 to 9999"),
+    (TOML.replace("copies = 3", "copies = 0"), "number 2 ('drone'): `copies`: expected a whole number from 1 to 9999"),
     (
         TOML.replace("copies = 3", "copies = 99999999999"),
-        "`copies`: expected an integer from 1 to 9999, got 99999999999",
+        "`copies`: expected a whole number from 1 to 9999, got 99999999999",
     ),
     (TOML.replace('"drone_*"', '"dron_*"'), "`propositions.safe`: expected a pattern that matches an agent"),
     (TOML.replace("low = [0.0], ", ""), "task.toml: [propositions] 'p1': `low` is missing"),
-    (TOML.replace("high = [5.0] }", 'high = [5.0], colour = "red" }'), "'p1': unknown key 'colour'; known are agent"),
+    (
+        TOML.replace("high = [5.0] }", 'high = [5.0], colour = "red" }'),
+        "unknown key 'colour'; the keys are agent",
+    ),
     (TOML.replace("all(safe) U p1", "all(safe) U p2"), "task.toml: [specification]: `formula`: "),
     (TOML.replace("all(safe) U p1", "(all(safe) U p1"), "of the formula)"),
     (TOML.replace('semantics = "co-safe"', ""), "task.toml: [specification]: `semantics` is missing"),
@@ -134,7 +137,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a readable problem file"):
         cg.load_problem("a\0b")
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
-    with pytest.raises(ValueError, match="expected UTF-8 text, got byte 8 that is none"):
+    with pytest.raises(ValueError, match="expected UTF-8 text, got an invalid byte at 8"):
         cg.load_problem(tmp_path / "bytes.toml")
 
 

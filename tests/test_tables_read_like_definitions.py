@@ -84,7 +84,7 @@ def test_tables_and_definitions_judge_all_worlds_alike(problem: cg.Problem, monk
 def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Dynamics.of(mixed_problem()).reader is None  # outputs are not the states
     assert Dynamics.of(two_agents("true", "co-safe")).reader is None  # accepted before the first letter
-    monkeypatch.setattr(reading, "LARGEST", 50)
+    monkeypatch.setattr(reading, "MOST_ENTRIES", 50)
     assert Dynamics.of(two_agents()).reader is None
 
 

@@ -2,24 +2,32 @@
 
 from .agent import LinearAgent, checked_name
 from .box import Box
-from .checks import checked_count, float_array, read_only, shown
+from .checks import MOST_AGENTS, checked_count, float_array, read_only, shown, slices_of
 from .labeling import Labeling, Proposition, contains, inside, linear, row_times
+from .printing import box_text, counted, names_text, shortened, tree_text
 from .saving import write_bytes, write_json, write_text
 
 __all__ = [
     "Box",
     "Labeling",
     "LinearAgent",
+    "MOST_AGENTS",
     "Proposition",
+    "box_text",
     "checked_count",
     "checked_name",
     "contains",
+    "counted",
     "float_array",
     "inside",
     "linear",
+    "names_text",
     "read_only",
     "row_times",
+    "shortened",
     "shown",
+    "slices_of",
+    "tree_text",
     "write_bytes",
     "write_json",
     "write_text",

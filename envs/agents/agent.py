@@ -1,6 +1,6 @@
 """One continuous linear stochastic agent.
 
-Model (THEORY section 0), with `w ~ N(0, Sigma)` independent over time and agents:
+Model (docs/theory/setting.md, "Agents"), with `w ~ N(0, Sigma)` independent over time and agents:
 
     x' = A x + B u + c + w,        y = C x,        x in the workspace,        u in the input box.
 """
@@ -17,12 +17,28 @@ import numpy as np
 
 from .box import Box
 from .checks import float_array, read_only, shown
+from .printing import box_text, counted, shortened, tree_text
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-"""Names of agents and propositions."""
+"""Names of agents and propositions: what can stand in a formula."""
+
+_ARRAYS = (
+    "A",
+    "B",
+    "noise_covariance",
+    "state_low",
+    "state_high",
+    "input_low",
+    "input_high",
+    "initial_low",
+    "initial_high",
+    "output_matrix",
+    "offset",
+)
+"""Fields that hold arrays, in the order of problem files."""
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class LinearAgent:
     """A linear agent with Gaussian noise, a workspace and an input box.
 
@@ -37,20 +53,20 @@ class LinearAgent:
     noise_covariance : array_like, shape (d, d)
         **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
     state_low, state_high : array_like, shape (d,)
-        Workspace, a closed box. Leaving it violates every task.
+        Workspace, a closed box. An agent that leaves it violates every task.
     input_low, input_high : array_like, shape (m,)
         Input box, closed.
     initial_state : array_like, shape (d,), optional
-        Start. Alternatively a box `initial_low`, `initial_high` from which the start is drawn uniformly.
+        Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
     output_matrix : array_like, shape (p, d), optional
-        C; the identity when not given.
+        C; the identity by default.
     offset : array_like, shape (d,), optional
-        Affine term c; zero when not given.
+        Affine term c; zero by default.
 
     Raises
     ------
     ValueError
-        Naming the argument, what was expected and what came.
+        If an argument is wrong. The message names it, what was expected and what came.
 
     Examples
     --------
@@ -92,6 +108,7 @@ class LinearAgent:
         output_matrix: Any = None,
         offset: Any = None,
     ) -> None:
+        # A fixes the number of states d, B the number of inputs m; all other lengths follow.
         matrix = float_array(A, "A", (None, None), "[[0.9]]")
         d = matrix.shape[0]
         if matrix.shape != (d, d):
@@ -101,6 +118,7 @@ class LinearAgent:
         input_box = Box(
             input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=inputs.shape[1]
         )
+        identity, zero = np.eye(d), np.zeros(d)
         start = _start(initial_state, initial_low, initial_high, d)
         values = {
             "name": checked_name(name, "name"),
@@ -114,12 +132,24 @@ class LinearAgent:
             "initial_low": None if start is None else start.low,
             "initial_high": None if start is None else start.high,
             "output_matrix": float_array(
-                np.eye(d) if output_matrix is None else output_matrix, "output_matrix", (None, d), f"{[[1.0] * d]}"
+                identity if output_matrix is None else output_matrix, "output_matrix", (None, d), f"{[[1.0] * d]}"
             ),
-            "offset": float_array(np.zeros(d) if offset is None else offset, "offset", (d,), f"{[0.0] * d}"),
+            "offset": float_array(zero if offset is None else offset, "offset", (d,), f"{[0.0] * d}"),
         }
         for key, value in values.items():
-            object.__setattr__(self, key, value)
+            object.__setattr__(self, key, value)  # the record is frozen
+
+    def __repr__(self) -> str:
+        sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
+        deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))]
+        each = deviations[:1] if len(set(deviations)) == 1 else deviations
+        rows = [
+            ("workspace", box_text(self.state_low, self.state_high)),
+            ("inputs", box_text(self.input_low, self.input_high)),
+            ("start", "none" if self.initial_low is None else _start_text(self.initial)),
+            ("noise", f"standard deviation {shortened(', '.join(each))}"),
+        ]
+        return tree_text(f"LinearAgent {self.name!r}: {', '.join(sizes)}", rows)
 
     @property
     def n_states(self) -> int:
@@ -148,7 +178,7 @@ class LinearAgent:
 
     @cached_property
     def initial(self) -> Box:
-        """Start: a point, or a box from which it is drawn uniformly; ValueError if none was given."""
+        """Start: a point, or a box from which it is drawn uniformly; ValueError if the agent has none."""
         if self.initial_low is None:
             raise ValueError(f"`initial_state`: expected a start for agent {self.name!r}, got none")
         return Box(self.initial_low, self.initial_high, allow_flat=True)
@@ -161,12 +191,13 @@ class LinearAgent:
     @cached_property
     def noise_factor(self) -> np.ndarray:
         """L, shape (d, d), with `L L' = Sigma` up to rounding; exact square roots where Sigma is diagonal."""
+        # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
         covariance = self.noise_covariance
         if (covariance == np.diag(np.diag(covariance))).all():
             return read_only(np.diag(np.sqrt(np.diag(covariance))))
         try:
             factor = np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:  # singular: the eigenvectors do
+        except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors
             spectrum, vectors = np.linalg.eigh(covariance)
             factor = vectors * np.sqrt(np.maximum(spectrum, 0.0))
         return read_only(factor)
@@ -181,7 +212,8 @@ class LinearAgent:
         return data
 
     def replace(self, **changes: Any) -> LinearAgent:
-        """Return a copy with some constructor arguments changed; a new start replaces the old one wholly."""
+        """Return a copy with some constructor arguments changed; a new start replaces the whole old one."""
+        # A new start may be a point or a box: drop both old corners, not just the one that is named.
         data = self.to_dict()
         if any(key.startswith("initial_") for key in changes):
             data.pop("initial_low", None)
@@ -189,17 +221,12 @@ class LinearAgent:
         return LinearAgent(**{**data, **changes})
 
     def copies(self, n: int) -> tuple[LinearAgent, ...]:
-        """Return `n` agents equal but for their names: `name_0`, `name_1`, ..."""
+        """Return `n` agents that differ in their names alone: `name_0`, `name_1`, ..."""
+        # A shallow copy shares the checked arrays, so that a thousand agents cost the memory of one.
         clones = tuple(copy.copy(self) for _ in range(n))
         for index, clone in enumerate(clones):
             object.__setattr__(clone, "name", f"{self.name}_{index}")
         return clones
-
-
-_ARRAYS = (
-    "A", "B", "noise_covariance", "state_low", "state_high", "input_low", "input_high", "initial_low", "initial_high",
-    "output_matrix", "offset",
-)  # fmt: skip
 
 
 def checked_name(name: Any, argument: str) -> str:
@@ -212,13 +239,14 @@ def checked_name(name: Any, argument: str) -> str:
 
 
 def _covariance(value: Any, d: int) -> np.ndarray:
+    """Return a covariance if it is symmetric and positive semidefinite; raise ValueError otherwise."""
     covariance = float_array(value, "noise_covariance", (d, d), f"{np.eye(d).tolist()}")
     if (covariance != covariance.T).any():
         raise ValueError(
             f"`noise_covariance`: expected a symmetric matrix, got {shown(covariance.tolist())}; use (S + S.T) / 2"
         )
     spectrum = np.linalg.eigvalsh(covariance)
-    # A singular covariance may show eigenvalues of the size of the rounding error below zero.
+    # Rounding may push the zero eigenvalues of a singular covariance a little below zero.
     if spectrum[0] < -4.0 * d * np.finfo(float).eps * max(spectrum[-1], 0.0):
         raise ValueError(
             f"`noise_covariance`: expected a positive semidefinite matrix, got the eigenvalue {spectrum[0]:g}"
@@ -227,6 +255,7 @@ def _covariance(value: Any, d: int) -> np.ndarray:
 
 
 def _start(state: Any, low: Any, high: Any, d: int) -> Box | None:
+    """Return the box of the start, from a point or from two corners; None if there is no start."""
     if state is not None:
         if low is not None or high is not None:
             raise ValueError("`initial_state`: expected a point or a box `initial_low`, `initial_high`, got both")
@@ -237,3 +266,9 @@ def _start(state: Any, low: Any, high: Any, d: int) -> Box | None:
     if low is None:
         return None
     return Box(low, high, allow_flat=True, names=("initial_low", "initial_high"), length=d)
+
+
+def _start_text(start: Box) -> str:
+    if start.is_point:
+        return shortened(f"({', '.join(f'{x:g}' for x in start.low)})")
+    return f"uniform in {box_text(start.low, start.high)}"

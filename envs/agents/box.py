@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from .checks import float_array, shown
+from .printing import box_text
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Box:
-    """An axis-parallel box with finite corners (exact; whether its faces belong to it is said where it is used).
+    """An axis-parallel box with finite corners (exact). Its users say whether its faces belong to it.
 
     Attributes
     ----------
@@ -42,9 +43,11 @@ class Box:
         names: tuple[str, str] = ("low", "high"),
         length: int | None = None,
     ) -> None:
+        # An example of the right length, for the errors of `float_array`.
         example = f"[{', '.join(['0.0'] * (length or 1))}]"
         object.__setattr__(self, "low", float_array(low, names[0], (length,), example))
         object.__setattr__(self, "high", float_array(high, names[1], (self.low.size,), example))
+        # Name the first axis on which the corners are not in order.
         wrong = self.low > self.high if allow_flat else self.low >= self.high
         if wrong.any():
             axis = int(np.argmax(wrong))
@@ -53,6 +56,9 @@ class Box:
                 f"`{names[0]}`: expected numbers {relation} `{names[1]}`, got {shown(float(self.low[axis]))} and "
                 f"{shown(float(self.high[axis]))} on axis {axis}; exchange or correct the two"
             )
+
+    def __repr__(self) -> str:
+        return f"Box({box_text(self.low, self.high)})"
 
     @classmethod
     def point(cls, x: Any, name: str = "point", length: int | None = None) -> Box:

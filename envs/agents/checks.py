@@ -1,20 +1,29 @@
-"""Numbers from users: read-only float64 arrays, or an error that names the argument.
+"""Numbers from users: read-only float64 arrays and whole numbers, or an error that names the argument.
 
 Every array that enters a problem passes through `float_array`, whether it comes from Python or from a file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import accumulate, pairwise
 from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-LARGEST = 1e100
+FloatArray = NDArray[Any]
+"""Arrays of numbers, for annotations: float64 unless the text says otherwise."""
+
+LARGEST_MAGNITUDE = 1e100
 """Largest magnitude accepted: far beyond any model, and its square is still a finite float64."""
 
+MOST_AGENTS = 10_000
+"""Most agents of a problem: ten times what has been tried, and few enough that a mistyped number fails at once."""
 
-def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> np.ndarray:
+
+def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> FloatArray:
     """Return `value` as a read-only float64 array of the given shape (exact copy).
 
     Parameters
@@ -34,6 +43,7 @@ def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: s
         If `value` has another shape, or holds anything but finite numbers of magnitude at most 1e100.
     """
     wanted = f"numbers of shape ({', '.join('any' if n is None else str(n) for n in shape)}) such as {example}"
+    # Read as objects first: numpy would turn strings and Booleans into numbers without a word.
     try:
         cells = np.array(value, dtype=object)
     except (ValueError, TypeError, OverflowError) as error:
@@ -45,10 +55,48 @@ def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: s
             raise ValueError(f"`{name}`: expected {wanted}, got {shown(cell)}; give plain numbers")
     if cells.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, cells.shape)) or cells.size == 0:
         raise ValueError(f"`{name}`: expected {wanted}, got shape {_shape(cells.shape)}: {shown(value)}")
+    # The comparison is written such that NaN fails it, too.
     for cell in cells.flat:
-        if not abs(cell) <= LARGEST:
-            raise ValueError(f"`{name}`: expected finite numbers of magnitude at most {LARGEST:g}, got {shown(cell)}")
+        if not abs(cell) <= LARGEST_MAGNITUDE:
+            raise ValueError(
+                f"`{name}`: expected finite numbers of magnitude at most {LARGEST_MAGNITUDE:g}, got {shown(cell)}"
+            )
     return read_only(cells.astype(np.float64) + 0.0)  # + 0.0 turns -0.0 into 0.0: equal problems, equal fingerprints
+
+
+def checked_count(value: Any, argument: str, least: int = 1, most: int | None = None, unit: str = "") -> int:
+    """Return a whole number as an int (exact), or raise ValueError; Booleans and floats are refused.
+
+    Parameters
+    ----------
+    value : object
+        An int or a numpy integer.
+    argument : str
+        Argument named in the error.
+    least, most : int
+        Smallest and largest number accepted; no largest one if `most` is None.
+    unit : str
+        What is counted, such as "control steps"; shown in the error.
+    """
+    # A Boolean is an int in Python, but never meant as a count.
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
+        span = f"of at least {least}" if most is None else f"from {least} to {most}"
+        counted = f" ({unit})" if unit else ""
+        raise ValueError(f"`{argument}`: expected a whole number {span}{counted}, got {shown(value)}")
+    return int(value)
+
+
+def slices_of(lengths: Iterable[int]) -> tuple[slice, ...]:
+    """Return the slices of pieces with these lengths that stand one after the other.
+
+    Examples
+    --------
+    >>> slices_of([2, 1])
+    (slice(0, 2, None), slice(2, 3, None))
+    """
+    ends = list(accumulate(lengths, initial=0))
+    return tuple(slice(start, end) for start, end in pairwise(ends))
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
@@ -68,10 +116,3 @@ def shown(value: Any, limit: int = 60) -> str:
 
 def _shape(shape: tuple[int, ...]) -> str:
     return f"({', '.join(str(n) for n in shape)})"
-
-
-def checked_count(value: Any, argument: str, least: int = 1, most: int = 10_000) -> int:
-    """Return a number of agents, or raise ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise ValueError(f"`{argument}`: expected an integer from {least} to {most}, got {shown(value)}")
-    return value

@@ -1,4 +1,4 @@
-"""Which propositions hold where: the one decision of membership, for simulator, first letter and synthesizer alike.
+"""Which propositions hold where: simulator, first letter and synthesizer all use the one decision of membership here.
 
 A proposition is a box in the output space of one agent. A *class* of an agent is the set of its propositions that hold
 at a point; a *letter* is one class per agent. Rules:
@@ -8,11 +8,12 @@ at a point; a *letter* is one class per agent. Rules:
 - with `C = I`, a region that reaches the upper edge of the workspace is closed there (its upper bound becomes
   infinite: leaving the workspace is decided separately, and first).
 
-Reference: THEORY section 0.
+Reference: docs/theory/setting.md, "Letters and words".
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,16 +24,17 @@ import numpy as np
 from .agent import LinearAgent
 from .box import Box
 from .checks import read_only, shown
+from .printing import box_text, counted, names_text, tree_text
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Proposition:
     """A box in the output space of one agent, half-open: `low <= y < high`.
 
     Attributes
     ----------
     agent : str
-        Name of the agent. With one `*` in it the proposition is a family: one member per agent that matches.
+        Name of the agent. A name with one `*` makes the proposition a family: one member per agent that matches.
     low, high : np.ndarray, shape (p,)
         Corners, finite, `low < high`. They may lie beyond the workspace.
     """
@@ -49,13 +51,16 @@ class Proposition:
         object.__setattr__(self, "low", box.low)
         object.__setattr__(self, "high", box.high)
 
+    def __repr__(self) -> str:
+        return f"Proposition({self.agent!r}, {box_text(self.low, self.high, closed=False)})"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
         return {"agent": self.agent, "low": self.low.tolist(), "high": self.high.tolist()}
 
 
 def inside(x: Any, low: Any, high: Any) -> Any:
-    """Whether points lie in a closed box (NaN lies nowhere).
+    """Return whether points lie in a closed box (exact; NaN lies nowhere).
 
     Parameters
     ----------
@@ -69,7 +74,7 @@ def inside(x: Any, low: Any, high: Any) -> Any:
 
 
 def contains(y: Any, low: Any, high: Any) -> Any:
-    """Whether points lie in a half-open box `low <= y < high`; components as in `inside`."""
+    """Return whether points lie in a half-open box `low <= y < high` (exact); components as in `inside`."""
     result = (low[0] <= y[0]) & (y[0] < high[0])
     for k in range(1, len(y)):
         result = result & (low[k] <= y[k]) & (y[k] < high[k])
@@ -77,7 +82,7 @@ def contains(y: Any, low: Any, high: Any) -> Any:
 
 
 def row_times(row: Any, x: Any) -> Any:
-    """One row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
+    """Return one row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
 
     Parameters
     ----------
@@ -91,7 +96,7 @@ def row_times(row: Any, x: Any) -> Any:
 
 
 def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Matrix times vectors by `row_times`.
+    """Return a matrix times vectors, shape (p, ...), computed by `row_times`.
 
     Parameters
     ----------
@@ -102,9 +107,9 @@ def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.stack([row_times(row, x) for row in matrix])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Labeling:
-    """The labelling of one problem.
+    """The labelling of one problem: its propositions, agent by agent, and their regions.
 
     Attributes
     ----------
@@ -126,29 +131,52 @@ class Labeling:
     @classmethod
     def of(cls, agents: Sequence[LinearAgent], propositions: Mapping[str, Proposition]) -> Labeling:
         """Return the labelling for propositions without `*`, ordered agent by agent, then as declared."""
-        owned: dict[str, list[str]] = {agent.name: [] for agent in agents}
+        names_of: dict[str, list[str]] = {agent.name: [] for agent in agents}
         by_name = {agent.name: agent for agent in agents}
         for name, proposition in propositions.items():
             _check_region(name, proposition, by_name)
-            owned[proposition.agent].append(name)
+            names_of[proposition.agent].append(name)
         names: list[str] = []
         positions, lows, highs = [], [], []
         for agent in agents:
-            mine = owned[agent.name]
-            positions.append(read_only(np.arange(len(names), len(names) + len(mine))))
-            names.extend(mine)
-            shape = (len(mine), agent.n_outputs)
-            low = np.array([propositions[name].low for name in mine]).reshape(shape).T
-            high = np.array([propositions[name].high for name in mine]).reshape(shape).T
+            agent_names = names_of[agent.name]
+            positions.append(read_only(np.arange(len(names), len(names) + len(agent_names))))
+            names.extend(agent_names)
+            # The shape is spelled out for agents without propositions.
+            shape = (len(agent_names), agent.n_outputs)
+            low = np.array([propositions[name].low for name in agent_names]).reshape(shape).T
+            high = np.array([propositions[name].high for name in agent_names]).reshape(shape).T
+            # With y = x a region that reaches the upper edge of the workspace is closed there.
             if agent.has_identity_output:
                 high = np.where(high >= agent.state_high[:, None], np.inf, high)
             lows.append(read_only(low))
             highs.append(read_only(high))
         return cls(tuple(agents), tuple(names), tuple(positions), tuple(lows), tuple(highs))
 
+    def __repr__(self) -> str:
+        numbers = Counter(len(positions) for positions in self.agent_propositions)
+        per_agent = ", ".join(f"{number} ({counted(n, 'agent')})" for number, n in numbers.most_common(3))
+        rows = [
+            ("agents", f"{len(self.agents)}: {names_text([agent.name for agent in self.agents])}"),
+            ("propositions", f"{len(self.names)}: {names_text(self.names)}" if self.names else "none"),
+            ("per agent", f"{per_agent}, ..." if len(numbers) > 3 else per_agent),
+        ]
+        return tree_text("Labeling", rows)
+
     def class_at(self, agent: int, x: np.ndarray) -> np.ndarray:
-        """Which propositions of one agent hold at points: (d, *S) -> bool (P_i, *S) (exact up to rounding of C x)."""
+        """Return which propositions of one agent hold at points (exact up to rounding of C x).
+
+        Parameters
+        ----------
+        agent : int
+        x : np.ndarray, shape (d, *S)
+
+        Returns
+        -------
+        np.ndarray of bool, shape (P_i, *S)
+        """
         model = self.agents[agent]
+        # Axes of length 1 let the matrix and the corners broadcast against the trailing axes of x.
         extra = (1,) * (x.ndim - 1)
         c = model.output_matrix
         y = x if model.has_identity_output else linear(c.reshape(c.shape + extra), x)
@@ -156,9 +184,9 @@ class Labeling:
         return contains(y[:, None], low.reshape(low.shape + extra), high.reshape(high.shape + extra))
 
     def letter(self, states: Sequence[Any]) -> np.ndarray:
-        """Which propositions hold at one joint state, a sequence of vectors (d_i,): bool (P,)."""
-        parts = [self.class_at(i, np.asarray(x, dtype=float)) for i, x in enumerate(states)]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+        """Return which propositions hold at one joint state, a sequence of vectors (d_i,): bool (P,)."""
+        classes = [self.class_at(i, np.asarray(x, dtype=float)) for i, x in enumerate(states)]
+        return np.concatenate(classes) if classes else np.zeros(0, dtype=bool)
 
     @cached_property
     def classes(self) -> tuple[np.ndarray, ...]:
@@ -166,21 +194,22 @@ class Labeling:
 
         Exact for `C = I`; a superset otherwise.
         """
-        known: dict[bytes, np.ndarray] = {}
+        # Agents with equal regions, outputs and workspaces have equal classes: compute them once.
+        computed: dict[bytes, np.ndarray] = {}
         result = []
         for i, agent in enumerate(self.agents):
             key = self.low[i].tobytes() + self.high[i].tobytes() + agent.output_matrix.tobytes()
             key += agent.state_low.tobytes() + agent.state_high.tobytes()
-            if key not in known:
-                whole = self._reachable(i, agent.state_low[None], agent.state_high[None])
-                known[key] = read_only(whole[0][whole[1][0]])
-            result.append(known[key])
+            if key not in computed:
+                candidates, possible = self._reachable(i, agent.state_low[None], agent.state_high[None])
+                computed[key] = read_only(candidates[possible[0]])
+            result.append(computed[key])
         return tuple(result)
 
     def box_classes(self, agent: int, low: Any, high: Any) -> np.ndarray:
-        """Which classes the points `low <= x < high` of the workspace can have: bool (S, n_classes_i).
+        """Return which classes the points `low <= x < high` of the workspace can have: bool (S, n_classes_i).
 
-        Exact for `C = I`; a superset otherwise. A flat axis (`low == high`) holds its single coordinate.
+        The result is exact for `C = I` and a superset otherwise. A flat axis (`low == high`) holds its one coordinate.
 
         Parameters
         ----------
@@ -189,40 +218,50 @@ class Labeling:
             Boxes in the state space; the part beyond the workspace is ignored.
         """
         low, high = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
-        found, possible = self._reachable(agent, low, high)
+        candidates, possible = self._reachable(agent, low, high)
+        # Number the candidates as in `classes`; those that no box meets may be missing there.
         position = {row.tobytes(): c for c, row in enumerate(self.classes[agent])}
         result = np.zeros((len(low), len(position)), dtype=bool)
-        for c, row in enumerate(found):
+        for c, row in enumerate(candidates):
             if possible[:, c].any():
                 result[:, position[row.tobytes()]] = possible[:, c]
         return result
 
     def _reachable(self, agent: int, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """All classes of the arrangement of regions, and which of them each box meets: (K, P_i) and (S, K)."""
+        """Return all classes of the arrangement of regions, and which of them each box meets: (K, P_i) and (S, K)."""
         n_boxes, n_propositions = len(low), self.low[agent].shape[1]
         classes = np.ones((1, n_propositions), dtype=bool)
         possible = np.ones((n_boxes, 1), dtype=bool)
+        # Axis by axis: a cell of the arrangement is one piece per axis, and its class the conjunction of theirs.
         for pieces, overlap in self._axes(agent, low, high):
             joint = (classes[:, None] & pieces[None]).reshape(len(classes) * len(pieces), n_propositions)
-            both = (possible[:, :, None] & overlap[:, None, :]).reshape(n_boxes, -1)
+            meets = (possible[:, :, None] & overlap[:, None, :]).reshape(n_boxes, -1)
+            # Cells of one class are one from here on; a box meets the class if it meets any of them.
             if n_propositions:
                 classes, inverse = np.unique(joint, axis=0, return_inverse=True)
-            else:  # numpy's unique knows no rows of length zero
+            else:  # numpy's unique refuses rows of length zero
                 classes, inverse = joint[:1], np.zeros(len(joint), dtype=int)
             possible = np.zeros((n_boxes, len(classes)), dtype=bool)
             for source, target in enumerate(inverse.ravel()):
-                possible[:, target] |= both[:, source]
+                possible[:, target] |= meets[:, source]
         return classes, possible
 
     def _axes(self, agent: int, low: np.ndarray, high: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Per output axis: which propositions allow each piece between two edges, and which pieces each box meets."""
+        """Return, per output axis, which propositions allow each piece between two edges, and which pieces boxes meet.
+
+        Returns
+        -------
+        list of (np.ndarray of bool, shape (K, P_i); np.ndarray of bool, shape (S, K))
+            K pieces, each from its edge up to, but without, the next one.
+        """
         model = self.agents[agent]
+        # Boxes beyond the workspace meet nothing; a half-open box that ends at its lower edge is beyond, too.
         flat = low >= high
         beyond = ((high < model.state_low) | (low > model.state_high) | ((high == model.state_low) & ~flat)).any(axis=1)
         low, high = np.maximum(low, model.state_low), np.minimum(high, model.state_high)
         if model.has_identity_output:
             bottom, top, upper_face = model.state_low, model.state_high, flat
-        else:  # outputs of closed boxes, rounded outwards
+        else:  # bounds on the outputs of closed boxes, rounded outwards: a superset
             bottom, top = (bound[0] for bound in _output_range(model, model.state_low[None], model.state_high[None]))
             low, high = _output_range(model, low, high)
             upper_face = np.ones_like(low, dtype=bool)
@@ -232,8 +271,9 @@ class Labeling:
             edges = np.unique(np.concatenate([[bottom[axis]], region_low, region_high]))
             edges = edges[(edges >= bottom[axis]) & (edges <= top[axis])]
             if model.has_identity_output and len(edges) > 1 and edges[-1] == top[axis]:
-                edges = edges[:-1]  # closed at the top: the edge is no piece of its own
+                edges = edges[:-1]  # the last piece is closed at the top, so that its upper edge starts no new one
             pieces = (region_low <= edges[:, None]) & (edges[:, None] < region_high)
+            # A box meets a piece if it starts below the end of the piece and reaches beyond its beginning.
             ends = np.append(edges[1:], np.inf)
             lower, upper = low[:, axis, None], high[:, axis, None]
             reaches = (upper > edges) | ((upper >= edges) & upper_face[:, axis, None])
@@ -242,15 +282,18 @@ class Labeling:
 
 
 def _output_range(agent: LinearAgent, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Box around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
+    """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
     c = agent.output_matrix
+    # Interval arithmetic: every product takes its extremes at the ends of its interval.
     products = np.stack([c * low[:, None, :], c * high[:, None, :]])
+    # Twice the a-priori bound on the rounding of a sum of d products, and the least normal number for underflow.
     slack = 2.0 * (agent.n_states + 2) * np.finfo(float).eps * np.abs(products).max(axis=0).sum(axis=-1)
     slack += np.finfo(float).tiny
     return products.min(axis=0).sum(axis=-1) - slack, products.max(axis=0).sum(axis=-1) + slack
 
 
 def _check_region(name: str, proposition: Proposition, agents: Mapping[str, LinearAgent]) -> None:
+    """Raise ValueError unless the region has the outputs' dimension and meets the workspace of its agent."""
     agent = agents[proposition.agent]
     if proposition.low.size != agent.n_outputs:
         raise ValueError(

@@ -1,8 +1,8 @@
-"""One world on plain numbers: what the scalar environments step.
+"""One world on plain numbers: the world that the scalar environments step.
 
-A numpy call costs as much as a few hundred additions, so for a single world the core's own functions (`moved`,
-`inside`, `contains`, `decided`) run on Python floats here. They are the same functions in the same order on the same
-float64 numbers, hence the same bits as the batch; only the loops over agents and the storage are this module's.
+A numpy call costs as much as a few hundred additions, so for a single world the functions of the core (`moved`,
+`inside`, `contains`, `decided`) run on Python floats here. The same functions work in the same order on the same
+float64 numbers, so the bits are those of the batch. Only the loops over agents and the storage are in this module.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import LinearAgent, contains, inside, row_times
+from ..agents import LinearAgent, contains, counted, inside, row_times, slices_of
 from .rules import decided, moved
 from .worlds import Dynamics, Worlds
 
-_MEMORY = 100_000  # letters remembered at most
+_MEMORY = 100_000
+"""Most letters remembered, some tens of megabytes; beyond them the memory starts afresh."""
 
 
 class AgentNumbers(NamedTuple):
@@ -37,7 +38,7 @@ class AgentNumbers(NamedTuple):
     """Positions of the agent's components among the numbers drawn in one step."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class World:
     """One world at one time.
 
@@ -59,10 +60,28 @@ class World:
     accepted: bool
     letter: int
 
+    def __repr__(self) -> str:
+        verdict = "failed" if self.failed else "accepted" if self.accepted else "undecided"
+        return f"World({counted(len(self.states), 'agent')}, automaton state {self.q}, time {self.time}, {verdict})"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class OneWorld:
-    """The dynamics of a problem on plain numbers."""
+    """The dynamics of a problem on plain numbers.
+
+    Attributes
+    ----------
+    dynamics : Dynamics
+    agents : tuple of AgentNumbers
+    accepting : tuple of bool
+        Per automaton state: whether the task is accepted on entering it.
+    judged : tuple of bool
+        Per automaton state: whether a finite-trace task is satisfied in it at the horizon.
+    dead : tuple of bool
+        Per automaton state: whether acceptance is out of reach.
+    n_draws : int
+        Standard normal numbers drawn in one step.
+    """
 
     dynamics: Dynamics
     agents: tuple[AgentNumbers, ...]
@@ -73,18 +92,22 @@ class OneWorld:
     _following: dict[tuple[int, int], int] = field(default_factory=dict)
     _names: dict[int, tuple[str, ...]] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"OneWorld({self.dynamics!r})"
+
     @classmethod
     def of(cls, dynamics: Dynamics) -> OneWorld:
-        """Arrange the dynamics of a problem."""
-        problem = dynamics.problem
-        starts = np.cumsum([0, *(block.columns.size for block in dynamics.blocks)])
+        """Return the dynamics of a problem on plain numbers (exact)."""
+        problem, labeling = dynamics.problem, dynamics.problem.labeling
+        # `dynamics.noise` draws block after block, and in a block component after component for all its agents.
+        block_draws = slices_of(block.columns.size for block in dynamics.blocks)
         numbers = []
         for i, agent in enumerate(problem.agents):
             block, place = dynamics.position[i]
             n = len(dynamics.blocks[block].agents)
-            draws = tuple(int(starts[block]) + c * n + place for c in range(agent.n_states))
-            numbers.append(_numbers(agent, problem.labeling.low[i].T, problem.labeling.high[i].T,
-                                    problem.labeling.agent_propositions[i], draws))  # fmt: skip
+            draws = tuple(block_draws[block].start + c * n + place for c in range(agent.n_states))
+            corners = labeling.low[i].T, labeling.high[i].T
+            numbers.append(_numbers(agent, *corners, labeling.agent_propositions[i], draws))
         automaton = problem.automaton
         finite = np.asarray(automaton.accepting & ~automaton.finished)
         return cls(
@@ -93,11 +116,12 @@ class OneWorld:
             tuple(dynamics.accepting.tolist()),
             tuple(finite.tolist()),
             tuple(automaton.dead.tolist()),
-            int(starts[-1]),
+            problem.n_states,
         )
 
     def begin(self, worlds: Worlds) -> World:
         """Return the only world of a batch."""
+        # Blocks order agents by their sizes; a single world has them in the order of the problem.
         states: list[Any] = [None] * len(self.agents)
         for block, x in zip(self.dynamics.blocks, worlds.states):
             for place, agent in enumerate(block.agents):
@@ -117,6 +141,7 @@ class OneWorld:
         normals : sequence of float, length `n_draws`
             Standard normal numbers, in the order in which `dynamics.noise` draws them.
         """
+        # Read the letter, ask the automaton, and decide in the order of `rules.decided`.
         states = tuple(
             [
                 moved(a.A, a.B, a.offset, a.noise_factor, x, u, [normals[k] for k in a.draws])
@@ -129,11 +154,11 @@ class OneWorld:
         return World(states, q, world.time + 1, failed, accepted, 0 if failed else letter)
 
     def settled(self, world: World) -> bool:
-        """Whether nothing can change the verdict any more (a finite-trace task is never satisfied before the end)."""
+        """Return whether the verdict is final (a finite-trace task is never satisfied before the horizon)."""
         return world.failed or world.accepted or self.dead[world.q]
 
     def satisfied(self, world: World) -> bool:
-        """Whether the task is satisfied so far, as `dynamics.satisfied` has it."""
+        """Return whether the task is satisfied so far, by the rule of `dynamics.satisfied`."""
         at_end = world.time == self.dynamics.problem.horizon
         return world.accepted or (at_end and not world.failed and self.judged[world.q])
 
@@ -147,7 +172,8 @@ class OneWorld:
         return self._names[letter]
 
     def _letter(self, states: tuple[Any, ...]) -> tuple[int, bool]:
-        """Letter of the states, and whether an agent is outside its workspace."""
+        """Return the letter of the states, and whether an agent is outside its workspace."""
+        # Propositions are the bits of an integer, which is quick to build and to look up.
         letter, outside = 0, False
         for a, x in zip(self.agents, states):
             outside = outside or not inside(x, a.state_low, a.state_high)
@@ -158,7 +184,7 @@ class OneWorld:
         return letter, outside
 
     def _next(self, q: int, letter: int) -> int:
-        """Automaton state after a letter; every letter asks the automaton once."""
+        """Return the automaton state after a letter; the automaton is asked once for each state and letter."""
         key = (q, letter)
         if key not in self._following:
             if len(self._following) >= _MEMORY:
@@ -172,6 +198,7 @@ class OneWorld:
 def _numbers(
     agent: LinearAgent, low: np.ndarray, high: np.ndarray, propositions: np.ndarray, draws: tuple[int, ...]
 ) -> AgentNumbers:
+    """Return one agent as plain numbers; `low` and `high` have one row per proposition."""
     return AgentNumbers(
         A=agent.A.tolist(),
         B=agent.B.tolist(),

@@ -1,4 +1,4 @@
-"""The step of an agent and the order of decisions, written once, for numbers and for arrays."""
+"""The step of an agent and the order of decisions, written once for numbers and for arrays."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from ..agents import row_times
 
 
 def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any) -> list[Any]:
-    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move."""
+    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move.
+
+    The order of the sums is fixed, so numbers and arrays give the same bits.
+    """
     components = []
     for a, b, c, factor in zip(A, B, offset, noise_factor):
-        total = row_times(a, x)  # of its own: arrays are added to in place
+        total = row_times(a, x)  # a fresh array, so the next terms may be added in place
         total += row_times(b, u)
         total += c
         total += row_times(factor, z)
@@ -20,16 +23,16 @@ def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any
 
 
 def decided(accepting: Any, q: Any, following: Any, failed: Any, accepted: Any, outside: Any) -> tuple[Any, Any, Any]:
-    """Return automaton state, failed and accepted after a step: the one place where the order of decisions stands.
+    """Return automaton state, failed and accepted after a step: the one place that fixes the order of decisions.
 
     Parameters
     ----------
     accepting : sequence of bool
         `Dynamics.accepting`.
     q, following : int or array of int
-        Automaton state before, and after reading the letter.
+        Automaton states before and after the letter is read.
     failed, accepted, outside : bool or array of bool
-        Failed and accepted before the step; whether an agent is outside its workspace after it.
+        Failed and accepted before the step, and whether an agent is outside its workspace after it.
     """
     failed = failed | (outside > accepted)  # outside and not accepted
     q = q + (following - q) * (1 - failed)  # a failed world reads no letter

@@ -1,16 +1,22 @@
-"""The batched functional core: start, noise, transition, letters, automaton step. Every environment is a view of it.
+"""The batched functional core: start, noise, transition, letters, automaton step. Every environment is a view on it.
 
 Agents of equal sizes (d, m, p) form a *block*, whose states are one array (d, n, M): component, agent of the block,
-world. All sums run elementwise in a fixed order, so a world's trajectory does not depend, to the last bit, on how many
-others are computed beside it.
+world. All sums run elementwise in a fixed order, so the trajectory of a world does not depend, to the last bit, on the
+number of worlds computed beside it.
 
 The step of an agent (`moved`), membership (`labeling.inside`, `contains`) and the order of decisions (`decided`) are
 written for anything that adds, multiplies and compares: this module runs them on arrays, `one_world` on numbers.
 
-One step, in this order: `x' = A x + B u + c + L z` with `z` standard normal and `L L' = Sigma`; a world in which any
-agent has left its workspace fails (also where another agent would complete the task in the same step); the letter of
-x' is read by the automaton; a co-safe task is accepted on entering an accepting state. Failed and accepted are
-absorbing; the states of decided worlds move on. Reference: THEORY section 0.
+One step, in this order:
+
+1. `x' = A x + B u + c + L z` with `z` standard normal and `L L' = Sigma`;
+2. a world in which any agent has left its workspace fails, even if another agent would complete the task in this step;
+3. the automaton reads the letter of x';
+4. a co-safe task is accepted on entering an accepting state.
+
+Failed and accepted are absorbing; the states of decided worlds move on.
+
+Reference: docs/theory/setting.md, "Satisfaction".
 """
 
 from __future__ import annotations
@@ -22,7 +28,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..agents import contains, inside, linear, read_only
+from ..agents import contains, counted, inside, linear, read_only, shortened, tree_text
 from ..problem import Problem
 from .blocks import Block, block_of
 from .rules import decided, moved
@@ -30,16 +36,16 @@ from .tables import Reader, reader
 
 
 class Draws(Protocol):
-    """Where random numbers of worlds come from: a `numpy.random.Generator`, or several, one for some worlds each."""
+    """Source of random numbers: a `numpy.random.Generator`, or several of them, each for some of the worlds."""
 
     def standard_normal(self, size: tuple[int, ...], /) -> np.ndarray:
-        """Return standard normal numbers; the last axis is that of the worlds."""
+        """Return standard normal numbers; worlds are the last axis."""
 
     def random(self, size: tuple[int, ...], /) -> np.ndarray:
-        """Return numbers uniform on [0, 1); the last axis is that of the worlds."""
+        """Return numbers uniform on [0, 1); worlds are the last axis."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dynamics:
     """A problem arranged for batches.
 
@@ -50,7 +56,7 @@ class Dynamics:
     position : tuple of (int, int)
         Per agent: its block, and its place in the block.
     accepting : np.ndarray of bool, shape (Q,)
-        Automaton states on entering which the task is accepted at once: none for finite-trace tasks.
+        Automaton states whose entry accepts the task at once: none for finite-trace tasks.
     """
 
     problem: Problem
@@ -58,9 +64,14 @@ class Dynamics:
     position: tuple[tuple[int, int], ...]
     accepting: np.ndarray
 
+    def __repr__(self) -> str:
+        agents, blocks = counted(self.problem.n_agents, "agent"), counted(len(self.blocks), "block")
+        return f"Dynamics({shortened(self.problem.name, 60)!r}, {agents} in {blocks})"
+
     @classmethod
     def of(cls, problem: Problem) -> Dynamics:
-        """Return the dynamics of a problem."""
+        """Return the dynamics of a problem; agents of equal sizes share a block."""
+        # Blocks come in the order of their first agents, which fixes the order of all random numbers.
         members: dict[tuple[int, int, int], list[int]] = {}
         for i, agent in enumerate(problem.agents):
             members.setdefault((agent.n_states, agent.n_inputs, agent.n_outputs), []).append(i)
@@ -71,11 +82,11 @@ class Dynamics:
 
     @cached_property
     def reader(self) -> Reader | None:
-        """Tables by which worlds are judged; None if they would not do."""
+        """Tables that judge worlds; None if they would be too large, or do not apply (see `tables.reader`)."""
         return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Worlds:
     """A batch of M worlds.
 
@@ -84,12 +95,12 @@ class Worlds:
     states : tuple of np.ndarray, shape (d, n, M)
         One array per block.
     q : np.ndarray of int32, shape (M,)
-        Automaton states; they stand still from the failure on.
+        Automaton states; those of failed worlds no longer change.
     time : int, or np.ndarray of int, shape (M,)
-        Control steps taken: one number, or one per world where `restart` has set some of them back.
+        Control steps taken: one number, or one per world after `restart` has set some of them back.
     failed, accepted : np.ndarray of bool, shape (M,)
-        At most one of them holds; both are absorbing. Accepted is never set for finite-trace tasks; for others it says
-        that the world has not failed and its automaton state is accepting.
+        At most one of them holds; both are absorbing. For co-safe tasks, accepted says that the world has not failed
+        and its automaton state is accepting; for finite-trace tasks it is never set.
     """
 
     states: tuple[np.ndarray, ...]
@@ -98,6 +109,16 @@ class Worlds:
     failed: np.ndarray
     accepted: np.ndarray
 
+    def __repr__(self) -> str:
+        least, most = (int(pick(self.time)) if np.size(self.time) else 0 for pick in (np.min, np.max))
+        rows = [
+            ("time", f"{least}" if least == most else f"{least} to {most}"),
+            ("failed", int(self.failed.sum())),
+            ("accepted", int(self.accepted.sum())),
+            ("states", ", ".join(str(x.shape) for x in self.states[:6]) + (", ..." if len(self.states) > 6 else "")),
+        ]
+        return tree_text(f"Worlds: {self.n_worlds}", rows)
+
     @property
     def n_worlds(self) -> int:
         """Number of worlds M."""
@@ -105,12 +126,12 @@ class Worlds:
 
 
 def initial(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> Worlds:
-    """Return worlds at time 0, their starts drawn uniformly from the start boxes; a fixed start draws nothing."""
+    """Return worlds at time 0 with starts drawn uniformly from the start boxes; fixed starts draw no numbers."""
     return begin(dynamics, starts(dynamics, rng, n_worlds))
 
 
 def starts(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
-    """Return initial states as `initial` draws them, one array (d, n, M) per block."""
+    """Return the initial states that `initial` draws, one array (d, n, M) per block."""
     states = []
     for block in dynamics.blocks:
         width = block.initial_high - block.initial_low
@@ -119,7 +140,7 @@ def starts(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple
         start[...] = block.initial_low
         if width.any():
             start += width * rng.random(shape)
-            # Rounding can carry a draw to the upper corner, which half-open neighbours own.
+            # Rounding can carry a draw to the upper corner, which belongs to the next half-open region.
             last = np.where(width > 0.0, np.nextafter(block.initial_high, -np.inf), block.initial_high)
             start = np.minimum(start, last)
         states.append(start)
@@ -144,11 +165,12 @@ def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
 
 
 def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.random.Generator) -> Worlds:
-    """Return the worlds with those of `which`, bool (M,), put back to a start drawn for them at time 0."""
+    """Return the worlds, with those of `which`, bool (M,), put back to time 0 and a freshly drawn start."""
     fresh = initial(dynamics, rng, int(which.sum()))
     states = tuple(x.copy() for x in worlds.states)
     for x, start in zip(states, fresh.states):
         x[..., which] = start
+    # From here on each world has a time of its own.
     marks = {"time": np.broadcast_to(np.asarray(worlds.time), which.shape).copy()}
     marks |= {name: getattr(worlds, name).copy() for name in ("q", "failed", "accepted")}
     for name, values in marks.items():
@@ -157,7 +179,7 @@ def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.rando
 
 
 def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
-    """Return only the worlds of `which`, whole numbers in increasing order; all must be at one time."""
+    """Return only the worlds with the numbers `which`, in increasing order; all must be at one time."""
     states = tuple(x.take(which, axis=-1) for x in worlds.states)
     return Worlds(states, worlds.q[which], worlds.time, worlds.failed[which], worlds.accepted[which])
 
@@ -178,15 +200,16 @@ def transition(
     worlds : Worlds
         Before the horizon.
     inputs : sequence of np.ndarray, shape (m, n, M)
-        One array per block, used as they are: keeping them in the input box is the caller's duty.
+        One array per block, used as they are: the caller has to keep them in the input box.
     normals : sequence of np.ndarray, shape (d, n, M)
-        As `noise` draws them.
+        Numbers that `noise` has drawn.
 
     Raises
     ------
     ValueError
         If the worlds are at the horizon.
     """
+    # The time is a number, or one per world after a restart.
     over = worlds.time >= dynamics.problem.horizon
     if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
@@ -197,14 +220,14 @@ def transition(
 def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the next states of a block, shape (d, n, M).
 
-    The states of a decided world under an unstable A may grow beyond all numbers; infinity and NaN lie outside every
-    workspace.
+    Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []
     with np.errstate(over="ignore", invalid="ignore"):
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.motion:
-            own = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
-            components += moved([a], [b], [c], [factor], *own)
+            # Zero entries of the matrices are left out, and so are the components that they would multiply.
+            read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
+            components += moved([a], [b], [c], [factor], *read)
     return np.stack(components) if len(components) > 1 else components[0][None]
 
 
@@ -213,6 +236,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     result = np.zeros((len(dynamics.problem.propositions), states[0].shape[-1]), dtype=bool)
     for block, x in zip(dynamics.blocks, states):
         if block.propositions.size:
+            # One row per proposition: the outputs of the agent that owns it.
             with np.errstate(over="ignore", invalid="ignore"):
                 y = x if block.identity_output else linear(block.C, x)
             result[block.propositions] = contains(y.take(block.owners, axis=1), block.region_low, block.region_high)
@@ -220,7 +244,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
-    """Whether the task is satisfied so far, bool (M,): a finite-trace task can be so at the horizon only."""
+    """Return whether the task is satisfied so far, bool (M,); a finite-trace task is so at the horizon at earliest."""
     automaton = dynamics.problem.automaton
     if automaton.is_co_safe:
         return worlds.accepted
@@ -244,7 +268,8 @@ def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...
 def _read(
     dynamics: Dynamics, states: tuple[np.ndarray, ...], time: Any, q: np.ndarray, failed: Any, accepted: Any
 ) -> Worlds:
-    """Judge the exits and let the automaton read the letters of the states."""
+    """Return the worlds at new states: judge exits, let the automaton read the letters, and decide."""
+    # The tables and the rules give the same bits; the tables are faster where they apply.
     if dynamics.reader is not None:
         q, failed, accepted = dynamics.reader.read(states, q, failed)
     else:
@@ -255,7 +280,7 @@ def _read(
 
 
 def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
-    """Whether any agent is outside its workspace, bool (M,)."""
+    """Return whether any agent is outside its workspace, bool (M,)."""
     result = np.zeros(states[0].shape[-1], dtype=bool)
     for block, x in zip(dynamics.blocks, states):
         result |= ~inside(x, block.state_low, block.state_high).all(axis=0)

@@ -1,7 +1,7 @@
 """The centralised Gymnasium environment of a problem: one learner sees the joint state and moves all agents.
 
 - **Action**: the inputs of all agents one after the other, scaled to [-1, 1], float32; with `actions="input"` the input
-  boxes themselves, float64. Actions beyond are clipped.
+  boxes themselves, float64. Actions outside are clipped.
 - **Observation**: the states of all agents (projected onto the workspace after an exit), the automaton state one-hot,
   the fraction of time left.
 - **Reward**: 1 once, when the task is satisfied, else 0; with `reward="shaped"` see `shaping`.
@@ -41,9 +41,9 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     render_mode : None, "ansi", "rgb_array" or "human"
     reward : "sparse" or "shaped"
     discount : float
-        Of the learner, for the shaped reward.
+        Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"
-        Of the observations.
+        Type of the observations.
     actions : "unit" or "input"
 
     Examples
@@ -74,8 +74,6 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._episode = Episode(self.problem, reward, discount, render_mode)
         self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
         self.action_space = action_space(self.problem.agents, actions)
-        ends = np.cumsum([0, *(agent.n_inputs for agent in self.problem.agents)]).tolist()
-        self._slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:])]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,18 +89,21 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises
         ------
         RuntimeError
-            Before `reset`, and after the end of an episode.
+            Before the first `reset`.
         ValueError
             If the action has the wrong shape or is not finite.
         """
-        given = np.asarray(action)
-        if given.shape != self.action_space.shape:
-            raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {given.shape}")
-        agents = self._episode.one_world.agents
-        inputs = [input_of(given[part], agent, self._actions, "action") for part, agent in zip(self._slices, agents)]
+        joint_action = np.asarray(action)
+        if joint_action.shape != self.action_space.shape:
+            raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
+        # Cut the joint action into those of the agents, and scale or clip each.
+        inputs = [
+            input_of(joint_action[columns], agent, self._actions, "action")
+            for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
+        ]
         reward, terminated, truncated = self._episode.step(inputs, self.np_random)
         info = self._info()
-        if terminated or truncated:
+        if terminated or truncated:  # learners read the key in the last step alone
             info["is_success"] = info["satisfied"]
         return self._observation(), reward, terminated, truncated, info
 

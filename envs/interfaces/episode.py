@@ -1,8 +1,8 @@
-"""The course of one episode: what the parallel and the centralised environment of a problem share.
+"""The course of one episode, shared by the parallel and the centralised environment of a problem.
 
-An episode ends (1) when the task is satisfied early (co-safe), (2) when an agent leaves its workspace, (3) when the
-automaton can accept no more: terminated; (4) at the horizon, where finite-trace tasks are judged: truncated. Where the
-start itself decides, the first step returns the verdict and nothing moves.
+An episode is terminated (1) when the task is satisfied early (co-safe), (2) when an agent leaves its workspace, or (3)
+when the automaton can no longer accept. It is truncated (4) at the horizon, where finite-trace tasks are judged. If the
+start already decides, the first step returns the verdict and nothing moves.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Episode:
     ----------
     problem : Problem
     reward : "sparse" or "shaped"
-        1 on satisfaction; or that and differences of the potential of `shaping`.
+        1 on satisfaction; "shaped" adds the differences of the potential of `shaping`.
     discount : float
-        Of the learner, for the shaped reward; between 0 and 1.
+        Discount factor of the learner, for the shaped reward; between 0 and 1.
     render_mode : None, "ansi", "rgb_array" or "human"
     caption : str
-        A line in pictures.
+        A line shown in pictures.
     """
 
     def __init__(
@@ -54,17 +54,18 @@ class Episode:
 
     @property
     def world(self) -> World:
-        """The present world; RuntimeError before the first `begin`."""
+        """The current world; RuntimeError before the first `begin`."""
         if self._world is None:
             raise RuntimeError("call `reset` first")
         return self._world
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> None:
-        """Start an episode; `options["initial_state"]` replaces the problem's start, other keys are left alone."""
-        given = (options or {}).get("initial_state")
+        """Start an episode; `options["initial_state"]` replaces the problem's start, other keys are ignored."""
+        start = (options or {}).get("initial_state")
         dynamics = self.dynamics
-        if given is not None:
-            dynamics = core.Dynamics.of(self.problem.replace(initial_state=given))
+        if start is not None:
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
+        # The start is drawn by the batched core, so that one world and a batch of one agree.
         worlds = core.initial(dynamics, rng, 1)
         self._world = self.one_world.begin(worlds)
         self._track = [self._world]
@@ -74,15 +75,17 @@ class Episode:
 
     def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
         """Advance one control step; return reward, terminated and truncated."""
+        # A settled world stands still: it has ended already, or the start decided.
         world = self.world
         if not self.one_world.settled(world):
             world = self.one_world.step(world, inputs, rng.standard_normal(self.one_world.n_draws).tolist())
             self._world = world
-            if self.render_mode is not None:
+            if self.render_mode is not None:  # only pictures need the past
                 self._track.append(world)
         terminated = self.one_world.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon
         reward = float(self.one_world.satisfied(world))
+        # Shaping pays the difference of potentials; that of an ended episode is 0.
         if self._potential is not None:
             before = self.level
             self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
@@ -91,7 +94,7 @@ class Episode:
         return reward, terminated, truncated
 
     def info(self) -> dict[str, Any]:
-        """Return what every info holds: letter, automaton state, satisfaction, time."""
+        """Return the entries of every info: letter, automaton state, satisfaction, time."""
         world = self.world
         return {
             "letter": self.one_world.names(world.letter),
@@ -114,9 +117,10 @@ class Episode:
             self._picture.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_picture": None}  # pictures hold fonts and windows, and are made anew
+        return {**self.__dict__, "_picture": None}  # pictures hold fonts and windows; they are made again
 
     def _batch(self) -> core.Worlds:
+        """Return the current world as a batch of one."""
         world = self.world
         joint = np.concatenate([np.asarray(x, dtype=float) for x in world.states])[None]
         return core.Worlds(
@@ -133,6 +137,7 @@ class Episode:
         return verdict_text(self.one_world.satisfied(world), world.failed, over)
 
     def _line(self) -> str:
+        """Return the current world as a line of text."""
         world = self.world
         named = zip(self.problem.agent_names, world.states)
         states = ", ".join(f"{name} {np.round(x, 3).tolist()}" for name, x in named)
@@ -141,6 +146,7 @@ class Episode:
         return f"t={world.time}/{self.problem.horizon} q={name}{' ' if verdict else ''}{verdict}: {states}"
 
     def _frame(self) -> np.ndarray:
+        """Return the current world as a picture."""
         if self._picture is None:
             self._picture = Picture(self.problem, self.caption)
         track = [[number for x in world.states for number in x] for world in self._track]
@@ -148,6 +154,7 @@ class Episode:
         return self._picture.frame(np.array(track), world.q, self.one_world.names(world.letter), self._verdict())
 
     def _show(self) -> None:
+        """Show the current world in the window of the render mode "human"."""
         if self.render_mode == "human":
             frame = self._frame()
             if self._picture is not None:

@@ -1,14 +1,14 @@
-"""What an environment shows and takes: spaces, observations and actions, for one world and for batches alike.
+"""Spaces, observations and actions of environments, for one world and for batches alike.
 
 An observation is a list of states, each projected onto its workspace, then the automaton state one-hot, then the
 fraction of time left. Spaces are bounded, because the projection stays in them; the true state is in the info.
 
-- "local": the agent's own state;
-- "full": the agent's own state, then those of the other agents in order;
+- "local": the state of the agent itself;
+- "full": the state of the agent itself, then the states of the other agents in order;
 - joint (the centralised environment, and `state()`): the states of all agents in order.
 
-Actions are inputs as the dynamics take them ("input": the input box), or scaled to [-1, 1] ("unit", float32); either
-way what lies beyond is clipped. The dynamics are float64 whatever the precision of observations.
+Actions are inputs as the dynamics take them ("input": the input box), or scaled to [-1, 1] ("unit", float32). Either
+way they are clipped. The dynamics are float64 for every precision of observations.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ PRECISIONS = ("float64", "float32")
 ACTIONS = ("input", "unit")
 
 
-def checked_option(value: Any, argument: str, known: Sequence[str]) -> str:
-    """Return an option if it is one of the known words, or raise ValueError."""
-    if value not in known:
-        raise ValueError(f"`{argument}`: expected {' or '.join(map(repr, known))}, got {shown(value)}")
+def checked_option(value: Any, argument: str, choices: Sequence[str]) -> str:
+    """Return an option if it is one of the choices, or raise ValueError."""
+    if value not in choices:
+        raise ValueError(f"`{argument}`: expected {' or '.join(map(repr, choices))}, got {shown(value)}")
     return str(value)
 
 
 def observation_space(problem: Problem, agents: Sequence[LinearAgent], dtype: str) -> spaces.Box:
     """Return the space of observations that list the states of `agents`."""
-    extra = [np.zeros(problem.automaton.n_states + 1)]
-    low = np.concatenate([agent.state_low for agent in agents] + extra)
-    high = np.concatenate([agent.state_high for agent in agents] + [extra[0] + 1.0])
+    # The automaton state one-hot and the fraction of time left lie between 0 and 1.
+    zeros = np.zeros(problem.automaton.n_states + 1)
+    low = np.concatenate([*(agent.state_low for agent in agents), zeros])
+    high = np.concatenate([*(agent.state_high for agent in agents), zeros + 1.0])
     return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
 
 
@@ -53,7 +54,7 @@ def action_space(agents: Sequence[LinearAgent], actions: str) -> spaces.Box:
 
 
 def projected(states: Any, agents: Sequence[Any]) -> list[float]:
-    """Return the numbers of several states, each moved into its agent's workspace."""
+    """Return the numbers of several states, each moved into its agent's workspace; NaN becomes the lower edge."""
     result = []
     for x, agent in zip(states, agents):
         for value, low, high in zip(x, agent.state_low, agent.state_high):
@@ -77,6 +78,7 @@ def joint_observations(dynamics: Dynamics, worlds: Worlds, dtype: str) -> np.nda
     low = np.concatenate([agent.state_low for agent in problem.agents])
     high = np.concatenate([agent.state_high for agent in problem.agents])
     states = joint(dynamics, worlds)
+    # The same projection as `projected`.
     np.clip(np.where(np.isnan(states), low, states), low, high, out=result[:, :n])
     result[np.arange(worlds.n_worlds), n + worlds.q] = 1.0
     result[:, -1] = 1.0 - worlds.time / problem.horizon
@@ -84,44 +86,48 @@ def joint_observations(dynamics: Dynamics, worlds: Worlds, dtype: str) -> np.nda
 
 
 def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
-    """Return the input, within its box, that an action of one agent stands for.
+    """Return the input for an action of one agent, clipped to the input box.
 
     Raises
     ------
     ValueError
         If the action has another length or is not finite.
     """
+    # Plain numbers, as a single world computes on them.
     numbers = np.asarray(action).tolist()
     size = len(agent.input_low)
     if not isinstance(numbers, list) or len(numbers) != size or not all(map(_is_number, numbers)):
         raise ValueError(f"`{name}`: expected finite numbers of shape ({size},), got {shown(action)}")
     result = []
     for value, low, high in zip(numbers, agent.input_low, agent.input_high):
-        if actions == "unit":
+        if actions == "unit":  # centre plus half width, as `batch_inputs` computes it: the same bits
             value = (0.5 * low + 0.5 * high) + (0.5 * high - 0.5 * low) * min(max(value, -1.0), 1.0)
         result.append(low if value < low else high if value > high else float(value))
     return result
 
 
 def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndarray, ...]:
-    """Return the inputs (m, n, M) per block that joint actions (M, sum of m_i) stand for, within their boxes.
+    """Return the inputs (m, n, M) per block for joint actions (M, sum of m_i), clipped to the input boxes.
 
     Raises
     ------
     ValueError
         If the actions have another shape or are not finite.
     """
-    agents = dynamics.problem.agents
-    ends = np.cumsum([0, *(agent.n_inputs for agent in agents)])
-    given = np.asarray(action, dtype=np.float64)
-    if given.ndim != 2 or given.shape[1] != ends[-1] or not np.isfinite(given).all():
+    problem = dynamics.problem
+    joint_actions = np.asarray(action, dtype=np.float64)
+    is_table = joint_actions.ndim == 2 and joint_actions.shape[1] == problem.n_inputs
+    if not is_table or not np.isfinite(joint_actions).all():
         raise ValueError(
-            f"`actions`: expected finite numbers of shape (number of worlds, {ends[-1]}), got shape {given.shape}"
+            f"`actions`: expected finite numbers of shape (number of worlds, {problem.n_inputs}), got shape "
+            f"{joint_actions.shape}"
         )
+    # Columns of the joint action for each component and agent of a block: (m, n).
+    starts = np.array([columns.start for columns in problem.input_columns])
     result = []
     for block in dynamics.blocks:
-        columns = ends[block.agents] + np.arange(block.input_low.shape[0])[:, None]
-        u = np.ascontiguousarray(given.T[columns])
+        columns = starts[block.agents] + np.arange(block.input_low.shape[0])[:, None]
+        u = np.ascontiguousarray(joint_actions.T[columns])
         if actions == "unit":
             centre, half = (
                 0.5 * block.input_low + 0.5 * block.input_high,

@@ -1,15 +1,16 @@
 """The PettingZoo environment of a problem: a thin view of one episode.
 
-Everything below holds for any problem; the pages of the suite add their numbers.
+Everything below holds for any problem; the pages of the suite add the numbers of each.
 
-- **Actions**: one `Box` per agent, its input box, float64; or [-1, 1], float32, with `actions="unit"`. Actions beyond
-  it are clipped to it.
-- **Observations**: the agent's own state (projected onto the workspace after an exit), with `observation="full"` also
-  those of the others, the automaton state one-hot, the fraction of time left.
+- **Actions**: one `Box` per agent, its input box, float64; or [-1, 1], float32, with `actions="unit"`. Actions outside
+  are clipped.
+- **Observations**: the state of the agent itself (projected onto the workspace after an exit), with
+  `observation="full"` also the states of the other agents; then the automaton state one-hot and the fraction of time
+  left.
 - **Rewards**: cooperative: every agent gets 1 once, when the task is satisfied, else 0; the undiscounted return *is*
-  satisfaction. With `reward="shaped"` see `shaping`.
+  satisfaction. For `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
-- **Infos**, per agent: `letter` (names of the propositions that hold; empty after a failure, when none is read),
+- **Infos**, per agent: `letter` (names of the propositions that hold; empty after a failure, when no letter is read),
   `automaton_state` (int), `satisfied` (bool), `state` (the agent's true state, float64), `time` (int).
 """
 
@@ -51,12 +52,12 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     observation : "local" or "full"
     reward : "sparse" or "shaped"
     discount : float
-        Of the learner, for the shaped reward.
+        Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"
-        Of the observations.
+        Type of the observations.
     actions : "input" or "unit"
     caption : str
-        A line in pictures.
+        A line shown in pictures.
     """
 
     metadata: dict[str, Any]
@@ -89,8 +90,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
         members = problem.agents
-        shown = {a.name: [a] + [b for b in members if b is not a and self._scope == "full"] for a in members}
-        self._observation_spaces = {name: observation_space(problem, seen, dtype) for name, seen in shown.items()}
+        # An agent sees itself first, and with the scope "full" the other agents in order.
+        seen = {a.name: [a] + [b for b in members if b is not a and self._scope == "full"] for a in members}
+        self._observation_spaces = {name: observation_space(problem, agents, dtype) for name, agents in seen.items()}
         self._action_spaces = {agent.name: action_space([agent], actions) for agent in members}
         self.state_space = observation_space(problem, members, dtype)
 
@@ -108,10 +110,10 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         Parameters
         ----------
         seed : int, optional
-            Seeds a new generator; without it the present one goes on.
+            Seed of a new generator; without it the current one continues.
         options : dict, optional
-            `initial_state`: a start instead of the problem's, in the forms that `Problem.replace` takes. Other keys
-            are left alone.
+            `initial_state`: a start in place of the problem's, in the forms that `Problem.replace` takes. Other keys
+            are ignored.
         """
         if seed is not None or self._rng is None:
             self._rng, _ = seeding.np_random(seed)
@@ -127,14 +129,15 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         Raises
         ------
         RuntimeError
-            Before `reset`.
+            Before the first `reset`.
         ValueError
             If an action is missing, of the wrong shape or not finite.
         """
         if self._rng is None:
             raise RuntimeError("call `reset` before `step`")
-        if not self.agents:
+        if not self.agents:  # the episode is over: PettingZoo expects empty answers
             return {}, {}, {}, {}, {}
+        # All agents end together: the task is one.
         ended = self.agents
         reward, terminated, truncated = self._episode.step(self._inputs(actions), self._rng)
         if terminated or truncated:
@@ -149,12 +152,12 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing can change the verdict any more."""
+        """Whether the verdict is final."""
         return self._episode.one_world.settled(self._episode.world)
 
     @property
     def potential(self) -> float:
-        """What shaped rewards are the differences of, now; 0 where they are sparse."""
+        """Current potential, whose differences are the shaped rewards; 0 with sparse rewards."""
         return self._episode.level
 
     def state(self) -> np.ndarray:
@@ -172,15 +175,16 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self._episode.close()
 
     def _observations(self) -> Observations:
+        """Return the observation of every agent."""
         world, numbers, dtype = self._episode.world, self._episode.one_world.agents, self._dtype
         tail = shared(self.problem, world.q, world.time)
-        parts = [projected((x,), (agent,)) for x, agent in zip(world.states, numbers)]
+        states = [projected((x,), (agent,)) for x, agent in zip(world.states, numbers)]
         if self._scope == "local":
-            return {name: np.array(x + tail, dtype=dtype) for name, x in zip(self.possible_agents, parts)}
+            return {name: np.array(x + tail, dtype=dtype) for name, x in zip(self.possible_agents, states)}
         result = {}
         for i, name in enumerate(self.possible_agents):
-            others = [number for k, part in enumerate(parts) if k != i for number in part]
-            result[name] = np.array(parts[i] + others + tail, dtype=dtype)
+            others = [number for k, x in enumerate(states) if k != i for number in x]
+            result[name] = np.array(states[i] + others + tail, dtype=dtype)
         return result
 
     def _infos(self) -> Infos:
@@ -189,7 +193,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         return {name: {**common, "state": np.array(x)} for name, x in states}
 
     def _inputs(self, actions: dict[str, Any]) -> list[list[float]]:
+        """Return the inputs for the actions of all agents; raise ValueError if one is missing, wrong or unknown."""
         inputs = []
+        # With one action for every agent, a stranger shows by the number of actions.
         if len(actions) > len(self.possible_agents):
             stranger = next(name for name in actions if name not in self.possible_agents)
             raise ValueError(f"`actions`: expected agents of the problem, got {stranger!r}; leave it out")

@@ -1,16 +1,17 @@
-"""Shaped rewards: a potential read off the task automaton, whose differences are paid on the way.
+"""Shaped rewards: a potential read off the task automaton; every step pays the difference of the potential.
 
 With the potential Phi of a state, a step from s to s' pays `r + discount Phi(s') - Phi(s)`, and Phi is 0 once the
 episode has ended. The discounted sum over an episode of T steps is then
 
-    sum_t discount^t r_t  -  Phi(s_0),
+    sum_t discount^t r_t  -  Phi(s_0).
 
-the sparse return less a number that no policy influences, so the same policies are optimal (Ng, Harada and Russell
-1999). Both ends count: the horizon is in the observation, so its truncation ends the decision problem as well.
+This is the sparse return less a number that no policy influences, so the same policies are optimal (Ng, Harada and
+Russell 1999). Termination and truncation both count as an end: the observation holds the time left, so the decision
+problem ends at the horizon as well.
 
-Phi lies in [0, 1]. It is 1 in accepting states and 0 where acceptance is out of reach or an agent has left its
-workspace. Elsewhere it counts the automaton steps that are still needed, and between two of them it rises as agents
-come closer to the regions of a letter that takes the next one. It is a guess of progress; no guarantee rests on it.
+Phi lies in [0, 1]. It is 1 in accepting states, and 0 where acceptance is out of reach or an agent has left its
+workspace. Elsewhere it counts the automaton steps that are still needed; between two of them it rises as agents come
+closer to the regions of a letter that takes the next step. It estimates progress; no guarantee rests on it.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from ..dynamics import Dynamics, Worlds
 from ..logic import Automaton
 
 REWARDS = ("sparse", "shaped")
-_PATHS = 2000  # of an automaton state, looked at
-_LETTERS = 32  # of them, kept: those that ask for the fewest propositions
+# Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
+_STATE_PATHS = 2000  # paths of a state's diagram that are read
+_STATE_LETTERS = 32  # letters of a state that are used: those that ask for the fewest propositions
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +39,9 @@ class Potential:
     ----------
     dynamics : Dynamics
     steps : np.ndarray of float, shape (Q,)
-        Fewest automaton steps to acceptance; infinite where there is no way.
+        Fewest automaton steps to acceptance; infinite if there is no way.
     wanted : tuple of tuple of np.ndarray of int
-        Per automaton state: the propositions of each letter kept that takes a step forward.
+        Per automaton state: the propositions of the letters that take a step forward, one array per letter.
     """
 
     dynamics: Dynamics
@@ -48,22 +50,23 @@ class Potential:
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Potential:
-        """Read the potential off the automaton of a problem."""
+        """Return the potential of a problem, read off its automaton."""
         automaton = dynamics.problem.automaton
         steps = _steps(automaton)
         manager, roots = automaton.diagrams()
         wanted = []
         for q, root in enumerate(roots):
             letters = set()
-            for assignment, target in islice(manager.paths(root), _PATHS):
+            # A letter is named by the propositions that have to hold; those that must not hold are ignored.
+            for assignment, target in islice(manager.paths(root), _STATE_PATHS):
                 if steps[target] < steps[q]:
                     letters.add(frozenset(p for p, holds in assignment.items() if holds))
-            kept = sorted(letters, key=lambda letter: (len(letter), sorted(letter)))[:_LETTERS]
-            wanted.append(tuple(np.array(sorted(letter), dtype=int) for letter in kept))
+            simplest = sorted(letters, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
+            wanted.append(tuple(np.array(sorted(letter), dtype=int) for letter in simplest))
         return cls(dynamics, steps, tuple(wanted))
 
     def at(self, worlds: Worlds) -> np.ndarray:
-        """Potential of each world, float (M,), between 0 and 1."""
+        """Return the potential of each world, float (M,), between 0 and 1."""
         finite = self.steps[np.isfinite(self.steps)]
         most = finite.max() if finite.size else 0.0
         result = np.zeros(worlds.n_worlds)
@@ -75,7 +78,7 @@ class Potential:
         return np.where(worlds.failed, 0.0, result)
 
     def _closeness(self, q: int, gaps: np.ndarray) -> np.ndarray:
-        """Between 0 and 1: how close the agents are to a letter that takes a step forward."""
+        """Return how close the agents are to a letter that takes a step forward: float (M,), between 0 and 1."""
         if self.steps[q] == 0 or not self.wanted[q]:
             return np.full(gaps.shape[1], 1.0 if self.steps[q] == 0 else 0.0)
         best = np.zeros(gaps.shape[1])
@@ -84,12 +87,13 @@ class Potential:
         return best
 
     def _gaps(self, worlds: Worlds) -> np.ndarray:
-        """Distance of the owner of each proposition from its region, in widths of the workspace: (P, M) in [0, 1]."""
+        """Return how far the owner of each proposition is from its region, in workspace widths: (P, M) in [0, 1]."""
         result = np.zeros((len(self.dynamics.problem.propositions), worlds.n_worlds))
         for block, x in zip(self.dynamics.blocks, worlds.states):
             if block.propositions.size:
                 with np.errstate(over="ignore", invalid="ignore"):
                     y = (x if block.identity_output else linear(block.C, x))[:, block.owners]
+                    # The width is that of the outputs of the workspace; the largest gap of all axes counts.
                     extent = (block.state_high - block.state_low)[None]
                     width = (np.abs(block.C) * extent).sum(axis=1)[:, block.owners]
                     gap = np.maximum(np.maximum(block.region_low - y, y - block.region_high), 0.0) / width
@@ -98,10 +102,11 @@ class Potential:
 
 
 def _steps(automaton: Automaton) -> np.ndarray:
-    """Fewest transitions from each automaton state to an accepting one."""
+    """Return the fewest transitions from each automaton state to an accepting one, infinite if there is no way."""
     manager, roots = automaton.diagrams()
     following = [manager.leaves(root) for root in roots]
     steps = np.where(automaton.accepting, 0.0, np.inf)
+    # Bellman-Ford: shortest ways are at most as long as there are states.
     for _ in range(automaton.n_states):
         shorter = np.array([min((steps[t] + 1.0 for t in targets), default=np.inf) for targets in following])
         if (shorter >= steps).all():

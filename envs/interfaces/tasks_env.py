@@ -1,15 +1,15 @@
-"""The PettingZoo environment of a problem that falls apart into independent tasks (see `independent`).
+"""The PettingZoo environment of a problem that decomposes into independent tasks (see `problem.groups`).
 
-Every agent lives in the environment of its own task; what they share is time, reward and end. Spaces and options are
-those of `parallel_env`, but for these:
+Every agent lives in the environment of the task it belongs to. All tasks share time, reward and end. Spaces and options
+are those of `parallel_env`, with these differences:
 
-- **Observations**: the automaton state in them, and in the info, is that of the agent's own task; with
-  `observation="full"` the other agents shown are those of the task.
+- **Observations**: the automaton state, here and in the info, is that of the agent's task; with `observation="full"`
+  the other agents shown are those of the task.
 - **Rewards**: every agent gets 1 once, when the *whole* is satisfied, else 0; the undiscounted return is satisfaction.
   `reward="shaped"` adds the differences of the mean of the tasks' potentials.
-- **Episode ends**: as soon as any task has failed (terminated), when a co-safe whole is satisfied (terminated): at the
-  first time at which all tasks have been accepted; or at the horizon (truncated).
-- **Infos**: `satisfied` is about the whole.
+- **Episode ends**: terminated as soon as any task has failed; terminated when a co-safe whole is satisfied, which is
+  the first time at which all tasks have been accepted; truncated at the horizon.
+- **Infos**: `satisfied` refers to the whole.
 - **Pictures**: lines of text only; `parallel_env(task, "rgb_array")` shows a task of `problem.tasks`.
 """
 
@@ -31,17 +31,17 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     Parameters
     ----------
     problem : Problem
-        With `groups`.
+        A problem that has `groups`.
     render_mode : None or "ansi"
     discount : float
-        Of the learner, for the shaped reward.
+        Discount factor of the learner, for the shaped reward.
     **options
         As for `ProblemEnv`.
 
     Raises
     ------
     ValueError
-        If the problem is one task, or an option is unknown.
+        If the problem is a single task, or an option is unknown.
     """
 
     metadata: dict[str, Any]
@@ -50,20 +50,22 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self, problem: Problem, render_mode: str | None = None, *, discount: float = 1.0, **options: Any
     ) -> None:
         if not problem.groups:
-            raise ValueError(f"`problem`: expected independent tasks, got the single one of {problem.name!r}")
+            raise ValueError(f"`problem`: expected independent tasks, got the single task of {problem.name!r}")
         if render_mode not in (None, "ansi"):
             raise ValueError(
                 f'`render_mode`: expected None or "ansi" for {len(problem.groups)} independent tasks, got '
                 f"{render_mode!r}; show one of `problem.tasks`"
             )
         self.metadata = {
-            "name": problem.name.replace("-", "_"), "render_modes": ["ansi"], "is_parallelizable": True
-        }  # fmt: skip
+            "name": problem.name.replace("-", "_"),
+            "render_modes": ["ansi"],
+            "is_parallelizable": True,
+        }
         self.problem = problem
         self.render_mode = render_mode
         self.discount = discount
         self.tasks = tuple(ProblemEnv(task, render_mode, discount=discount, **options) for task in problem.tasks)
-        self._of = {name: task for task in self.tasks for name in task.possible_agents}
+        self._task_of = {name: task for task in self.tasks for name in task.possible_agents}
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []
         low, high = ([getattr(task.state_space, side) for task in self.tasks] for side in ("low", "high"))
@@ -72,28 +74,29 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.state_space = spaces.Box(np.concatenate(low), np.concatenate(high), dtype=dtype.type)
         self._is_co_safe = problem.specification.is_co_safe
         self._seeds: np.random.SeedSequence | None = None
-        self._seen: dict[ProblemEnv, Observations] = {}
-        self._told: dict[ProblemEnv, Infos] = {}
+        self._last_observations: dict[ProblemEnv, Observations] = {}
+        self._last_infos: dict[ProblemEnv, Infos] = {}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of one agent's observations (the same object each time)."""
-        return self._of[agent].observation_space(agent)
+        return self._task_of[agent].observation_space(agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of one agent's actions (the same object each time)."""
-        return self._of[agent].action_space(agent)
+        return self._task_of[agent].action_space(agent)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Begin an episode: the generator of each task is seeded from `seed`; see `ProblemEnv.reset`."""
-        begun = seed is not None or self._seeds is None
-        if begun:
+        # Without a seed the generators of the tasks continue, except in the first episode.
+        is_fresh = seed is not None or self._seeds is None
+        if is_fresh:
             self._seeds = np.random.SeedSequence(seed)
         assert self._seeds is not None
-        seeds = self._seeds.generate_state(len(self.tasks)).tolist() if begun else [None] * len(self.tasks)
-        for task, own, given in zip(self.tasks, seeds, self._starts(options), strict=True):
-            self._seen[task], self._told[task] = task.reset(own, given)
+        seeds = self._seeds.generate_state(len(self.tasks)).tolist() if is_fresh else [None] * len(self.tasks)
+        for task, task_seed, start in zip(self.tasks, seeds, self._starts(options), strict=True):
+            self._last_observations[task], self._last_infos[task] = task.reset(task_seed, start)
         self.agents = list(self.possible_agents)
-        return self._joined(self._seen), self._infos()
+        return self._joined(self._last_observations), self._infos()
 
     def step(
         self, actions: dict[str, Any]
@@ -103,14 +106,15 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             raise RuntimeError("call `reset` before `step`")
         if not self.agents:
             return {}, {}, {}, {}, {}
-        strangers = [name for name in actions if name not in self._of]
+        strangers = [name for name in actions if name not in self._task_of]
         if strangers:
             raise ValueError(f"`actions`: expected agents of the problem, got {strangers[0]!r}; leave it out")
+        # Rewards and ends of the single tasks are ignored: they are those of the whole.
         before, ended = self._potential(), self.agents
         if not self._is_settled():
             for task in self.tasks:
-                own = {name: actions[name] for name in task.possible_agents if name in actions}
-                self._seen[task], _, _, _, self._told[task] = task.step(own)
+                task_actions = {name: actions[name] for name in task.possible_agents if name in actions}
+                self._last_observations[task], _, _, _, self._last_infos[task] = task.step(task_actions)
         terminated = self._is_settled()
         truncated = not terminated and self._time() >= self.problem.horizon
         if terminated or truncated:
@@ -118,7 +122,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         after = 0.0 if terminated or truncated else self._potential()
         reward = float(self._is_satisfied()) + self.discount * after - before
         return (
-            self._joined(self._seen),
+            self._joined(self._last_observations),
             dict.fromkeys(ended, reward),
             dict.fromkeys(ended, terminated),
             dict.fromkeys(ended, truncated),
@@ -134,41 +138,45 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         return "\n".join(str(task.render()) for task in self.tasks) if self.render_mode == "ansi" else None
 
     def close(self) -> None:
-        """Nothing is to be closed."""
+        """Do nothing: there is no window to close."""
 
     def _potential(self) -> float:
-        """Mean of the tasks' potentials; 0 with sparse rewards."""
+        """Return the mean of the tasks' potentials; 0 with sparse rewards."""
         return float(np.mean([task.potential for task in self.tasks]))
 
     def _time(self) -> int:
-        return int(self._told[self.tasks[0]][self.tasks[0].possible_agents[0]]["time"])
+        """Return the control steps taken, the same in all tasks."""
+        return int(self._last_infos[self.tasks[0]][self.tasks[0].possible_agents[0]]["time"])
 
     def _is_settled(self) -> bool:
-        """Whether nothing can change the verdict about the whole any more."""
+        """Return whether the verdict on the whole is final."""
         return any(task.is_settled for task in self.tasks) or (self._is_co_safe and self._is_satisfied())
 
     def _is_satisfied(self) -> bool:
-        """Whether the whole is satisfied: all tasks accept, at any time for co-safe ones, else at the horizon."""
+        """Return whether all tasks accept: at any time for co-safe tasks, else at the horizon."""
+        # The tasks are judged at the horizon, so a task settles early only by failing (see `problem.groups`).
         if any(task.is_settled for task in self.tasks) or not (
             self._is_co_safe or self._time() >= self.problem.horizon
         ):
             return False
-        states = (self._told[task][task.possible_agents[0]]["automaton_state"] for task in self.tasks)
+        # The automaton states of all tasks, as their agents were told them.
+        states = (self._last_infos[task][task.possible_agents[0]]["automaton_state"] for task in self.tasks)
         return all(task.problem.automaton.accepting[q] for task, q in zip(self.tasks, states, strict=True))
 
     def _starts(self, options: dict[str, Any] | None) -> list[dict[str, Any] | None]:
-        """Options of each task: its share of a given start."""
-        given = (options or {}).get("initial_state")
-        if given is None:
+        """Return the options of each task: its share of a start in `options`."""
+        start = (options or {}).get("initial_state")
+        if start is None:
             return [None] * len(self.tasks)
-        agents = self.problem.replace(initial_state=given).agents
+        # The problem checks the start and splits it by agents.
+        agents = self.problem.replace(initial_state=start).agents
         states = {agent.name: agent.initial.low for agent in agents}
         return [{"initial_state": [states[name] for name in task.possible_agents]} for task in self.tasks]
 
-    def _joined(self, parts: dict[ProblemEnv, dict[str, Any]]) -> dict[str, Any]:
-        """What all tasks say about their agents, in the order of the problem."""
-        return {name: parts[self._of[name]][name] for name in self.possible_agents}
+    def _joined(self, by_task: dict[ProblemEnv, dict[str, Any]]) -> dict[str, Any]:
+        """Return the entries of all tasks for their agents, in the order of the problem."""
+        return {name: by_task[self._task_of[name]][name] for name in self.possible_agents}
 
     def _infos(self) -> Infos:
         satisfied = self._is_satisfied()
-        return {name: {**info, "satisfied": satisfied} for name, info in self._joined(self._told).items()}
+        return {name: {**info, "satisfied": satisfied} for name, info in self._joined(self._last_infos).items()}

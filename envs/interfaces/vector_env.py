@@ -5,12 +5,12 @@ same to the last bit. One generator serves all worlds: `reset(seed=...)` takes o
 
 Autoreset, declared in `metadata["autoreset_mode"]`:
 
-- `NEXT_STEP` (default): the step after an end ignores the action, returns the new start, reward 0 and no end;
-- `SAME_STEP`: the step with the end returns the new start; `final_obs` and `final_info` hold what came before it;
-- `DISABLED`: the caller resets, all worlds or those of `options["reset_mask"]`; stepping an ended world is an error.
+- `NEXT_STEP` (default): the step after an end ignores the action and returns the new start, reward 0 and no end;
+- `SAME_STEP`: the step with the end returns the new start; `final_obs` and `final_info` hold the end itself;
+- `DISABLED`: the caller resets all worlds, or those of `options["reset_mask"]`; stepping an ended world is an error.
 
-Infos are arrays over the worlds with masks `_name`, as Gymnasium has them: `state` (M, D), `automaton_state`,
-`satisfied`, `time`. Names of letters are left out, for speed.
+Infos are arrays over the worlds with masks `_name`, as in Gymnasium: `state` (M, D), `automaton_state`, `satisfied`,
+`time`. Names of letters are left out, for speed.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ from .observation import (
 )
 from .shaping import REWARDS, Potential
 
+MOST_WORLDS = 10_000_000
+"""Most worlds: gigabytes of states; a larger number is a slip of the keyboard."""
+
 Step = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
 
 
@@ -50,7 +53,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     problem : Problem
         Ids and files are taken by `certigym.vector_env`.
     num_envs : int
-        Worlds M.
+        Number of worlds M.
     render_mode : None or "rgb_array"
     autoreset_mode : AutoresetMode or str
     reward, discount, dtype, actions
@@ -78,7 +81,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         actions: str = "unit",
     ) -> None:
         self.problem = checked_problem(problem)
-        self.num_envs = checked_count(num_envs, "num_envs", most=10_000_000)
+        self.num_envs = checked_count(num_envs, "num_envs", most=MOST_WORLDS)
         self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
@@ -95,6 +98,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._worlds: core.Worlds | None = None
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
+        # States at all times are stored only if pictures may be asked for.
         self._track = np.zeros((0, self.num_envs, self.problem.n_states))
         if self.render_mode is not None:
             self._track = np.zeros((self.problem.horizon + 1, self.num_envs, self.problem.n_states))
@@ -107,20 +111,22 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Parameters
         ----------
         seed : int or list of int, optional
-            Seeds a new generator; without it the present one goes on.
+            Seed of a new generator; without it the current one continues.
         options : dict, optional
-            `initial_state` replaces the start of all worlds; `reset_mask`, bool (M,), resets only some of them.
+            `initial_state` replaces the start of the worlds that are reset; `reset_mask`, bool (M,), selects them.
         """
+        # Several seeds are hashed into one, since one generator serves all worlds.
         if isinstance(seed, list | tuple):
             self.np_random = np.random.default_rng(np.random.SeedSequence([int(s) for s in seed]))
         elif seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(seed)
         options = options or {}
-        given, dynamics = options.get("initial_state"), self._dynamics
-        if given is not None:
-            dynamics = core.Dynamics.of(self.problem.replace(initial_state=given))
+        start, dynamics = options.get("initial_state"), self._dynamics
+        if start is not None:
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
         which = self._mask(options.get("reset_mask"))
         if self._worlds is None or which.all():
+            # Worlds restart at different times later on, so each has a time from the beginning.
             worlds = core.initial(dynamics, self.np_random, self.num_envs)
             self._worlds = replace(worlds, time=np.zeros(self.num_envs, dtype=np.int64))
             which[:] = True
@@ -136,7 +142,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises
         ------
         RuntimeError
-            Before `reset`; in the mode `DISABLED`, if a world has ended.
+            Before the first `reset`; in the mode `DISABLED`, if a world has ended.
         ValueError
             If the actions have the wrong shape or are not finite.
         """
@@ -144,11 +150,13 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise RuntimeError("call `reset` before `step`")
         if np.ndim(actions) > 0 and len(actions) != self.num_envs:
             raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
+        # Worlds that ended in the last step start anew, and do not move in this one.
         worlds, fresh = self._worlds, self._ended
         if fresh.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
             worlds = core.restart(self._dynamics, worlds, fresh, self.np_random)
+        # Worlds that the start has settled do not move, but end in this step.
         moving = ~(fresh | self._settled(worlds))
         worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
         terminated = self._settled(worlds) & ~fresh
@@ -177,14 +185,18 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return tuple(frames)
 
     def _moved(self, worlds: core.Worlds, inputs: tuple[np.ndarray, ...], moving: np.ndarray) -> core.Worlds:
-        """Move some of the worlds; noise is drawn for them alone."""
+        """Return the worlds after some of them have moved; noise is drawn for these alone."""
         if moving.all():
             return core.transition(self._dynamics, worlds, inputs, self._noise(moving))
-        part = core.Worlds(
+        # Cut the moving worlds out, move them, and put them back.
+        before = core.Worlds(
             tuple(x[..., moving] for x in worlds.states),
-            worlds.q[moving], worlds.time[moving], worlds.failed[moving], worlds.accepted[moving],
-        )  # fmt: skip
-        after = core.transition(self._dynamics, part, tuple(u[..., moving] for u in inputs), self._noise(moving))
+            worlds.q[moving],
+            worlds.time[moving],
+            worlds.failed[moving],
+            worlds.accepted[moving],
+        )
+        after = core.transition(self._dynamics, before, tuple(u[..., moving] for u in inputs), self._noise(moving))
         states = tuple(x.copy() for x in worlds.states)
         for x, new in zip(states, after.states):
             x[..., moving] = new
@@ -197,21 +209,24 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return core.noise(self._dynamics, self.np_random, int(moving.sum()))
 
     def _settled(self, worlds: core.Worlds) -> np.ndarray:
-        """Whether nothing can change the verdict any more, bool (M,)."""
+        """Return whether the verdict is final, bool (M,)."""
         return np.asarray(worlds.failed | self.problem.automaton.absorbing[worlds.q])
 
     def _rewards(self, fresh: np.ndarray, ended: np.ndarray) -> np.ndarray:
+        """Return the rewards of a step, 0 in fresh worlds, and note the potentials."""
         worlds = self._present()
         rewards = np.where(fresh, 0.0, core.satisfied(self._dynamics, worlds).astype(np.float64))
         if self._potential is None:
             return rewards
+        # Shaping pays the difference of potentials; that of an ended world is 0.
         levels = self._potential.at(worlds)
         rewards = rewards + np.where(fresh, 0.0, self.discount * np.where(ended, 0.0, levels) - self._levels)
         self._levels = levels
         return rewards
 
     def _restarted(self, ended: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
-        """Restart ended worlds within the step; return the infos with what was before beside them."""
+        """Restart ended worlds within the step; return the new infos, with the last observations and infos in them."""
+        # Gymnasium expects the last observations as an array of objects, None in worlds that go on.
         final = joint_observations(self._dynamics, self._present(), self._dtype)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
@@ -230,10 +245,12 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         }
 
     def _relevel(self, which: np.ndarray) -> None:
+        """Note the potentials of worlds that have just started."""
         if self._potential is not None:
             self._levels = np.where(which, self._potential.at(self._present()), self._levels)
 
     def _infos(self, which: np.ndarray) -> dict[str, Any]:
+        """Return the infos with the mask `which`; where pictures are asked for, note the states for them as well."""
         worlds = self._present()
         if self.render_mode is not None:
             self._track[worlds.time, np.arange(self.num_envs)] = core.joint(self._dynamics, worlds)
@@ -246,11 +263,13 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return {**values, **{f"_{name}": which.copy() for name in values}}
 
     def _present(self) -> core.Worlds:
+        """Return the worlds; raise RuntimeError before the first `reset`."""
         if self._worlds is None:
             raise RuntimeError("call `reset` first")
         return self._worlds
 
     def _mask(self, value: Any) -> np.ndarray:
+        """Return a reset mask, by default of all worlds, or raise ValueError."""
         if value is None:
             return np.ones(self.num_envs, dtype=bool)
         mask = np.array(value)

@@ -1,8 +1,8 @@
 """From a formula, HOA text or a table of transitions to the minimal automaton. Knows no agents."""
 
-from .automaton import Automaton, SEMANTICS, followed
+from .automaton import SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions
-from .formula import Formula, FormulaError, RESERVED
+from .formula import RESERVED, Formula, FormulaError
 from .guard_diagrams import letter_text
 from .hoa import automaton_from_hoa
 from .normal_form import NormalForm

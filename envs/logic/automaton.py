@@ -1,17 +1,17 @@
 """Deterministic finite automata over letters, with symbolic transitions.
 
-Model: an automaton starts in ``initial`` before any letter; the first letter it reads is that of x0. A letter is
-the set of propositions that hold, held as one Boolean per proposition. The transitions of a state are a decision
-diagram over the propositions whose terminals are automaton states, so 1000 propositions cost 1000 nodes rather
-than 2^1000 table rows.
+Model: an automaton starts in ``initial`` before any letter; the first letter it reads is that of x0. A letter is the
+set of propositions that hold, represented by one Boolean per proposition. The transitions of a state are a decision
+diagram over the propositions whose terminals are automaton states, so 1000 propositions cost 1000 nodes rather than
+2^1000 table rows.
 
 Semantics (carried by the automaton):
 
-- ``"co-safe"``: satisfied as soon as an accepting state is entered (accepting states are absorbing), also by
-  infinite words; at once if ``initial`` is accepting.
+- ``"co-safe"``: satisfied as soon as an accepting state is entered (accepting states are absorbing), also by infinite
+  words; satisfied at once if ``initial`` is accepting.
 - ``"finite-trace"``: judged by the state after the last letter.
 
-Reference: THEORY.md, section 0.
+Reference: docs/theory/setting.md, "Satisfaction".
 """
 
 from __future__ import annotations
@@ -28,11 +28,14 @@ from .decision_diagram import DecisionDiagrams
 SEMANTICS = ("co-safe", "finite-trace")
 
 FORMAT, VERSION = "certigym-automaton", 1
-"""What `to_dict` writes beside the fields."""
+"""Marks that `to_dict` writes beside the fields, so that `from_dict` refuses anything else."""
 
 _INTEGER_FIELDS = ("accepting", "root", "variable", "low", "high")
-_TABLE_PROPOSITIONS = 12  # up to here letters are looked up in a dense table
-_TABLE_ENTRIES = 1 << 22  # ... unless it had more entries than this
+_TABLE_PROPOSITIONS = 12
+"""Number of propositions up to which letters are looked up in a dense table: 4096 columns, made in milliseconds."""
+
+_TABLE_ENTRIES = 1 << 22
+"""Most entries of that table (16 MiB); beyond them the diagrams are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +58,11 @@ class Automaton:
     accepting : array (Q,), bool
         Accepting states; for co-safe semantics they must be absorbing.
     root : array (Q,), int32
-        Where the diagram of each state starts.
+        Entry at which the diagram of each state starts.
     variable : array (n,), int32
         Proposition that each node tests; children test strictly larger ones.
     low, high : array (n,), int32
-        Where each node leads if its proposition is false, true.
+        Entries to which each node leads if its proposition is false, true.
 
     Raises
     ------
@@ -81,17 +84,21 @@ class Automaton:
         check_semantics(self.semantics)
         object.__setattr__(self, "propositions", checked_names("propositions", self.propositions))
         object.__setattr__(self, "state_names", checked_names("state_names", self.state_names))
-        n_states, n_nodes = len(self.state_names), np.size(self.variable)
+        n_states = len(self.state_names)
         if n_states == 0:
             raise ValueError("`state_names`: expected at least one state, got none")
         if not isinstance(self.initial, (int, np.integer)) or not 0 <= self.initial < n_states:
             raise ValueError(f"`initial`: expected a state index below {n_states}, got {self.initial!r}")
         object.__setattr__(self, "initial", int(self.initial))
-        accepting = np.array(self.accepting)
-        if accepting.shape != (n_states,) or accepting.dtype != np.bool_:
-            raise ValueError(f"`accepting`: expected {n_states} Booleans, got {accepting.dtype} {accepting.shape}")
-        accepting.setflags(write=False)
-        object.__setattr__(self, "accepting", accepting)
+        object.__setattr__(self, "accepting", _checked_accepting(self.accepting, n_states))
+        self._check_diagrams()
+        stays = self.root == -1 - np.arange(n_states)
+        if self.semantics == "co-safe" and not np.all(stays[self.accepting]):
+            raise ValueError("`accepting`: expected absorbing states in a co-safe automaton, got one that can be left")
+
+    def _check_diagrams(self) -> None:
+        """Store the arrays of the diagrams as read-only int32; raise ValueError unless they lead somewhere and end."""
+        n_states, n_nodes = len(self.state_names), np.size(self.variable)
         limits = {
             "root": (n_states, -n_states, n_nodes),
             "variable": (n_nodes, 0, len(self.propositions)),
@@ -100,15 +107,14 @@ class Automaton:
         }
         for name, (length, least, bound) in limits.items():
             object.__setattr__(self, name, checked_integers(name, getattr(self, name), length, least, bound))
+        # Children that test later propositions exclude cycles.
         for name in ("low", "high"):
             child = getattr(self, name)
             inner = child >= 0
             if not np.all(self.variable[child[inner]] > self.variable[inner]):
                 raise ValueError(f"`{name}`: expected children that test later propositions than their parents")
-        stays = self.root == -1 - np.arange(n_states)
-        if self.semantics == "co-safe" and not np.all(stays[self.accepting]):
-            raise ValueError("`accepting`: expected absorbing states in a co-safe automaton, got one that can be left")
 
+    # Pickle the fields alone: a pickled array would come back writable, and the table can be made again.
     def __reduce__(self) -> tuple[type[Automaton], tuple[Any, ...]]:
         return Automaton, tuple(getattr(self, field.name) for field in fields(self))
 
@@ -159,6 +165,7 @@ class Automaton:
             )
         if self._table is None:
             return self._walk(q, letters)
+        # The letter as a binary number is the column of the table.
         code = np.zeros(q.shape, dtype=np.int64)
         for p, row in enumerate(letters):
             code += row.astype(np.int64) << p
@@ -166,7 +173,8 @@ class Automaton:
         return result
 
     def _walk(self, q: np.ndarray, letters: np.ndarray) -> np.ndarray:
-        """Follow the diagrams, all entries together: one step per level."""
+        """Return the next states by following the diagrams, all entries together, one step per level."""
+        # `at` is coded like the entries: a node while it is at least 0, a state in the end.
         at = self.root[q.reshape(-1)].astype(np.int64)
         flat = letters.reshape(len(self.propositions), q.size)
         active = np.flatnonzero(at >= 0)
@@ -179,7 +187,7 @@ class Automaton:
 
     @cached_property
     def _table(self) -> np.ndarray | None:
-        """Dense transition table (Q, 2^P), bit p of the column = proposition p; None if it were too large."""
+        """Dense transition table (Q, 2^P), bit p of the column = proposition p; None if it would be too large."""
         n = len(self.propositions)
         if n > _TABLE_PROPOSITIONS or self.n_states << n > _TABLE_ENTRIES:
             return None
@@ -215,6 +223,7 @@ class Automaton:
     @cached_property
     def dead(self) -> np.ndarray:
         """Read-only bool array (Q,): states from which no word leads to acceptance."""
+        # Walk backwards from the accepting states; what is never met is dead.
         manager, roots = self.diagrams()
         sources: list[list[int]] = [[] for _ in roots]
         for q, root in enumerate(roots):
@@ -233,7 +242,7 @@ class Automaton:
 
     @cached_property
     def finished(self) -> np.ndarray:
-        """Read-only bool array (Q,): states on entering which the task is satisfied; none for finite traces."""
+        """Read-only bool array (Q,): states whose entry satisfies the task; none for finite traces."""
         result: np.ndarray = self.accepting & self.is_co_safe
         result.setflags(write=False)
         return result
@@ -254,13 +263,14 @@ class Automaton:
         def child(entry: int) -> int:
             return nodes[entry] if entry >= 0 else manager.terminal(-1 - entry)
 
-        for n in np.argsort(-self.variable, kind="stable"):  # children test later propositions: they come first
+        # Children test later propositions than their parents, so they are made first.
+        for n in np.argsort(-self.variable, kind="stable"):
             nodes[n] = manager.node(int(self.variable[n]), child(int(self.low[n])), child(int(self.high[n])))
         return manager, [child(int(entry)) for entry in self.root]
 
     # --- as plain values -----------------------------------------------------------------------------------
     def to_dict(self) -> dict[str, Any]:
-        """Return the automaton as plain values that JSON can hold; `from_dict` turns them back exactly."""
+        """Return the automaton as plain values for JSON (exact); `from_dict` reads them back."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -278,25 +288,7 @@ class Automaton:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Automaton:
         """Return the automaton that `to_dict` wrote; raise ValueError if `data` is anything else."""
-        if not isinstance(data, Mapping) or data.get("format") != FORMAT:
-            raise ValueError(f'`data`: expected a dictionary with "format": "{FORMAT}"')
-        if data.get("version") != VERSION:
-            raise ValueError(f"`version`: expected {VERSION}, got {data.get('version')!r}; written by another release")
-        expected = {"format", "version", "semantics", "propositions", "states", "initial", *_INTEGER_FIELDS}
-        if set(data) != expected:
-            odd = sorted(map(str, set(data) ^ expected))
-            raise ValueError(
-                f"`data`: expected exactly the fields {', '.join(sorted(expected))}; differs in {odd[0]!r}"
-            )
-        for field in ("propositions", "states"):
-            if not isinstance(data[field], list) or not all(isinstance(name, str) for name in data[field]):
-                raise ValueError(f"`{field}`: expected a list of strings")
-        for field in _INTEGER_FIELDS:
-            values = data[field]
-            if not isinstance(values, list) or not all(type(v) is int and abs(v) < 2**31 for v in values):
-                raise ValueError(f"`{field}`: expected a list of integers below 2^31")
-        if type(data["initial"]) is not int:
-            raise ValueError(f"`initial`: expected an integer, got {data['initial']!r}")
+        _check_data(data)
         n_states = len(data["states"])
         if not all(0 <= q < n_states for q in data["accepting"]):
             raise ValueError(f"`accepting`: expected state indices below {n_states}")
@@ -333,6 +325,27 @@ def followed(automaton: Automaton, entry: int, positions: Mapping[int, int], hol
     return entry
 
 
+def _check_data(data: Mapping[str, Any]) -> None:
+    """Raise ValueError unless plain values have the fields and types that `to_dict` writes."""
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+        raise ValueError(f'`data`: expected a dictionary with "format": "{FORMAT}"')
+    if data.get("version") != VERSION:
+        raise ValueError(f"`version`: expected {VERSION}, got {data.get('version')!r}; written by another release")
+    expected = {"format", "version", "semantics", "propositions", "states", "initial", *_INTEGER_FIELDS}
+    if set(data) != expected:
+        odd = sorted(map(str, set(data) ^ expected))
+        raise ValueError(f"`data`: expected exactly the fields {', '.join(sorted(expected))}; differs in {odd[0]!r}")
+    for field in ("propositions", "states"):
+        if not isinstance(data[field], list) or not all(isinstance(name, str) for name in data[field]):
+            raise ValueError(f"`{field}`: expected a list of strings")
+    for field in _INTEGER_FIELDS:
+        values = data[field]
+        if not isinstance(values, list) or not all(type(v) is int and abs(v) < 2**31 for v in values):
+            raise ValueError(f"`{field}`: expected a list of integers below 2^31")
+    if type(data["initial"]) is not int:
+        raise ValueError(f"`initial`: expected an integer, got {data['initial']!r}")
+
+
 def check_semantics(semantics: object) -> None:
     """Raise ValueError unless `semantics` is one of the two names."""
     if not isinstance(semantics, str) or semantics not in SEMANTICS:
@@ -354,13 +367,22 @@ def checked_names(field: str, values: object) -> tuple[str, ...]:
     return tuple(values)
 
 
+def _checked_accepting(values: object, n_states: int) -> np.ndarray:
+    """Return `values` as a read-only bool array of shape (n_states,); raise ValueError if they are anything else."""
+    accepting = np.array(values)
+    if accepting.shape != (n_states,) or accepting.dtype != np.bool_:
+        raise ValueError(f"`accepting`: expected {n_states} Booleans, got {accepting.dtype} {accepting.shape}")
+    accepting.setflags(write=False)
+    return accepting
+
+
 def checked_integers(field: str, values: object, length: int, least: int, bound: int) -> np.ndarray:
     """Return `values` as a read-only int32 array of `length` entries in [least, bound)."""
-    given = np.array(values)
-    if given.shape != (length,) or (given.dtype.kind not in "iu" and length):
-        raise ValueError(f"`{field}`: expected {length} integers, got {given.dtype} of shape {given.shape}")
-    if length and not (least <= given.min() and given.max() < bound):
-        raise ValueError(f"`{field}`: expected entries from {least} to {bound - 1}, got {given.min()} to {given.max()}")
-    result = given.astype(np.int32)
+    array = np.array(values)
+    if array.shape != (length,) or (array.dtype.kind not in "iu" and length):
+        raise ValueError(f"`{field}`: expected {length} integers, got {array.dtype} of shape {array.shape}")
+    if length and not (least <= array.min() and array.max() < bound):
+        raise ValueError(f"`{field}`: expected entries from {least} to {bound - 1}, got {array.min()} to {array.max()}")
+    result = array.astype(np.int32)
     result.setflags(write=False)
     return result

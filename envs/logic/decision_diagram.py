@@ -1,10 +1,10 @@
-"""Ordered decision diagrams with integer terminals: sets of letters and maps from letters without enumerating them.
+"""Ordered decision diagrams with integer terminals: sets of letters and maps from letters, without listing letters.
 
-A node is an integer of its manager. An inner node tests one Boolean variable (an integer; smaller ones are
-tested first) and leads to ``low`` if it is false, to ``high`` if it is true; a terminal holds an integer value.
-Nodes are hash-consed and reduced, so within one manager and one variable order two nodes are equal exactly if
-they denote the same function (Bryant 1986). Every traversal keeps its own stack: a diagram over thousands of
-variables needs no deep recursion. Nodes 0 and 1 are the terminals of value 0 (false) and 1 (true).
+A node is an integer of its manager. An inner node tests one Boolean variable (an integer; smaller ones are tested
+first) and leads to ``low`` if it is false, to ``high`` if it is true; a terminal holds an integer value. Nodes are
+hash-consed and reduced, so within one manager and one variable order two nodes are equal if and only if they denote the
+same function (Bryant 1986). Every traversal uses an explicit stack, so a diagram over thousands of variables needs no
+deep recursion. Nodes 0 and 1 are the terminals of value 0 (false) and 1 (true).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _BELOW_ALL = 1 << 60  # the "variable" of terminals: larger than every real vari
 
 
 class DiagramSizeError(ValueError):
-    """A diagram grew beyond the manager's limit on nodes."""
+    """Raised if a diagram grows beyond the manager's limit on nodes."""
 
 
 class DecisionDiagrams:
@@ -26,16 +26,17 @@ class DecisionDiagrams:
     Parameters
     ----------
     node_limit : int
-        Largest number of nodes (dimensionless count) before `DiagramSizeError` is raised.
+        Largest number of nodes (dimensionless count); `DiagramSizeError` is raised beyond it. The default is about a
+        gigabyte.
 
     Examples
     --------
     >>> diagrams = DecisionDiagrams()
     >>> a, b = diagrams.literal(0), diagrams.literal(1)
-    >>> both = diagrams.conjoin(a, b)
-    >>> both == diagrams.negate(diagrams.disjoin(diagrams.negate(a), diagrams.negate(b)))
+    >>> a_and_b = diagrams.conjoin(a, b)
+    >>> a_and_b == diagrams.negate(diagrams.disjoin(diagrams.negate(a), diagrams.negate(b)))
     True
-    >>> diagrams.restrict(both, {0: True}) == b
+    >>> diagrams.restrict(a_and_b, {0: True}) == b
     True
     """
 
@@ -58,25 +59,26 @@ class DecisionDiagrams:
     # --- nodes ---------------------------------------------------------------------------------------------
     def terminal(self, value: int) -> int:
         """Return the terminal that holds `value`."""
-        found = self._leaf.get(value)
-        if found is None:
-            found = self._leaf[value] = self._append(_BELOW_ALL, value, value)
-        return found
+        leaf = self._leaf.get(value)
+        if leaf is None:
+            leaf = self._leaf[value] = self._append(_BELOW_ALL, value, value)
+        return leaf
 
     def node(self, variable: int, low: int, high: int) -> int:
         """Return the reduced node that tests `variable`; raise ValueError if a child does not test later ones."""
+        # Equal children need no test, and equal nodes are made once: this is what makes diagrams canonical.
         if low == high:
             return low
         key = (variable, low, high)
-        found = self._inner.get(key)
-        if found is None:
+        inner = self._inner.get(key)
+        if inner is None:
             if variable >= self._variable[low] or variable >= self._variable[high]:
                 raise ValueError(f"`variable`: expected less than the variables of both children, got {variable}")
-            found = self._inner[key] = self._append(variable, low, high)
-        return found
+            inner = self._inner[key] = self._append(variable, low, high)
+        return inner
 
     def literal(self, variable: int, positive: bool = True) -> int:
-        """Return the Boolean function that is the variable, or its negation."""
+        """Return the Boolean function of one variable, or of its negation."""
         return self.node(variable, FALSE, TRUE) if positive else self.node(variable, TRUE, FALSE)
 
     def is_terminal(self, n: int) -> bool:
@@ -129,12 +131,12 @@ class DecisionDiagrams:
         memo : dict
             Results per pair of nodes, reused as long as `op` and `shortcut` are the same.
         shortcut : callable, optional
-            Maps two *nodes* to the result where that is known at once, else to None.
+            Maps two *nodes* to the result if it is known at once, else to None.
         """
 
         def base(a: int, b: int) -> int | None:
-            if shortcut is not None and (known := shortcut(a, b)) is not None:
-                return known
+            if shortcut is not None and (result := shortcut(a, b)) is not None:
+                return result
             if self._variable[a] == _BELOW_ALL and self._variable[b] == _BELOW_ALL:
                 return self.terminal(op(self._low[a], self._low[b]))
             return None
@@ -150,8 +152,9 @@ class DecisionDiagrams:
             if key in memo:
                 stack.pop()
                 continue
-            known = base(a, b)
-            if known is None:
+            result = base(a, b)
+            if result is None:
+                # Split both functions by the first variable that either tests; children come before their parent.
                 top = min(variable[a], variable[b])
                 in_a, in_b = variable[a] == top, variable[b] == top
                 low_key = (low[a] if in_a else a, low[b] if in_b else b)
@@ -162,8 +165,8 @@ class DecisionDiagrams:
                 if high_key not in memo:
                     stack.append(high_key)
                     continue
-                known = self.node(top, memo[low_key], memo[high_key])
-            memo[key] = known
+                result = self.node(top, memo[low_key], memo[high_key])
+            memo[key] = result
             stack.pop()
         return memo[f, g]
 
@@ -176,14 +179,15 @@ class DecisionDiagrams:
         return self._combine(f, g, self._disjoin_memo, _known_disjunction)
 
     def conjoin_all(self, nodes: Iterable[int]) -> int:
-        """Return the conjunction of Boolean functions (true if there are none); linear time for literals."""
+        """Return the conjunction of Boolean functions (true for no function); linear time for literals."""
         result = TRUE
+        # From the bottom up, so that each literal is put on top of what there is.
         for n in sorted(set(nodes), key=self._variable.__getitem__, reverse=True):
             result = self.conjoin(n, result)
         return result
 
     def disjoin_all(self, nodes: Iterable[int]) -> int:
-        """Return the disjunction of Boolean functions (false if there are none); linear time for literals."""
+        """Return the disjunction of Boolean functions (false for no function); linear time for literals."""
         result = FALSE
         for n in sorted(set(nodes), key=self._variable.__getitem__, reverse=True):
             result = self.disjoin(n, result)
@@ -194,8 +198,9 @@ class DecisionDiagrams:
         return self.rebuild(f, self, lambda n: 1 - n if n <= TRUE else None, self._negate_memo)
 
     def choose(self, variable: int, low: int, high: int) -> int:
-        """Return "if `variable` then `high` else `low`" wherever the variable stands in the order."""
+        """Return "if `variable` then `high` else `low`", at any place of the variable in the order."""
 
+        # Descend through both functions as far as the variable, and put the test there.
         def base(a: int, b: int) -> int | None:
             if self._variable[a] > variable and self._variable[b] > variable:
                 return self.node(variable, a, b)
@@ -244,9 +249,9 @@ class DecisionDiagrams:
         return memo[f]
 
     def restrict(self, f: int, assignment: Mapping[int, bool]) -> int:
-        """Return the cofactor of `f`: the function left when some variables have the given values.
+        """Return the cofactor of `f`: the function that remains when some variables are set to values.
 
-        Nodes that test later variables than all of these stand for themselves: nothing below them is visited.
+        Nodes that test later variables than all of these stay as they are: nothing below them is visited.
         """
         memo: dict[int, int] = {}
         last = max(assignment, default=-1)
@@ -259,7 +264,7 @@ class DecisionDiagrams:
                 stack.pop()
                 continue
             low, high = self._low[n], self._high[n]
-            if variable in assignment:
+            if variable in assignment:  # both children are the one that the value selects
                 low = high = high if assignment[variable] else low
             missing = [child for child in (low, high) if child not in memo]
             if missing:
@@ -306,7 +311,8 @@ class DecisionDiagrams:
                 stack.append((self._low[n], (*path, (variable, False))))
 
     def find(self, f: int, value: int) -> dict[int, bool] | None:
-        """Return an assignment that leads `f` to the terminal `value`, or None if there is none."""
+        """Return an assignment that leads `f` to the terminal `value`, or None if no letter does."""
+        # Note one parent of every node, then walk up from the terminal.
         parent: dict[int, tuple[int, bool]] = {}
         for n in self.nodes(f):
             if self._variable[n] != _BELOW_ALL:
@@ -323,6 +329,7 @@ class DecisionDiagrams:
 
 
 def _known_conjunction(a: int, b: int) -> int | None:
+    """Return the conjunction if a terminal, or equality, decides it."""
     if a == FALSE or b == FALSE:
         return FALSE
     if a == TRUE or a == b:
@@ -331,6 +338,7 @@ def _known_conjunction(a: int, b: int) -> int | None:
 
 
 def _known_disjunction(a: int, b: int) -> int | None:
+    """Return the disjunction if a terminal, or equality, decides it."""
     if a == TRUE or b == TRUE:
         return TRUE
     if a == FALSE or a == b:

@@ -1,4 +1,4 @@
-"""Temporal-logic formulas as trees, their printing, and the error that points at a place in their text."""
+"""Temporal-logic formulas as trees: how they print, and the error that points at a place in their text."""
 
 from __future__ import annotations
 
@@ -6,34 +6,40 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-MAX_DEPTH = 100  # nesting; keeps every recursion over a formula far from the limit of Python
-MAX_BOUND = 100_000  # largest number in F[a,b], G[a,b], X[k]
+MAX_DEPTH = 100
+"""Deepest nesting: every recursion over a formula stays far from Python's limit of 1000 calls."""
+
+MAX_BOUND = 100_000
+"""Largest number in F[a,b], G[a,b], X[k]; the limits of the translation are met long before."""
 
 CONSTANTS = ("true", "false")
 FAMILY_OPERATORS = ("all", "any")
 NEXT_LIKE = ("X", "N", "F", "G")
 UNTIL_LIKE = ("U", "R", "W", "M")
 RESERVED = frozenset((*CONSTANTS, *FAMILY_OPERATORS, *NEXT_LIKE, *UNTIL_LIKE))
+
+# A larger number binds more tightly; the unary operators bind most tightly of all.
 POWER = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "R": 5, "W": 5, "M": 5}
 UNARY_POWER = 6
 
-_SHOWN = 100  # characters of the formula's line in an error
+_SHOWN = 100
+"""Characters of the formula's line in an error: with indentation and dots it fits on a line of a terminal."""
 
 
 def is_proposition_name(name: object) -> bool:
-    """Return whether `name` can be written as an atom: letters, digits and underscores, and no operator."""
+    """Return whether `name` can be written as an atom: letters, digits and underscores, but not an operator."""
     return isinstance(name, str) and bool(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name)) and name not in RESERVED
 
 
 class FormulaError(ValueError):
-    """A formula cannot be read or translated.
+    """Raised if a formula cannot be read or translated.
 
     Attributes
     ----------
     problem : str
         What is wrong and what to write instead.
     text : str
-        The formula as given; empty if unknown.
+        The formula as the user wrote it; empty if unknown.
     start, end : int
         The offending characters, ``text[start:end]``.
     """
@@ -42,6 +48,7 @@ class FormulaError(ValueError):
         self.problem, self.text, self.start, self.end = problem, text, start, end
         super().__init__(problem + _pointer(text, start, end))
 
+    # By default an exception is rebuilt from its message alone.
     def __reduce__(self) -> tuple[type[FormulaError], tuple[str, str, int, int]]:
         return FormulaError, (self.problem, self.text, self.start, self.end)
 
@@ -50,6 +57,7 @@ def _pointer(text: str, start: int, end: int) -> str:
     """Return the offending line with carets below it, cut to a window if it is long."""
     if not text:
         return ""
+    # Cut the line out of the text, then a window around the place out of the line.
     left = text.rfind("\n", 0, start) + 1
     right = text.find("\n", start)
     line = text[left : right if right >= 0 else len(text)]
@@ -76,7 +84,7 @@ class Formula:
     bounds : tuple of int, optional
         ``(a, b)`` of ``F[a,b]`` and ``G[a,b]``; ``(k, k)`` of ``X[k]`` and ``N[k]``.
     span, text
-        Where it stands in which text; ignored in comparisons.
+        The text that the formula was read from, and its place there; ignored in comparisons.
 
     Raises
     ------
@@ -125,12 +133,13 @@ class Formula:
 
 
 def _arity(operator: str) -> tuple[int, int]:
+    """Return the least and largest number of operands; raise ValueError if the operator is unknown."""
     if operator in CONSTANTS or operator in FAMILY_OPERATORS or operator == "atom":
         return 0, 0
     if operator in NEXT_LIKE or operator == "!":
         return 1, 1
     if operator in ("&", "|"):
-        return 2, 1 << 60
+        return 2, 1 << 60  # no limit
     if operator in POWER:
         return 2, 2
     raise ValueError(f"`operator`: expected an operator of the formula syntax, got {operator!r}")
@@ -148,14 +157,17 @@ def _printed(formula: Formula, outer: int) -> str:
     if operator not in POWER:
         return _unary_text(formula) + _printed(operands[0], UNARY_POWER)
     power = POWER[operator]
-    parts = [_printed(operand, power + 1) for operand in operands[:-1]]
-    chain = operator in ("&", "|")
-    parts.append(_printed(operands[-1], power + 1 if chain else power))
-    joined = f" {operator} ".join(parts)
+    # Binary operators are right associative: only the last operand may bind as weakly as the operator. The operands of
+    # & and | are a flat list, in which a nested one of the same kind needs its parentheses.
+    texts = [_printed(operand, power + 1) for operand in operands[:-1]]
+    is_chain = operator in ("&", "|")
+    texts.append(_printed(operands[-1], power + 1 if is_chain else power))
+    joined = f" {operator} ".join(texts)
     return f"({joined})" if power < outer else joined
 
 
 def _unary_text(formula: Formula) -> str:
+    """Return a unary operator with its bounds, as it stands before its operand."""
     if formula.operator == "!":
         return "!"
     if formula.bounds is None:

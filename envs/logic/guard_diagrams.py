@@ -1,4 +1,4 @@
-"""Guards: Boolean conditions on a letter, and how they join into the diagram of a state."""
+"""Guards: Boolean conditions on a letter, and the diagram of a state that joins them."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ CONFLICT = -2  # terminal: guards with different targets hold
 
 def propositional_diagram(term: Term, diagrams: DecisionDiagrams, memo: dict[Term, int]) -> int:
     """Return the Boolean function of a term without temporal operators."""
-    found = memo.get(term)
-    if found is None:
+    node = memo.get(term)
+    if node is None:
         if term.literal is not None:
-            found = diagrams.literal(*term.literal)
+            node = diagrams.literal(*term.literal)
         elif term.operator in ("true", "false"):
-            found = TRUE if term.operator == "true" else FALSE
+            node = TRUE if term.operator == "true" else FALSE
         else:
-            parts = [propositional_diagram(part, diagrams, memo) for part in term.operands]
-            found = diagrams.conjoin_all(parts) if term.operator == "&" else diagrams.disjoin_all(parts)
-        memo[term] = found
-    return found
+            nodes = [propositional_diagram(operand, diagrams, memo) for operand in term.operands]
+            node = diagrams.conjoin_all(nodes) if term.operator == "&" else diagrams.disjoin_all(nodes)
+        memo[term] = node
+    return node
 
 
 def joined_guards(diagrams: DecisionDiagrams, guarded: Sequence[tuple[int, int]]) -> int:
@@ -36,6 +36,7 @@ def joined_guards(diagrams: DecisionDiagrams, guarded: Sequence[tuple[int, int]]
     """
     result = diagrams.terminal(MISSING)
     memo: dict[tuple[int, int], int] = {}
+    # Turn each guard into a map to its target, and lay the maps over each other.
     for guard, target in guarded:
         replaced = {FALSE: diagrams.terminal(MISSING), TRUE: diagrams.terminal(target)}
         piece = diagrams.rebuild(guard, diagrams, replaced.get, {})
@@ -44,6 +45,7 @@ def joined_guards(diagrams: DecisionDiagrams, guarded: Sequence[tuple[int, int]]
 
 
 def _joined(a: int, b: int) -> int:
+    """Return the target of a letter under two maps; `MISSING` gives way, different targets conflict."""
     if a == MISSING or a == b:
         return b
     return a if b == MISSING else CONFLICT
@@ -63,5 +65,5 @@ def completed(diagrams: DecisionDiagrams, root: int, target: int) -> int:
 
 def letter_text(assignment: Mapping[int, bool], propositions: Sequence[str]) -> str:
     """Return a cube of letters as text such as ``a & !b``."""
-    parts = [("" if value else "!") + propositions[p] for p, value in sorted(assignment.items())]
-    return " & ".join(parts) or "any letter"
+    literals = [("" if value else "!") + propositions[p] for p, value in sorted(assignment.items())]
+    return " & ".join(literals) or "any letter"

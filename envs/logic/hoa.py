@@ -1,9 +1,9 @@
 """Tasks from automata in the Hanoi Omega-Automata format, and back.
 
-Read are deterministic *terminal* Buchi automata (``Acceptance: 1 Inf(0)``): every accepting mark lies on a state that
-all letters keep, or on an edge into such a state. Visiting the mark infinitely often then means reaching that state
-once, which is co-safe acceptance: what other omega-automata accept cannot be decided after finitely many letters.
-The first letter of the word is that of x0, as everywhere. Spot writes such automata, for example by
+The reader takes deterministic *terminal* Buchi automata (``Acceptance: 1 Inf(0)``): every accepting mark lies on a
+state that no letter leaves, or on an edge into such a state. To visit the mark infinitely often then means to reach
+that state once, which is co-safe acceptance. What other omega-automata accept cannot be decided after finitely many
+letters. The first letter of the word is that of x0, as everywhere. Spot writes such automata, for example by
 ``ltl2tgba -B -D "a U b"`` for co-safe formulas.
 """
 
@@ -19,7 +19,8 @@ from .guard_diagrams import CONFLICT, completed, joined_guards, letter_text
 from .hoa_text import HoaReader, HoaState, HoaText, hoa_error
 from .minimal import StateGraph, minimal_automaton, saturated
 
-_MAX_CUBES = 10_000  # per state, when writing
+_MAX_CUBES = 10_000
+"""Most cubes of a state when writing: some hundred kilobytes per state, as much as other programs read with ease."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,14 @@ def automaton_from_hoa(text: str, propositions: Sequence[str]) -> Automaton:
     Parameters
     ----------
     text : str
-        One automaton in HOA version 1. Labels may use aliases or be implicit; missing letters violate the task.
+        One automaton in HOA version 1. Labels may use aliases or be implicit. Letters without an edge violate the task.
     propositions : sequence of str
-        All propositions in the wanted order; the automaton's must be among them.
+        All propositions in the wanted order; those of the automaton must be among them.
 
     Raises
     ------
     ValueError
-        If the text cannot be read, or the automaton is not deterministic, terminal and Buchi; the reason is named.
+        If the text cannot be read, or the automaton is not deterministic, terminal and Buchi; the message says which.
     """
     if not isinstance(text, str):
         raise ValueError(f"`hoa`: expected a string, got {type(text).__name__}")
@@ -54,10 +55,12 @@ def automaton_from_hoa(text: str, propositions: Sequence[str]) -> Automaton:
             raise hoa_error(f"the atomic proposition {name!r} is not declared; declared is {', '.join(close)}")
         return index[name]
 
+    # Read the text, check that acceptance is co-safe, and only then complete and minimise.
     diagrams = DecisionDiagrams()
     reader = HoaReader(text, diagrams, variable_of)
     hoa = reader.read()
     start = _start(hoa)
+    # Accepting marks must lead into absorbing states; letters without an edge lead into a trap.
     edges = {number: _edges(state, diagrams, reader.variables) for number, state in hoa.states.items()}
     sinks = _accepting_sinks(edges, diagrams)
     _check_terminal(edges, sinks)
@@ -66,7 +69,7 @@ def automaton_from_hoa(text: str, propositions: Sequence[str]) -> Automaton:
 
 
 def _start(hoa: HoaText) -> int:
-    """Return the initial state, after checking what the headers promise."""
+    """Return the initial state; raise ValueError unless the headers announce one deterministic Buchi automaton."""
     if hoa.acceptance.split() != ["1", "Inf", "(", "0", ")"]:
         raise hoa_error(
             f"expected Buchi acceptance, Acceptance: 1 Inf(0), got {hoa.acceptance or 'none'}; "
@@ -82,13 +85,14 @@ def _start(hoa: HoaText) -> int:
 
 
 def _edges(state: HoaState, diagrams: DecisionDiagrams, variables: list[int]) -> list[_Edge]:
-    """Return the edges of a state with their labels, explicit or implicit."""
+    """Return the edges of a state with their labels; an edge is marked if it or its state is."""
     labels = [label for label, _, _ in state.edges]
     if state.label is not None:
         if any(label is not None for label in labels):
             raise hoa_error(f"state {state.number} has a label and labelled edges; only one is allowed")
         labels = [state.label] * len(labels)
     elif labels and all(label is None for label in labels):
+        # Implicit labels: edge number k is taken on the letter whose bits are those of k.
         n = len(variables)
         if n > 20 or len(labels) != 1 << n:
             raise hoa_error(f"state {state.number}: expected 2^{n} edges without labels, got {len(labels)}")
@@ -108,7 +112,7 @@ def _edges(state: HoaState, diagrams: DecisionDiagrams, variables: list[int]) ->
 
 
 def _accepting_sinks(edges: dict[int, list[_Edge]], diagrams: DecisionDiagrams) -> set[int]:
-    """Return the states that every letter keeps, with a mark each time."""
+    """Return the states that no letter leaves and whose edges are all marked."""
     return {
         number
         for number, out in edges.items()
@@ -118,12 +122,13 @@ def _accepting_sinks(edges: dict[int, list[_Edge]], diagrams: DecisionDiagrams) 
 
 
 def _check_terminal(edges: dict[int, list[_Edge]], sinks: set[int]) -> None:
+    """Raise ValueError if an accepting mark does not lead into an accepting sink."""
     for number, out in edges.items():
         for edge in out:
             if edge.marked and edge.target not in sinks:
                 raise hoa_error(
-                    f"state {number} has an accepting mark that does not lead to an accepting state that all letters "
-                    "keep ([t] loop with the mark): the automaton is not terminal, so its task is not co-safe. Use "
+                    f"state {number} has an accepting mark that does not lead to an accepting state that no letter "
+                    "leaves ([t] loop with the mark): the automaton is not terminal, so its task is not co-safe. Use "
                     'semantics "finite-trace" with a formula, or a bounded task'
                 )
 
@@ -131,9 +136,10 @@ def _check_terminal(edges: dict[int, list[_Edge]], sinks: set[int]) -> None:
 def _graph(
     edges: dict[int, list[_Edge]], sinks: set[int], start: int, diagrams: DecisionDiagrams, names: tuple[str, ...]
 ) -> StateGraph:
-    """Return the completed automaton; states are renumbered from 1, 0 is the trap."""
+    """Return the completed automaton; states are numbered from 1, and 0 is the trap for letters without an edge."""
     mentioned = [start, *edges, *(edge.target for out in edges.values() for edge in out)]
     number = {state: i + 1 for i, state in enumerate(dict.fromkeys(mentioned))}
+    # Sinks become absorbing states; guards of the others must not overlap unless their targets agree.
     roots = [diagrams.terminal(0)]
     for state, q in number.items():
         if state in sinks:
@@ -151,7 +157,7 @@ def _graph(
 
 
 def automaton_to_hoa(automaton: Automaton, name: str = "") -> str:
-    """Return a co-safe automaton as terminal deterministic Buchi automaton in HOA version 1 (exact).
+    """Return a co-safe automaton as a terminal deterministic Buchi automaton in HOA version 1 (exact).
 
     Raises
     ------
@@ -167,6 +173,7 @@ def automaton_to_hoa(automaton: Automaton, name: str = "") -> str:
     lines += ["properties: explicit-labels state-acc complete deterministic terminal", "--BODY--"]
     for q, root in enumerate(roots):
         lines.append(f"State: {q} {_quoted(automaton.state_names[q])}" + (" {0}" if automaton.accepting[q] else ""))
+        # The paths of a diagram are disjoint cubes; those with one target share a label.
         cubes: dict[int, list[str]] = {}
         for count, (assignment, target) in enumerate(manager.paths(root)):
             if count >= _MAX_CUBES:

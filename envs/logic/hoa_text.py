@@ -1,4 +1,4 @@
-"""Reader of the Hanoi Omega-Automata format, version 1: the text only, not what it means for a task.
+"""Reader of the Hanoi Omega-Automata format, version 1: it reads the text; `hoa` says what it means for a task.
 
 Reference: https://adl.github.io/hoaf/ (Babiak et al., CAV 2015).
 """
@@ -12,20 +12,26 @@ from dataclasses import dataclass, field
 from .decision_diagram import FALSE, TRUE, DecisionDiagrams
 
 _MAX_NESTING = 100
-_KNOWN = ("HOA", "States", "Start", "AP", "Alias", "Acceptance", "acc-name", "tool", "name", "properties")
+"""Deepest nesting of a label, far from Python's limit on recursion."""
+
+# Headers that the format defines; of others, those with a capital letter may change the meaning, and are refused.
+_HEADERS = ("HOA", "States", "Start", "AP", "Alias", "Acceptance", "acc-name", "tool", "name", "properties")
+
+# One group per kind of token, in this order.
+_KINDS = ("string", "marker", "header", "alias", "name", "number", "symbol", "stray")
 _TOKEN = re.compile(
     r'\s*(?:("(?:\\.|[^"\\])*")|(--BODY--|--END--|--ABORT--)|([A-Za-z_][\w-]*:)|(@[\w-]+)|([A-Za-z_][\w-]*)|([0-9]+)'
     r"|([\[\](){}!&|])|(\S))",
     re.ASCII | re.DOTALL,
 )
+# Comments nest, so they are removed by counting; a string may hold what looks like a comment.
 _STRING_OR_COMMENT = re.compile(r'"(?:\\.|[^"\\])*"|/\*', re.DOTALL)
 _COMMENT_EDGE = re.compile(r"/\*|\*/")
-_KINDS = ("string", "marker", "header", "alias", "name", "number", "symbol", "stray")
 
 
 @dataclass(frozen=True)
 class HoaToken:
-    """Piece of the text: its kind, its characters and its line (from 1)."""
+    """A piece of the text: its kind, its characters and its line (from 1)."""
 
     kind: str
     text: str
@@ -34,7 +40,7 @@ class HoaToken:
 
 @dataclass
 class HoaState:
-    """State as written: its own label and marks, and its edges (label, target, marks); labels are diagrams."""
+    """A state as written: its label and marks, and its edges (label, target, marks); labels are diagrams."""
 
     number: int
     label: int | None
@@ -44,7 +50,7 @@ class HoaState:
 
 @dataclass
 class HoaText:
-    """Automaton as written."""
+    """An automaton as written, before any meaning is given to it."""
 
     starts: list[list[int]] = field(default_factory=list)
     n_states: int | None = None
@@ -60,7 +66,7 @@ def hoa_error(problem: str, line: int | None = None) -> ValueError:
 
 
 class HoaReader:
-    """Recursive-descent reader.
+    """Recursive-descent reader of one automaton.
 
     Parameters
     ----------
@@ -124,8 +130,8 @@ class HoaReader:
     def _header(self, token: HoaToken) -> None:
         """Read the content of one header."""
         name = token.text[:-1]
-        if name not in _KNOWN and name[0].isupper():
-            raise hoa_error(f"the header {name}: is unknown, and its capital says that it matters", token.line)
+        if name not in _HEADERS and name[0].isupper():
+            raise hoa_error(f"the header {name}: is unknown, and its capital letter says that it matters", token.line)
         if name == "States":
             self.hoa.n_states = self._number("the number of states")
         elif name == "Start":
@@ -136,13 +142,14 @@ class HoaReader:
             alias = self._take("alias", "an alias such as @a").text
             self.hoa.aliases[alias] = self._expression(0)
         else:
-            parts: list[str] = []
+            words: list[str] = []
             while self._token.kind not in ("header", "marker", "end"):
-                parts.append(self._advance().text)
-            if name == "Acceptance":
-                self.hoa.acceptance = " ".join(parts)
+                words.append(self._advance().text)
+            if name == "Acceptance":  # the other headers say nothing that is needed
+                self.hoa.acceptance = " ".join(words)
 
     def _atoms(self, token: HoaToken) -> None:
+        """Read the number and the names of the atomic propositions."""
         if self.hoa.atoms is not None:
             raise hoa_error("expected one AP: header, got two", token.line)
         count = self._number("the number of atomic propositions")
@@ -152,9 +159,11 @@ class HoaReader:
             self.hoa.atoms.append(re.sub(r"\\(.)", r"\1", written[1:-1], flags=re.DOTALL))
         if len(set(self.hoa.atoms)) < count:
             raise hoa_error("expected different atomic propositions, got one twice", token.line)
+        # Labels name propositions by their position in this header.
         self.variables = [self.variable_of(name) for name in self.hoa.atoms]
 
     def _conjunction(self) -> list[int]:
+        """Read states joined by &, which only alternating automata have more than one of."""
         states = [self._number("a state")]
         while self._token.text == "&":
             self._advance()
@@ -163,6 +172,7 @@ class HoaReader:
 
     # --- body ----------------------------------------------------------------------------------------------
     def _state(self) -> None:
+        """Read a state and its edges."""
         line = self._advance().line
         label = self._label()
         number = self._number("a state")
@@ -181,13 +191,13 @@ class HoaReader:
             state.edges.append((label, targets[0], self._marks()))
 
     def _marks(self) -> set[int]:
-        found: set[int] = set()
+        marks: set[int] = set()
         if self._token.text == "{":
             self._advance()
             while self._token.kind == "number":
-                found.add(self._number("an acceptance set"))
+                marks.add(self._number("an acceptance set"))
             self._symbol("}")
-        return found
+        return marks
 
     def _label(self) -> int | None:
         if self._token.text != "[":
@@ -198,7 +208,7 @@ class HoaReader:
         return expression
 
     def _expression(self, depth: int) -> int:
-        """Read a Boolean expression: | of & of (negated) atoms."""
+        """Read a Boolean expression: a disjunction of conjunctions of factors."""
         if depth > _MAX_NESTING:
             raise hoa_error(f"a label nests deeper than {_MAX_NESTING} levels", self._token.line)
         result = self._product(depth)
@@ -208,6 +218,7 @@ class HoaReader:
         return result
 
     def _product(self, depth: int) -> int:
+        """Read a conjunction of factors."""
         result = self._factor(depth)
         while self._token.text == "&":
             self._advance()
@@ -215,6 +226,7 @@ class HoaReader:
         return result
 
     def _factor(self, depth: int) -> int:
+        """Read a constant, an alias, a proposition or an expression in parentheses, possibly negated."""
         negative = False
         while self._token.text == "!":
             self._advance()
@@ -230,14 +242,16 @@ class HoaReader:
         elif token.kind == "number" and len(token.text) < 10 and int(token.text) < len(self.variables):
             result = self.diagrams.literal(self.variables[int(token.text)])
         else:
-            known = f"t, f, a declared alias or a number below {len(self.variables)}"
-            raise hoa_error(f"expected {known} in a label, got {token.text[:40] or 'the end'!r}", token.line)
+            choices = f"t, f, a declared alias or a number below {len(self.variables)}"
+            raise hoa_error(f"expected {choices} in a label, got {token.text[:40] or 'the end'!r}", token.line)
         return self.diagrams.negate(result) if negative else result
 
 
 def _tokens(text: str) -> list[HoaToken]:
+    """Return the tokens of a text, and one for its end."""
     text = _without_comments(text)
     tokens: list[HoaToken] = []
+    # Lines are counted from token to token, so that long texts are read in linear time.
     at, line, counted = 0, 1, 0
     while match := _TOKEN.match(text, at):
         at = match.end()
@@ -251,18 +265,18 @@ def _tokens(text: str) -> list[HoaToken]:
 
 def _without_comments(text: str) -> str:
     """Return `text` with its (nested) comments replaced by blanks; line breaks stay."""
-    parts: list[str] = []
+    pieces: list[str] = []
     depth = at = 0
     while match := (_COMMENT_EDGE if depth else _STRING_OR_COMMENT).search(text, at):
         if depth:
-            parts.append("\n" * text.count("\n", at, match.start()))
+            pieces.append("\n" * text.count("\n", at, match.start()))
             depth += 1 if match.group() == "/*" else -1
         elif match.group() == "/*":
-            parts.append(text[at : match.start()] + " ")
+            pieces.append(text[at : match.start()] + " ")
             depth = 1
         else:
-            parts.append(text[at : match.end()])
+            pieces.append(text[at : match.end()])
         at = match.end()
     if depth:
         raise hoa_error("a comment /* is not closed")
-    return "".join(parts) + text[at:]
+    return "".join(pieces) + text[at:]

@@ -1,9 +1,9 @@
 """Minimal automata in a canonical order: equal languages give equal arrays.
 
-A `StateGraph` is an automaton under construction. `minimal_automaton` merges states that no word tells apart
-(Moore's partition refinement on decision diagrams) and numbers what is left breadth first from the initial state,
-low before high. The refinement starts from the shortest distances to acceptance and to rejection, which are
-properties of a state's language and split long chains at once.
+A `StateGraph` is an automaton under construction. `minimal_automaton` merges states that no word tells apart (Moore's
+partition refinement on decision diagrams) and numbers the remaining states breadth first from the initial one, low
+before high. The refinement starts from the shortest distances to acceptance and to rejection. These are properties of a
+state's language, and they split long chains at once.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .rebuilt import automaton_from_diagrams
 
 @dataclass(frozen=True)
 class StateGraph:
-    """States with their diagrams; terminal values are state indices."""
+    """An automaton under construction: states with their diagrams, whose terminal values are state indices."""
 
     propositions: tuple[str, ...]
     diagrams: DecisionDiagrams
@@ -28,21 +28,23 @@ class StateGraph:
 
 
 def minimise(automaton: Automaton) -> Automaton:
-    """Return the minimal automaton of the same language and semantics, with states named anew."""
+    """Return the minimal automaton of the same language and semantics, with new names of states."""
     diagrams, roots = automaton.diagrams()
     graph = StateGraph(automaton.propositions, diagrams, roots, list(automaton.accepting), automaton.initial)
     return minimal_automaton(graph, automaton.semantics)
 
 
 def saturated(graph: StateGraph) -> StateGraph:
-    """Return the co-safe automaton of `graph`: accepting states absorb, and so does what must reach them.
+    """Return the co-safe automaton of `graph`: accepting states absorb, and so do states that must reach them.
 
-    A state all of whose successors accept, accepts, until nothing changes: exactly then does every infinite word
-    from the state reach acceptance (Koenig), so the result accepts a prefix as soon as no continuation can spoil it.
+    A state accepts if all of its successors do, and this is repeated until nothing changes. A state accepts in the end
+    if and only if every infinite word from it reaches acceptance (Koenig's lemma). So the result accepts a prefix as
+    soon as no continuation can spoil it.
     """
     accepting = list(graph.accepting)
     successors = [graph.diagrams.leaves(root) for root in graph.roots]
     sources = _sources(successors)
+    # Count, per state, the successors that do not accept yet; a count that reaches 0 makes the state accept.
     missing = [len(targets) for targets in successors]
     stack = [q for q, accepts in enumerate(accepting) if accepts]
     while stack:
@@ -65,9 +67,10 @@ def minimal_automaton(graph: StateGraph, semantics: str, judge_empty_word: bool 
     semantics : str
         Semantics of the result.
     judge_empty_word : bool
-        If False, whether the empty word is accepted is free, and chosen such that the automaton is smallest
-        (rejected where both do). A task is judged on at least one letter, so nothing depends on it.
+        If False, the verdict on the empty word is free: it is chosen such that the automaton is smallest, and rejects
+        if both verdicts give the same size. A task is judged on at least one letter, so nothing depends on it.
     """
+    # One state stands for each block of equivalent states.
     successors = [graph.diagrams.leaves(root) for root in graph.roots]
     first = [graph.initial] if judge_empty_word else successors[graph.initial]
     states = _reachable(first, successors)
@@ -80,10 +83,12 @@ def minimal_automaton(graph: StateGraph, semantics: str, judge_empty_word: bool 
     if judge_empty_word:
         start = block[graph.initial]
     else:
-        own = _relabelled(graph, scratch, [graph.initial], block)[graph.initial]
-        start = min((b for b in root if root[b] == own), key=lambda b: (accepting[b], b), default=len(root))
+        # Any state with the transitions of the initial one may stand for it; otherwise it needs a state by itself.
+        initial_root = _relabelled(graph, scratch, [graph.initial], block)[graph.initial]
+        start = min((b for b in root if root[b] == initial_root), key=lambda b: (accepting[b], b), default=len(root))
         if start == len(root):
-            root[start], accepting[start] = own, False
+            root[start], accepting[start] = initial_root, False
+    # Number the states in canonical order, and rebuild their diagrams in a fresh manager.
     order = _reachable([start], {b: scratch.leaves(n) for b, n in root.items()})
     number = {b: i for i, b in enumerate(order)}
     final = DecisionDiagrams()
@@ -110,6 +115,7 @@ def _coarsest_partition(graph: StateGraph, states: list[int], successors: list[l
     to_reject = _distances([q for q in states if not graph.accepting[q]], sources)
     block = _numbered({q: (to_accept.get(q, -1), to_reject.get(q, -1)) for q in states})
     count = len(set(block.values()))
+    # Split blocks whose states lead to different blocks on some letter, until no block is split.
     while True:
         roots = _relabelled(graph, DecisionDiagrams(), states, block)
         block = _numbered({q: (block[q], roots[q]) for q in states})
@@ -133,6 +139,7 @@ def _relabelled(
 
 
 def _numbered(keys: dict[int, tuple[int, int]]) -> dict[int, int]:
+    """Return a block number per state: states share one if and only if they share a key."""
     number: dict[tuple[int, int], int] = {}
     return {q: number.setdefault(key, len(number)) for q, key in keys.items()}
 
@@ -150,6 +157,7 @@ def _reachable(first: Sequence[int], successors: Sequence[list[int]] | dict[int,
 
 
 def _sources(successors: list[list[int]]) -> list[list[int]]:
+    """Return the states from which some letter leads to each state."""
     sources: list[list[int]] = [[] for _ in successors]
     for q, targets in enumerate(successors):
         for target in targets:
@@ -158,10 +166,10 @@ def _sources(successors: list[list[int]]) -> list[list[int]]:
 
 
 def _distances(goals: list[int], sources: list[list[int]]) -> dict[int, int]:
-    """Return the least number of letters that lead from each state into `goals`, where there is one."""
+    """Return the least number of letters that lead from each state into `goals`; states without a way are left out."""
     distance = dict.fromkeys(goals, 0)
     order = list(goals)
-    for target in order:
+    for target in order:  # grows while it is read: breadth first
         for q in sources[target]:
             if q not in distance:
                 distance[q] = distance[target] + 1

@@ -1,12 +1,12 @@
 """Translation by the program MONA, where it is installed: an independent second opinion.
 
-A formula in negation normal form becomes a first-order sentence over the positions of a finite string (M2L-Str): the
-term at position p is a formula with the free position p, starting from position 0. MONA answers with the minimal
-automaton, its transitions as ternary cubes. Its first step reads Boolean variables, of which we have none, and is
-skipped. Everything happens in a private temporary directory.
+A formula in negation normal form becomes a first-order sentence over the positions of a finite string (M2L-Str): each
+term becomes a formula with one free position p, and the whole formula is read at position 0. MONA answers with the
+minimal automaton, its transitions as ternary cubes. Its first step reads Boolean variables; these sentences have none,
+so that step is skipped. Everything happens in a private temporary directory.
 
 For co-safe formulas the sentence says "this finite string proves the formula" (X and windows are strong, and there is
-no release), which every extension of the string keeps; the accepting states are then made absorbing and closed like
+no release). Every extension of the string proves it, too. The accepting states are then made absorbing and closed like
 those of the built-in translator.
 
 Reference: MONA 1.4, https://www.brics.dk/mona/.
@@ -26,7 +26,8 @@ from .guard_diagrams import CONFLICT, MISSING, joined_guards
 from .minimal import StateGraph
 from .normal_form import Term
 
-_TIMEOUT = 120.0  # seconds
+_TIMEOUT = 120.0
+"""Seconds that MONA may take; sentences of the sizes met here take well below one."""
 
 
 def mona_available() -> bool:
@@ -35,15 +36,16 @@ def mona_available() -> bool:
 
 
 def mona_states(term: Term, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
-    """Return the automaton of `term` as MONA computes it (for finite strings; co-safe: not yet absorbing).
+    """Return the automaton of `term` as MONA computes it, for finite strings; accepting states do not absorb yet.
 
     Raises
     ------
     ValueError
         If the program is not on the path or fails.
     FormulaError
-        If it needs more than `max_states` states, or more than two minutes.
+        If the automaton needs more than `max_states` states, or MONA more than two minutes.
     """
+    # Declare the propositions that occur, and say that the term holds at the position without a predecessor.
     used = sorted(_used(term))
     declaration = f"var2 {', '.join(f'P{i}' for i in used)};\n" if used else ""
     text = f"m2l-str;\n{declaration}ex1 p: (~(ex1 q: q < p) & {_Encoder(co_safe).at(term, 'p')});\n"
@@ -51,17 +53,18 @@ def mona_states(term: Term, propositions: tuple[str, ...], co_safe: bool, max_st
 
 
 def _used(term: Term) -> set[int]:
-    found: set[int] = set()
+    """Return the propositions that occur in a term."""
+    propositions: set[int] = set()
     seen: set[Term] = set()
     stack = [term]
     while stack:
-        part = stack.pop()
-        if part not in seen:
-            seen.add(part)
-            stack.extend(part.operands)
-            if part.literal is not None:
-                found.add(part.literal[0])
-    return found
+        subterm = stack.pop()
+        if subterm not in seen:
+            seen.add(subterm)
+            stack.extend(subterm.operands)
+            if subterm.literal is not None:
+                propositions.add(subterm.literal[0])
+    return propositions
 
 
 class _Encoder:
@@ -76,16 +79,17 @@ class _Encoder:
         return f"x{self.count}"
 
     def at(self, term: Term, p: str) -> str:
-        """Return the formula that `term` holds at position `p`."""
+        """Return the MONA formula which says that `term` holds at position `p`."""
         if term.literal is not None:
             proposition, positive = term.literal
             return f"{p} in P{proposition}" if positive else f"{p} notin P{proposition}"
         if term.operator in ("true", "false"):
             return term.operator
         if term.operator in ("&", "|"):
-            return "(" + f" {term.operator} ".join([self.at(part, p) for part in term.operands]) + ")"
+            return "(" + f" {term.operator} ".join([self.at(operand, p) for operand in term.operands]) + ")"
         if term.bounds is not None:
             return self.window(term, term.bounds, p)
+        # Until and release: r runs over the positions from p up to, but without, q.
         q, r = self.fresh(), self.fresh()
         left, right = self.at(term.operands[0], r), self.at(term.operands[1], q)
         between = f"{p} <= {r} & {r} < {q}"
@@ -94,6 +98,7 @@ class _Encoder:
         return f"(all1 {q}: ({p} <= {q} => ({right} | (ex1 {r}: ({between} & {left})))))"
 
     def window(self, term: Term, bounds: tuple[int, int], p: str) -> str:
+        """Return the MONA formula of a window at position `p`; with co-safe semantics its last letter must come."""
         low, high = bounds
         q = self.fresh()
         body = self.at(term.operands[0], q)
@@ -108,10 +113,11 @@ class _Encoder:
 
 
 def _run(text: str) -> str:
-    """Return what MONA prints about the formula in `text`."""
+    """Return the text that MONA prints about the sentence in `text`."""
     program = shutil.which("mona")
     if program is None:
         raise ValueError('`backend`: expected the program mona on the path for "mona", found none; use "builtin"')
+    # No shell is involved, and the file name is fixed: formulas cannot reach the command line.
     with tempfile.TemporaryDirectory(prefix="certigym-mona-") as folder:
         (Path(folder) / "formula.mona").write_text(text, encoding="ascii")
         try:
@@ -132,7 +138,7 @@ def _run(text: str) -> str:
 
 
 def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_states: int) -> StateGraph:
-    """Return the automaton printed by MONA."""
+    """Return the automaton that MONA has printed."""
     count = re.search(r"^Automaton has (\d+) states?", output, re.MULTILINE)
     accept = re.search(r"^Accepting states: *([\d ]*)$", output, re.MULTILINE)
     if count is None or accept is None:
@@ -140,6 +146,7 @@ def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_sta
     n_states = int(count.group(1))
     if n_states > max_states + 1:
         raise FormulaError(f"the automaton needs more than `max_states` = {max_states} states")
+    # A cube such as 0X1 is a conjunction of literals over the declared propositions; X leaves one open.
     diagrams = DecisionDiagrams()
     guarded: list[list[tuple[int, int]]] = [[] for _ in range(n_states)]
     for source, cube, target in re.findall(r"^State (\d+): ([01X]*) *-> state (\d+)$", output, re.MULTILINE):
@@ -149,6 +156,7 @@ def _parsed(output: str, used: list[int], propositions: tuple[str, ...], max_sta
     for root in roots:
         if set(diagrams.leaves(root)) & {MISSING, CONFLICT}:
             raise ValueError("`backend`: the transitions printed by mona are not deterministic and complete")
+    # State 0 reads the Boolean variables: its only successor is the state before the first letter.
     if not diagrams.is_terminal(roots[0]):
         raise ValueError("`backend`: expected the first step of mona's automaton to depend on no proposition")
     accepting = {int(q) for q in accept.group(1).split()}

@@ -1,13 +1,13 @@
-"""Negation normal form: what the translators work on.
+"""Negation normal form: the form of formulas on which the translators work.
 
-A `Term` is built from literals, ``&``, ``|``, ``U`` (until), ``R`` (release) and the windows ``F[]``, ``G[]``; all
+A `Term` is built from literals, ``&``, ``|``, ``U`` (until), ``R`` (release) and the windows ``F[]``, ``G[]``. All
 other operators are written with these (X = F[1,1], N = G[1,1], F a = true U a, G a = false R a,
 a W b = b R (a | b), a M b = b U (a & b)). Negations are pushed to the literals by the dualities of the semantics:
 
 - finite traces: not X a = N not a, and ``G[]`` reaches only as far as the trace does;
-- co-safe: those of infinite words, where not X a = X not a. Then only U, F, M, X and windows may be left: exactly
-  then does every satisfying word have a finite prefix that proves it. Anything else is refused, since read with the
-  dualities of finite traces it would accept words whose continuations violate the task.
+- co-safe: the dualities of infinite words, where not X a = X not a. Afterwards only U, F, M, X and windows may remain:
+  then, and only then, does every satisfying word have a finite prefix that proves it. Any other formula is refused: the
+  dualities of finite traces would make it accept words whose continuations violate the task.
 
 Terms are interned: equal terms are the same object.
 """
@@ -20,24 +20,25 @@ from dataclasses import dataclass
 
 from .formula import NEXT_LIKE, UNTIL_LIKE, Formula, is_proposition_name
 
+# The operator of the negated formula, with negated operands.
 _DUAL = {"&": "|", "|": "&", "U": "R", "R": "U", "W": "M", "M": "W", "F": "G", "G": "F", "X": "N", "N": "X"}
 _DUAL |= {"true": "false", "false": "true", "all": "any", "any": "all"}
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Interned formula in negation normal form; compare with ``is``."""
+    """An interned formula in negation normal form; compare terms with ``is``."""
 
     operator: str  # "true", "false", "literal", "&", "|", "U", "R", "F[]", "G[]"
     operands: tuple[Term, ...]
     literal: tuple[int, bool] | None  # (proposition index, positive)
     bounds: tuple[int, int] | None  # of windows
-    propositional: bool  # no temporal operator inside
-    serial: int
+    propositional: bool  # whether no temporal operator occurs in it
+    serial: int  # position in the order in which terms were made
 
 
 class Terms:
-    """Table of interned terms, which simplifies while it builds."""
+    """Table of interned terms; it simplifies terms while it builds them."""
 
     def __init__(self) -> None:
         self._table: dict[tuple[object, ...], Term] = {}
@@ -51,35 +52,38 @@ class Terms:
         literal: tuple[int, bool] | None = None,
         bounds: tuple[int, int] | None = None,
     ) -> Term:
+        """Return the term with these fields, the same object each time."""
         key = (operator, operands, literal, bounds)
-        found = self._table.get(key)
-        if found is None:
+        term = self._table.get(key)
+        if term is None:
             propositional = operator not in ("U", "R", "F[]", "G[]") and all(a.propositional for a in operands)
-            found = Term(operator, operands, literal, bounds, propositional, len(self._table))
-            self._table[key] = found
-        return found
+            term = Term(operator, operands, literal, bounds, propositional, len(self._table))
+            self._table[key] = term
+        return term
 
     def literal(self, proposition: int, positive: bool) -> Term:
-        """Return the term that proposition number `proposition` holds, or does not."""
+        """Return the term which says that proposition number `proposition` holds, or that it does not."""
         return self._make("literal", literal=(proposition, positive))
 
     def join(self, operator: str, operands: Iterable[Term]) -> Term:
         """Return the conjunction (``&``) or disjunction (``|``)."""
         neutral, absorbing = (self.true, self.false) if operator == "&" else (self.false, self.true)
+        # Flatten nested ones, drop repetitions and the neutral constant, and order by serial: equal sets, equal terms.
         flat: dict[int, Term] = {}
         for operand in operands:
-            for part in operand.operands if operand.operator == operator else (operand,):
-                flat[part.serial] = part
+            for member in operand.operands if operand.operator == operator else (operand,):
+                flat[member.serial] = member
         flat.pop(neutral.serial, None)
         if absorbing.serial in flat:
             return absorbing
-        parts = tuple(flat[serial] for serial in sorted(flat))
-        if not parts:
+        members = tuple(flat[serial] for serial in sorted(flat))
+        if not members:
             return neutral
-        return parts[0] if len(parts) == 1 else self._make(operator, parts)
+        return members[0] if len(members) == 1 else self._make(operator, members)
 
     def until(self, operator: str, left: Term, right: Term) -> Term:
         """Return ``left U right`` or ``left R right``."""
+        # a U true = true, a U false = false, and so for R; false U b = b, true R b = b.
         if right in (self.true, self.false):
             return right
         if left is (self.false if operator == "U" else self.true):
@@ -97,8 +101,8 @@ class Terms:
 
     def parts(self, term: Term) -> list[Term]:
         """Return the operands of a conjunction or disjunction, the propositional ones joined into one."""
-        plain = [part for part in term.operands if part.propositional]
-        temporal = [part for part in term.operands if not part.propositional]
+        plain = [operand for operand in term.operands if operand.propositional]
+        temporal = [operand for operand in term.operands if not operand.propositional]
         return ([self.join(term.operator, plain)] if plain else []) + temporal
 
 
@@ -112,7 +116,7 @@ class NormalForm:
     families : mapping
         Members of each family.
     co_safe : bool
-        Which semantics.
+        Whether the formula is read with co-safe semantics.
     """
 
     def __init__(self, propositions: Sequence[str], families: Mapping[str, Sequence[str]], co_safe: bool) -> None:
@@ -120,7 +124,8 @@ class NormalForm:
         self.co_safe = co_safe
         self._index = {name: i for i, name in enumerate(propositions)}
         self._families = families
-        self._memo: dict[tuple[int, bool], tuple[Formula, Term]] = {}  # the formula is kept: its id stays its own
+        # By the id of a formula. The formula is stored as well: while it lives, no other one can get its id.
+        self._memo: dict[tuple[int, bool], tuple[Formula, Term]] = {}
 
     def read(self, formula: Formula, positive: bool = True) -> Term:
         """Return the term of `formula`, or of its negation.
@@ -131,22 +136,24 @@ class NormalForm:
             If a name is not declared, or a co-safe formula is not syntactically co-safe.
         """
         key = (id(formula), positive)
-        found = self._memo.get(key)
-        if found is None:
-            found = self._memo[key] = (formula, self._read(formula, positive))
-        return found[1]
+        entry = self._memo.get(key)
+        if entry is None:
+            entry = self._memo[key] = (formula, self._read(formula, positive))
+        return entry[1]
 
     def _read(self, formula: Formula, positive: bool) -> Term:
+        """Return the term of a formula that has not been read yet, or of its negation."""
         operator, operands = formula.operator, formula.operands
         if operator == "!":
             return self.read(operands[0], not positive)
         if operator == "atom":
             return self.terms.literal(self._proposition(formula), positive)
         if operator == "->":
-            parts = [self.read(operands[0], not positive), self.read(operands[1], positive)]
-            return self.terms.join("|" if positive else "&", parts)
+            sides = [self.read(operands[0], not positive), self.read(operands[1], positive)]
+            return self.terms.join("|" if positive else "&", sides)
         if operator == "<->":
             return self._equivalence(formula, positive)
+        # From here on a negation is the dual operator with negated operands.
         if not positive:
             operator = _DUAL[operator]
         if operator in ("all", "any"):
@@ -156,14 +163,15 @@ class NormalForm:
             return self.terms.true if operator == "true" else self.terms.false
         if self.co_safe:
             operator = self._co_safe_operator(formula, operator)
-        parts = [self.read(operand, positive) for operand in operands]
+        terms = [self.read(operand, positive) for operand in operands]
         if operator in ("&", "|"):
-            return self.terms.join(operator, parts)
-        return self._temporal(operator, parts, formula.bounds)
+            return self.terms.join(operator, terms)
+        return self._temporal(operator, terms, formula.bounds)
 
-    def _temporal(self, operator: str, parts: list[Term], bounds: tuple[int, int] | None) -> Term:
+    def _temporal(self, operator: str, operands: list[Term], bounds: tuple[int, int] | None) -> Term:
+        """Return the term of a temporal operator, written with U, R and windows (see the module docstring)."""
         terms = self.terms
-        left, right = parts[0], parts[-1]
+        left, right = operands[0], operands[-1]
         if operator in ("X", "N"):
             return terms.window("F[]" if operator == "X" else "G[]", bounds or (1, 1), left)
         if operator in ("F", "G") and bounds is not None:
@@ -173,12 +181,13 @@ class NormalForm:
         if operator == "G":
             return terms.until("R", terms.false, left)
         if operator == "W":
-            return terms.until("R", right, terms.join("|", parts))
+            return terms.until("R", right, terms.join("|", operands))
         if operator == "M":
-            return terms.until("U", right, terms.join("&", parts))
+            return terms.until("U", right, terms.join("&", operands))
         return terms.until(operator, left, right)
 
     def _equivalence(self, formula: Formula, positive: bool) -> Term:
+        # Both hold or both fail; for the negation exactly one holds.
         left, right = formula.operands
         cases = [(True, positive), (False, not positive)]
         terms = self.terms
@@ -192,7 +201,7 @@ class NormalForm:
                 'semantics "finite-trace"'
             )
         if operator == "N":
-            return "X"  # over infinite words, not X a = X not a
+            return "X"  # a negated X: over infinite words, not X a = X not a
         if operator in ("R", "W") or (operator == "G" and formula.bounds is None):
             how = f"{formula.operator} is" if operator == formula.operator else f"a negated {formula.operator} is"
             raise formula.error(
@@ -210,27 +219,28 @@ class NormalForm:
     def _members(self, formula: Formula) -> list[int]:
         name = formula.name
         if name not in self._families:
-            known = ", ".join(list(self._families)[:10]) or "none"
-            raise formula.error(f"unknown family {name!r}; declared families: {known}")
+            declared = ", ".join(list(self._families)[:10]) or "none"
+            raise formula.error(f"unknown family {name!r}; declared families: {declared}")
         return [self._index[member] for member in self._families[name]]
 
     def _advice(self, name: str) -> str:
         """Return what to write instead of an unknown name."""
         if name in self._families:
             return f"it is a family: write all({name}), any({name}) or one member such as {self._families[name][0]}"
+        # `Fgoal` is an atom; the writer may have meant `F goal`.
         operators, rest = "", name
         while rest and rest[0] in NEXT_LIKE + UNTIL_LIKE:
             operators, rest = operators + rest[0] + " ", rest[1:]
             if rest in self._index:
                 return f"operators need a space: {operators}{rest}"
-        close = difflib.get_close_matches(name, list(self._index)[:5000], n=3)
+        close = difflib.get_close_matches(name, list(self._index)[:5000], n=3)  # a second's work at most
         if close:
             return f"did you mean {' or '.join(close)}?"
         return f"declared: {', '.join(list(self._index)[:10]) or 'none'}"
 
 
 def check_names(propositions: Sequence[str], families: Mapping[str, Sequence[str]]) -> None:
-    """Raise ValueError unless propositions differ, can be written in formulas, and families have members."""
+    """Raise ValueError unless propositions differ and can be written in formulas, and families have members."""
     if isinstance(propositions, str) or not isinstance(propositions, Sequence):
         raise ValueError(f"`propositions`: expected a list of names, got {propositions!r}")
     if not isinstance(families, Mapping):

@@ -1,4 +1,4 @@
-"""Reading temporal-logic formulas.
+"""The parser of temporal-logic formulas.
 
 Syntax, from the tightest binding to the loosest::
 
@@ -10,9 +10,9 @@ Syntax, from the tightest binding to the loosest::
     ->                                          right associative
     <->                                         right associative
 
-``&&``, ``||`` and ``~`` are read as ``&``, ``|`` and ``!``. Names are letters, digits and underscores; an operator
-of one letter is only read as such when it stands alone, so ``Fa`` is an atom. ``F[a,b] f`` means: f at one of the
-letters a, ..., b, counted from now (0 = now).
+``&&``, ``||`` and ``~`` are read as ``&``, ``|`` and ``!``. Names are letters, digits and underscores. An operator of
+one letter is read as an operator only when it stands alone, so ``Fa`` is an atom. ``F[a,b] f`` means that f holds at
+one of the letters a, ..., b, counted from now (0 = now).
 """
 
 from __future__ import annotations
@@ -35,10 +35,13 @@ from .formula import (
 
 __all__ = ["Formula", "FormulaError", "is_proposition_name", "parse_formula"]
 
-MAX_LENGTH = 500_000  # characters
+MAX_LENGTH = 500_000
+"""Most characters: a formula over thousands of agents that is written out, which still parses in seconds."""
 
+# A name, a number, a symbol of the syntax, or any other character (an error).
 _TOKEN = re.compile(r"[ \t\r\n]*(?:([A-Za-z_][A-Za-z0-9_]*)|([0-9]+)|(<->|->|&&|\|\||[!~&|()\[\],])|(\S))")
 _SPELLING = {"&&": "&", "||": "|", "~": "!"}
+# What users of other notations write, and what it is here.
 _HINTS = {
     "and": "write & for and",
     "or": "write | for or",
@@ -69,7 +72,7 @@ def parse_formula(text: str) -> Formula:
     Raises
     ------
     FormulaError
-        If the text is no formula; the message points at the place.
+        If the text is not a formula; the message points at the place.
 
     Examples
     --------
@@ -84,13 +87,14 @@ def parse_formula(text: str) -> Formula:
     try:
         formula = parser.binary(0)
     except FormulaError as error:
-        raise error.with_traceback(None) from None  # not with hundreds of frames of a deep nest
+        raise error.with_traceback(None) from None  # leaves out the hundreds of frames of a deep nest
     if parser.token.kind != "end":
         raise parser.unexpected("expected an operator or the end of the formula")
     return formula
 
 
 def _tokens(text: str) -> list[_Token]:
+    """Return the tokens of a formula, and one for its end."""
     tokens: list[_Token] = []
     at = 0
     while match := _TOKEN.match(text, at):
@@ -152,6 +156,7 @@ class _Parser:
         self.depth += 1
         if self.depth > 2 * MAX_DEPTH:
             raise self.error(f"the formula nests deeper than {MAX_DEPTH} levels", self.token)
+        # Precedence climbing: the right operand takes in all that binds at least as tightly as its operator.
         start = self.token.start
         left = self.unary()
         while self.token.kind != "end" and POWER.get(self.token.text, -1) >= least:
@@ -159,6 +164,7 @@ class _Parser:
             power = POWER[operator]
             operands = [left]
             if operator in ("&", "|"):
+                # A chain of one operator becomes one node, so that long conjunctions do not nest.
                 operands.append(self.binary(power + 1))
                 while self.token.text == operator:
                     self.advance()
@@ -171,6 +177,7 @@ class _Parser:
 
     def unary(self) -> Formula:
         """Read prefix operators and what they apply to."""
+        # Collect the prefixes in a loop: a long chain of them needs no recursion.
         prefixes: list[tuple[str, int, tuple[int, int] | None]] = []
         while self.token.text in NEXT_LIKE or self.token.text == "!":
             token = self.advance()
@@ -182,6 +189,7 @@ class _Parser:
         return formula
 
     def primary(self) -> Formula:
+        """Read a constant, an atom, a family or a formula in parentheses."""
         token = self.token
         if token.text in CONSTANTS:
             self.advance()
@@ -211,7 +219,7 @@ class _Parser:
         self.expect("[", "expected [")
         low = high = self.bound(operator)
         if operator.text in ("F", "G"):
-            if self.token.text == "]":
+            if self.token.text == "]":  # F[3] means one or the other elsewhere
                 advice = f"{operator.text}[0,{low}] looks at the next {low} letters too, X[{low}] {low} letters ahead"
                 raise self.error(f"expected two bounds: {advice}", self.token)
             self.expect(",", "expected a comma between two bounds")
@@ -225,6 +233,7 @@ class _Parser:
         return low, high
 
     def bound(self, operator: _Token) -> int:
+        """Read one number between the brackets."""
         token = self.token
         if token.kind != "number":
             form = f"{operator.text}[a,b]" if operator.text in ("F", "G") else f"{operator.text}[k]"

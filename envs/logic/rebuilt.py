@@ -1,7 +1,7 @@
-"""Automata from diagrams, and automata over other propositions than the given ones.
+"""Automata built from diagrams, and the same automata over other propositions.
 
-Every automaton is put together here: nodes of a diagram manager become the flat arrays of the record, numbered in the
-order in which they are first met, so that equal diagrams give equal arrays and equal fingerprints.
+Every automaton is assembled here: the nodes of a diagram manager become the flat arrays of the record. Nodes are
+numbered in the order in which they are first met, so equal diagrams give equal arrays and equal fingerprints.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .automaton import Automaton, checked_names
 from .decision_diagram import DecisionDiagrams
 
 NodeMaker = Callable[[DecisionDiagrams, int, int, int], int]
-"""From a manager, the number of the tested proposition and the nodes for false and true to the new node."""
+"""Function from a manager, the tested proposition's number and the nodes for false and true to the new node."""
 
 
 def automaton_from_diagrams(
@@ -28,6 +28,7 @@ def automaton_from_diagrams(
     roots: Sequence[int],
 ) -> Automaton:
     """Return the automaton whose state q moves by the diagram ``roots[q]`` (exact)."""
+    # States share their nodes; terminals become negative entries (see `Automaton`).
     number: dict[int, int] = {}
     for root in roots:
         for n in manager.nodes(root):
@@ -51,7 +52,7 @@ def automaton_from_diagrams(
 
 
 def over_propositions(automaton: Automaton, order: Sequence[str]) -> Automaton:
-    """Return the same automaton over other propositions: another order, unused ones added or left out (exact).
+    """Return the same automaton over other propositions: reordered, unused ones added or left out (exact).
 
     Raises
     ------
@@ -74,19 +75,20 @@ def over_propositions(automaton: Automaton, order: Sequence[str]) -> Automaton:
 
 
 def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Automaton:
-    """Return the automaton that tests all sides of a region where the given one tests the region (exact).
+    """Return the automaton that tests all sides of a region wherever `automaton` tests the region (exact).
 
     Parameters
     ----------
     automaton : Automaton
     sides : mapping
-        By the name of a region, the propositions whose conjunction it is.
+        For the name of a region: the propositions whose conjunction it is.
     """
     sides_of = [sides.get(name, (name,)) for name in automaton.propositions]
     order = [side for names in sides_of for side in names]
     place = {side: i for i, side in enumerate(order)}
 
     def node(manager: DecisionDiagrams, variable: int, low: int, high: int) -> int:
+        # All sides lead on to the node for true; the first one that fails leads to the node for false.
         for side in reversed(sides_of[variable]):
             high = manager.choose(place[side], low, high)
         return high
@@ -95,14 +97,14 @@ def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Au
 
 
 def _rebuilt(automaton: Automaton, order: Sequence[str], node: NodeMaker) -> Automaton:
-    """The automaton over the propositions ``order`` whose nodes are made anew by ``node``."""
+    """Return the automaton over the propositions `order`, with every node replaced by what `node` makes of it."""
     manager = DecisionDiagrams()
     nodes: list[int] = [-1] * automaton.variable.size
 
     def child(entry: int) -> int:
         return nodes[entry] if entry >= 0 else manager.terminal(-1 - entry)
 
-    # children test later propositions than their parents, so they are made first
+    # Children test later propositions than their parents, so they are made first.
     for n in np.argsort(-automaton.variable, kind="stable"):
         low, high = child(int(automaton.low[n])), child(int(automaton.high[n]))
         nodes[n] = node(manager, int(automaton.variable[n]), low, high)

@@ -1,11 +1,11 @@
 """From a formula to its minimal deterministic automaton.
 
 A state of the built-in translator is a positive Boolean function of obligations (`obligations`), expanded letter by
-letter from the formula; the sub-diagrams below the propositions are its successors, so letters are never enumerated.
-For co-safe semantics acceptance is then made absorbing and closed under "all successors accept" (`saturated`);
-finally equivalent states are merged. The first letter that the automaton reads is that of x0.
+letter from the formula. The sub-diagrams below the propositions are its successors, so letters are never enumerated.
+For co-safe semantics acceptance is then made absorbing and closed under "all successors accept" (`saturated`). Finally
+equivalent states are merged. The first letter that the automaton reads is that of x0.
 
-Reference: THEORY.md, section 0 (words and acceptance).
+Reference: docs/theory/setting.md, "Letters and words" and "Satisfaction".
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def translate(
     Parameters
     ----------
     formula : str or Formula
-        Formula; the syntax is described in `certigym.envs.logic.parser`.
+        The task; its syntax is described in `certigym.envs.logic.parser`.
     propositions : sequence of str
         All propositions; their order becomes the variable order of the diagrams.
     semantics : str
@@ -47,9 +47,9 @@ def translate(
     families : mapping, optional
         Members of each family, for ``all(family)`` and ``any(family)``.
     backend : str
-        ``"builtin"``, or ``"mona"`` where the program of that name is on the path. Both give equal arrays.
+        ``"builtin"``, or ``"mona"`` if the program of that name is on the path. Both give equal arrays.
     max_states : int
-        Largest number of states (before minimisation) that is built.
+        Largest number of states that is built, before minimisation.
 
     Raises
     ------
@@ -82,15 +82,13 @@ def translate(
             graph = mona_states(term, tuple(propositions), co_safe, max_states)
         else:
             graph = _explore(term, reader.terms, tuple(propositions), co_safe, max_states)
-        if co_safe:
-            graph = saturated(graph)
-        return minimal_automaton(graph, semantics, judge_empty_word=co_safe)
+        return minimal_automaton(saturated(graph) if co_safe else graph, semantics, judge_empty_word=co_safe)
     except DiagramSizeError as error:
         raise FormulaError(f"the automaton is too large: {error}; simplify the formula", formula.text) from error
 
 
 def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
-    """Return the automaton whose states are the functions of obligations that some word leaves."""
+    """Return the automaton whose states are the functions of obligations that remain after some word."""
     source, target = DecisionDiagrams(), DecisionDiagrams()
     obligations = Obligations(source, terms, len(propositions), co_safe)
     start = obligations.start(term)
@@ -99,6 +97,8 @@ def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: b
     roots: list[int] = []
     memo: dict[int, int] = {}
 
+    # An expanded state tests propositions first: what lies below them is the state after the letter. Number the new
+    # ones, and replace them by terminals.
     def successor(n: int) -> int | None:
         if source.variable(n) < len(propositions):
             return None

@@ -1,4 +1,4 @@
-"""What a problem looks like: scenes, rendered frames, a window, drawings of automata."""
+"""Pictures of a problem: scenes, rendered frames, a window, drawings of automata."""
 
 from .automaton_drawing import automaton_to_dot, edges, places
 from .rendering import Picture, checked_render_mode, verdict_text

@@ -13,12 +13,16 @@ import numpy as np
 from ..logic import Automaton, letter_text
 from ..problem import Problem
 
-_CUBES_SHOWN = 200  # per state, in Graphviz pictures
-_CUBES = 4  # shown of a guard
-_PATHS = 5000  # looked at, of a state
-_LAYERED = 5  # states up to which they stand in columns; more stand in a circle, without edges to dead ones
+# Limits that keep guards readable and large automata quick to draw.
+_DOT_CUBES = 200  # cubes of a state that Graphviz pictures show
+_GUARD_CUBES = 4  # cubes that the text of a guard shows
+_GUARD_PATHS = 5000  # paths of a state's diagram that are read for its guards
+
+# With few states, columns show the progress of the task and numbers on edges lead to a table; with many, both overlap.
+_LAYERED = 5  # states up to which they stand in columns; more stand in a circle, without edges to dead states
 _LABELLED = 9  # states up to which edges carry their numbers
-_RADIUS, _STEP_X, _STEP_Y = 20, 130, 84
+
+_RADIUS, _STEP_X, _STEP_Y = 20, 130, 84  # pixels: radius of a state, distances of columns and of rows
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,9 @@ class Edge:
 
 
 def edges(problem: Problem) -> list[Edge]:
-    """Return the transitions that a letter of the workspace can take, by source.
+    """Return the transitions that a letter of the workspace can take, ordered by source.
 
-    Regions of one agent that exclude or imply each other shorten the guards; the most complicated one of a state reads
+    Regions of one agent that exclude or imply each other shorten the guards. The longest guard of a state reads
     "otherwise".
     """
     automaton = problem.automaton
@@ -41,25 +45,26 @@ def edges(problem: Problem) -> list[Edge]:
     result = []
     for q, root in enumerate(roots):
         cubes: dict[int, list[dict[int, bool]]] = {}
-        for assignment, target in islice(manager.paths(root), _PATHS):
+        for assignment, target in islice(manager.paths(root), _GUARD_PATHS):
             cube = _possible(assignment, problem)
             if cube is not None and cube not in cubes.setdefault(target, []):
                 cubes[target].append(cube)
+        # The target with the most cubes is "otherwise"; a dead one among equals.
         longest = max(cubes, key=lambda target: (len(cubes[target]), automaton.dead[target], target))
-        for target, found in cubes.items():
-            if len(cubes) > 1 and target == longest and len(found) > 1:
+        for target, target_cubes in cubes.items():
+            if len(cubes) > 1 and target == longest and len(target_cubes) > 1:
                 text = "otherwise"
             else:
-                text = _guard(found, automaton.propositions, problem.families)
+                text = _guard(target_cubes, automaton.propositions, problem.families)
             result.append(Edge(q, target, text))
     return result
 
 
 def _possible(assignment: Mapping[int, bool], problem: Problem) -> dict[int, bool] | None:
-    """The cube without the literals that others of the same agent imply; None if no point of the workspace meets it."""
+    """Return the cube without literals that others of the agent imply; None if no point of the workspace has it."""
     result: dict[int, bool] = {}
-    for own, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
-        literals = {k: assignment[p] for k, p in enumerate(own.tolist()) if p in assignment}
+    for positions, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
+        literals = {k: assignment[p] for k, p in enumerate(positions.tolist()) if p in assignment}
 
         def meets(cube: Mapping[int, bool], classes: np.ndarray = classes) -> np.ndarray:
             return np.all([classes[:, k] == value for k, value in cube.items()] or [np.ones(len(classes))], axis=0)
@@ -67,71 +72,83 @@ def _possible(assignment: Mapping[int, bool], problem: Problem) -> dict[int, boo
         matched = meets(literals)
         if not matched.any():
             return None
+        # Drop a literal if the same classes meet the cube without it; negated ones first, as they say less.
         for k in sorted(literals, key=lambda k: (literals[k], k)):
-            rest = {other: value for other, value in literals.items() if other != k}
+            rest = {literal: value for literal, value in literals.items() if literal != k}
             if (meets(rest) == matched).all():
                 literals = rest
-        result |= {int(own[k]): value for k, value in literals.items()}
+        result |= {int(positions[k]): value for k, value in literals.items()}
     return result
 
 
 def _guard(cubes: Sequence[dict[int, bool]], propositions: Sequence[str], families: Mapping[str, Sequence[str]]) -> str:
-    texts = [_cube({propositions[p]: value for p, value in cube.items()}, families) for cube in cubes[:_CUBES]]
-    more = f" or {len(cubes) - _CUBES} more cubes" if len(cubes) > _CUBES else ""
+    texts = [_cube({propositions[p]: value for p, value in cube.items()}, families) for cube in cubes[:_GUARD_CUBES]]
+    more = f" or {len(cubes) - _GUARD_CUBES} more cubes" if len(cubes) > _GUARD_CUBES else ""
     return " or ".join(texts) + more
 
 
 def _cube(cube: dict[str, bool], families: Mapping[str, Sequence[str]]) -> str:
-    """One cube; families whose members all hold, or none of them, are named as one."""
-    parts = []
+    """Return the text of one cube; a family whose members all hold, or all fail, appears as one literal."""
+    literals = []
     for family, members in families.items():
         values = {cube.get(member) for member in members}
         if len(members) > 1 and values in ({True}, {False}):
-            parts.append(f"all({family})" if values == {True} else f"!any({family})")
+            literals.append(f"all({family})" if values == {True} else f"!any({family})")
             cube = {name: value for name, value in cube.items() if name not in members}
-    parts += [name if value else f"!{name}" for name, value in cube.items()]
-    return " & ".join(parts) or "any letter"
+    literals += [name if value else f"!{name}" for name, value in cube.items()]
+    return " & ".join(literals) or "any letter"
 
 
 def svg(automaton: Automaton, drawn: Sequence[Edge]) -> str:
     """Return a picture: states in columns by their distance from the initial one, edges numbered from 1."""
     spots = places(automaton, drawn)
-    labelled = automaton.n_states <= _LABELLED
-    pairs = {(edge.source, edge.target) for edge in drawn}
     width = max(x for x, _ in spots.values()) + 70
     height = max(y for _, y in spots.values()) + 60
-    parts = [
+    elements = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
         f'height="{height:g}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
     ]
+    # The arrow from nowhere marks the initial state.
     x, y = spots[automaton.initial]
-    parts.append(_path(f"M{x - 48:g} {y:g}L{x - _RADIUS:g} {y:g}", (x - _RADIUS, y), (x - 48, y)))
-    numbers = []
+    elements.append(_path(f"M{x - 48:g} {y:g}L{x - _RADIUS:g} {y:g}", (x - _RADIUS, y), (x - 48, y)))
+    elements += _drawn_edges(automaton, drawn, spots)
+    for q, spot in spots.items():
+        stroke, fill = ("#aab", "#f4f4f6") if automaton.dead[q] else ("#223", "white")
+        circle = '<circle cx="{:g}" cy="{:g}" r="{:g}" fill="{}" stroke="{}"/>'
+        elements.append(circle.format(*spot, _RADIUS, fill, stroke))
+        if automaton.accepting[q]:
+            elements.append(circle.format(*spot, _RADIUS - 4, fill, stroke))
+        # Short names stand in the circle, long ones below it.
+        name = automaton.state_names[q]
+        short = len(name) <= 4
+        elements.append(_text(spot if short else (spot[0], spot[1] + _RADIUS + 12), name, "#223"))
+    return "\n".join([*elements, "</svg>", ""])
+
+
+def _drawn_edges(automaton: Automaton, drawn: Sequence[Edge], spots: Mapping[int, tuple[float, float]]) -> list[str]:
+    """Return the arrows, and after all of them their numbers, so that no arrow covers a number."""
+    labelled = automaton.n_states <= _LABELLED
+    pairs = {(edge.source, edge.target) for edge in drawn}
+    curves, numbers = [], []
     for number, edge in enumerate(drawn, 1):
         if automaton.n_states > _LAYERED and automaton.dead[edge.target]:
             continue
         if not labelled and edge.source == edge.target:
             continue
         curve, spot = _curve(spots[edge.source], spots[edge.target], (edge.target, edge.source) in pairs)
-        parts.append(curve)
+        curves.append(curve)
         if labelled:
             numbers.append(_text(spot, str(number), "#a33", halo=True))
-    parts += numbers
-    for q, spot in spots.items():
-        stroke, fill = ("#aab", "#f4f4f6") if automaton.dead[q] else ("#223", "white")
-        circle = '<circle cx="{:g}" cy="{:g}" r="{:g}" fill="{}" stroke="{}"/>'
-        parts.append(circle.format(*spot, _RADIUS, fill, stroke))
-        if automaton.accepting[q]:
-            parts.append(circle.format(*spot, _RADIUS - 4, fill, stroke))
-        name = automaton.state_names[q]
-        short = len(name) <= 4
-        parts.append(_text(spot if short else (spot[0], spot[1] + _RADIUS + 12), name, "#223"))
-    return "\n".join([*parts, "</svg>", ""])
+    return curves + numbers
 
 
 def places(automaton: Automaton, drawn: Sequence[Edge]) -> dict[int, tuple[float, float]]:
-    """Few states in breadth-first columns, dead ones in the last; more of them in a circle from the initial one on."""
+    """Return the centre of each state: few stand in breadth-first columns, many in a circle from the initial one on.
+
+    Dead states stand in the last column.
+    """
+    # Breadth first from the initial state; then states that no edge leads to, and the dead ones last.
     order = [automaton.initial]
     column = {automaton.initial: 0}
     for q in order:
@@ -148,41 +165,42 @@ def places(automaton: Automaton, drawn: Sequence[Edge]) -> dict[int, tuple[float
         return {q: (center + radius * math.cos(t), center - 20.0 + radius * math.sin(t)) for q, t in zip(order, angles)}
     last = max(column.values())
     rows: dict[int, int] = {}
-    places = {}
+    centers = {}
     for q in order:
         c = last if automaton.dead[q] and q != automaton.initial else column.get(q, 0)
         row = rows.get(c, 0)
         rows[c] = row + 1
-        places[q] = (70.0 + _STEP_X * c, 64.0 + _STEP_Y * row + 14.0 * (c % 2))
-    return places
+        centers[q] = (70.0 + _STEP_X * c, 64.0 + _STEP_Y * row + 14.0 * (c % 2))  # every other column is set lower
+    return centers
 
 
 def _curve(start: tuple[float, float], end: tuple[float, float], both_ways: bool) -> tuple[str, tuple[float, float]]:
-    """Arrow from circle to circle, and where its number stands."""
+    """Return an arrow from circle to circle, and the place of its number."""
     (x0, y0), (x1, y1) = start, end
     if start == end:
         top = y0 - _RADIUS
         loop = f"M{x0 - 8:g} {top + 2:g}C{x0 - 26:g} {top - 30:g} {x0 + 26:g} {top - 30:g} {x0 + 8:g} {top + 2:g}"
         return _path(loop, (x0 + 8.0, top + 2.0), (x0 + 15.0, top - 12.0)), (x0, top - 21)
+    # A quadratic curve whose control point lies beside the middle: arrows there and back part clearly.
     length = math.hypot(x1 - x0, y1 - y0)
     bend = 26.0 if both_ways else 10.0
     across = (-(y1 - y0) / length, (x1 - x0) / length)
     middle = ((x0 + x1) / 2 - across[0] * bend, (y0 + y1) / 2 - across[1] * bend)
     first, last = _towards(start, middle), _towards(end, middle)
-    weights = (0.36, 0.48, 0.16)  # of a quadratic curve at 0.4
+    weights = (0.36, 0.48, 0.16)  # of the three points of a quadratic curve at 0.4 of its way
     spot = tuple(weights[0] * a + weights[1] * m + weights[2] * b for a, m, b in zip(first, middle, last))
     curve = f"M{first[0]:.1f} {first[1]:.1f}Q{middle[0]:.1f} {middle[1]:.1f} {last[0]:.1f} {last[1]:.1f}"
     return _path(curve, last, middle), (spot[0], spot[1])
 
 
 def _towards(center: tuple[float, float], point: tuple[float, float]) -> tuple[float, float]:
-    """The point of the circle around a state that looks at another point."""
+    """Return the point of the circle around a state that is closest to another point."""
     length = math.hypot(point[0] - center[0], point[1] - center[1])
     return center[0] + (point[0] - center[0]) * _RADIUS / length, center[1] + (point[1] - center[1]) * _RADIUS / length
 
 
 def _path(curve: str, tip: tuple[float, float], origin: tuple[float, float]) -> str:
-    """A line with an arrow head at `tip`, which comes from the direction of `origin`."""
+    """Return a line with an arrow head at `tip`, which points away from `origin`."""
     length = math.hypot(tip[0] - origin[0], tip[1] - origin[1])
     x, y = (tip[0] - origin[0]) / length, (tip[1] - origin[1]) / length
     left, right = (-9 * x + 3.5 * y, -9 * y - 3.5 * x), (-9 * x - 3.5 * y, -9 * y + 3.5 * x)
@@ -197,9 +215,9 @@ def _text(spot: tuple[float, float], text: str, color: str, halo: bool = False) 
 
 
 def automaton_to_dot(automaton: Automaton) -> str:
-    """Return a Graphviz picture: accepting states are doubly circled, edges carry their guards.
+    """Return a Graphviz picture: accepting states have a double circle, edges carry their guards.
 
-    Long guards are cut off with an ellipsis; the edges themselves are complete.
+    Long guards end in an ellipsis; the edges themselves are complete.
     """
     manager, roots = automaton.diagrams()
     lines = ["digraph automaton {", "  rankdir=LR;", '  start [shape=point, label=""];']
@@ -209,11 +227,12 @@ def automaton_to_dot(automaton: Automaton) -> str:
     lines.append(f"  start -> {automaton.initial};")
     for q, root in enumerate(roots):
         cubes: dict[int, list[str]] = {target: [] for target in manager.leaves(root)}
-        found = list(islice(manager.paths(root), _CUBES_SHOWN + 1))
-        for assignment, target in found[:_CUBES_SHOWN]:
+        # One path more than is shown tells whether any is left out.
+        paths = list(islice(manager.paths(root), _DOT_CUBES + 1))
+        for assignment, target in paths[:_DOT_CUBES]:
             cubes[target].append(letter_text(assignment, automaton.propositions) if assignment else "true")
         for target, texts in cubes.items():
-            label = " | ".join(texts if len(found) <= _CUBES_SHOWN else [*texts, "..."])
+            label = " | ".join(texts if len(paths) <= _DOT_CUBES else [*texts, "..."])
             lines.append(f"  {q} -> {target} [label={_quoted(label)}];")
     return "\n".join([*lines, "}", ""])
 

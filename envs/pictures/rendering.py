@@ -1,12 +1,13 @@
 """Pictures of episodes, drawn with Pillow: tracks over time, a map for planar agents, automaton state, letter, time.
 
-What never changes (axes, regions, names) is drawn once; a frame is a copy of it with the curves on top. Pillow, from
-the extra `viz`, is imported when the first picture is made.
+Axes, regions and names never change, so they are drawn once; a frame is a copy of them with the curves on top. Pillow,
+from the extra `viz`, is imported when the first picture is made.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -17,34 +18,51 @@ from .scene import Panel, panels
 from .window import Window
 
 WIDTH, HEIGHT, SIDE = 720, 480, 210
-_MARGIN = (34, 16, 10, 24)  # left, top, right, bottom of a panel
+"""Pixels of a frame, and of the column at its right that holds the texts."""
+
+_MARGIN = (34, 16, 10, 24)  # left, top, right, bottom of a panel: room for the numbers at its axes
 _INK, _PALE, _PAPER = (34, 40, 49), (150, 156, 166), (255, 255, 255)
-_AGENTS = (
-    (31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189),
-    (255, 127, 14), (23, 165, 185), (140, 86, 75), (200, 80, 160),
-)  # fmt: skip
-_REGIONS = (
-    (198, 224, 205), (247, 205, 196), (205, 218, 240), (248, 232, 190),
-    (224, 209, 238), (203, 232, 235), (236, 214, 200), (222, 226, 205),
-)  # fmt: skip
+
+# Colours of agents and of regions, taken in turn: eight that most readers can tell apart, and eight pale ones.
+_AGENT_COLORS = (
+    (31, 119, 180),
+    (214, 39, 40),
+    (44, 160, 44),
+    (148, 103, 189),
+    (255, 127, 14),
+    (23, 165, 185),
+    (140, 86, 75),
+    (200, 80, 160),
+)
+_REGION_COLORS = (
+    (198, 224, 205),
+    (247, 205, 196),
+    (205, 218, 240),
+    (248, 232, 190),
+    (224, 209, 238),
+    (203, 232, 235),
+    (236, 214, 200),
+    (222, 226, 205),
+)
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
 _STATES_SHOWN, _PANELS_SHOWN = 9, 12
+"""As many automaton states fit below each other at the side, and as many panels stay readable."""
 
 
-def checked_render_mode(value: Any, known: Sequence[str]) -> str | None:
-    """Return a render mode if it is None or known, or raise ValueError."""
-    if value is not None and value not in known:
-        raise ValueError(f"`render_mode`: expected None or {' or '.join(map(repr, known))}, got {shown(value)}")
+def checked_render_mode(value: Any, modes: Sequence[str]) -> str | None:
+    """Return a render mode if it is None or one of `modes`, or raise ValueError."""
+    if value is not None and value not in modes:
+        raise ValueError(f"`render_mode`: expected None or {' or '.join(map(repr, modes))}, got {shown(value)}")
     return None if value is None else str(value)
 
 
 def verdict_text(satisfied: bool, failed: bool, over: bool) -> str:
-    """Return the verdict on an episode in words, "" while it is open."""
+    """Return the verdict on an episode in words; "" while it is undecided."""
     return "satisfied" if satisfied else "failed" if failed else "not satisfied" if over else ""
 
 
 class Picture:
-    """Draws the episodes of one problem.
+    """Painter of the episodes of one problem.
 
     Parameters
     ----------
@@ -55,7 +73,7 @@ class Picture:
     Raises
     ------
     ImportError
-        Without Pillow.
+        If Pillow is not installed.
     """
 
     def __init__(self, problem: Problem, caption: str = "") -> None:
@@ -68,7 +86,8 @@ class Picture:
         self._problem = problem
         self._panels = panels(problem)[:_PANELS_SHOWN]
         self._frames = _cells(len(self._panels))
-        self._colors = {name: _REGIONS[k % len(_REGIONS)] for k, name in enumerate(_region_names(self._panels))}
+        self._colors = dict(zip(_region_names(self._panels), cycle(_REGION_COLORS)))
+        # All that never changes is drawn once.
         self._background = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         self._window: Window | None = None
         draw = self._draw(self._background, "RGBA")
@@ -93,16 +112,17 @@ class Picture:
         image = self._background.copy()
         draw = self._draw(image)
         for panel, cell in zip(self._panels, self._frames):
+            # Each agent: its way as a line, a mark per step, and a dot with its name where it is now.
             for curve in panel.curves:
                 points = self._points(panel, cell, track @ curve.rows.T)
-                color = _AGENTS[curve.number % len(_AGENTS)]
+                color = _AGENT_COLORS[curve.number % len(_AGENT_COLORS)]
                 if len(points) > 1:
                     draw.line(points, fill=color, width=2)
                 for x, y in points[:-1]:
                     draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
                 x, y = points[-1]
                 draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=_PAPER)
-                if len(panel.curves) <= 8:
+                if len(panel.curves) <= 8:  # the name beside the dot, on the left if there is no room on the right
                     width = 6 * len(curve.name)
                     place = x + 8 if x + 8 + width < cell[2] else x - 12 - width
                     draw.text((place, y - 7 if place > x else y - 18), curve.name, fill=color, font=self._small)
@@ -110,7 +130,7 @@ class Picture:
         return np.array(image)
 
     def show(self, frame: np.ndarray) -> None:
-        """Show a frame in a window (needs pygame)."""
+        """Show a frame in a window, which needs pygame."""
         if self._window is None:
             self._window = Window(self._problem.name, WIDTH, HEIGHT)
         self._window.show(frame)
@@ -122,14 +142,16 @@ class Picture:
             self._window = None
 
     def _points(self, panel: Panel, cell: tuple[int, ...], y: np.ndarray) -> list[tuple[float, float]]:
-        """Pixels of a curve (t + 1, k), kept within the panel."""
+        """Return the pixels of a curve (t + 1, k), moved to the rim of the panel if they lie beyond it."""
         left, top, right, bottom = cell
+        # Positions as shares of the axes; a point beyond the panel is drawn just outside its rim.
         share = (y - np.array(panel.low)) / (np.array(panel.high) - np.array(panel.low))
         share = np.clip(np.nan_to_num(share, nan=0.0), -0.02, 1.02)
         across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
         return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
 
     def _axes(self, draw: Any, panel: Panel, cell: tuple[int, ...]) -> None:
+        """Draw what a panel always shows: its regions, their names, the frame and its limits."""
         left, top, right, bottom = cell
         for region in panel.regions:
             corners = self._points(panel, cell, np.array([region.low, region.high]))
@@ -138,6 +160,7 @@ class Picture:
                 x0, x1 = left, right
             color = self._colors[region.name]
             draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=tuple(c * 3 // 4 for c in color))
+        # Names come after all regions; one that would cover another moves down by a line.
         taken: list[tuple[float, float]] = []
         for region in panel.regions:
             (x0, y1), (_, y0) = self._points(panel, cell, np.array([region.low, region.high]))
@@ -151,11 +174,13 @@ class Picture:
         for value, y in ((panel.high[-1], top - 4), (panel.low[-1], bottom - 10)):
             text = f"{value:g}"
             draw.text((left - 5 - 6 * len(text), y), text, fill=_INK, font=self._small)
+        # Limits of the axes: the coordinate, or time from 0 to the horizon.
         ends = (panel.low[0], panel.high[0]) if panel.is_map else (0, self._problem.horizon)
         draw.text((left, bottom + 4), f"{ends[0]:g}" if panel.is_map else "t = 0", fill=_INK, font=self._small)
         draw.text((right - 8 * len(f"{ends[1]:g}"), bottom + 4), f"{ends[1]:g}", fill=_INK, font=self._small)
 
     def _side(self, draw: Any, caption: str) -> None:
+        """Draw what the column at the right always shows."""
         x = WIDTH - SIDE + 12
         draw.text((x, 14), self._problem.name[:32], fill=_INK, font=self._font)
         draw.text((x, 32), caption[:36], fill=_INK, font=self._small)
@@ -165,12 +190,15 @@ class Picture:
         draw.text((x, 330), "holds", fill=_PALE, font=self._small)
 
     def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
+        """Draw what the column at the right shows at this time."""
         x = WIDTH - SIDE + 12
         draw.text((x, 54), f"t = {time} of {self._problem.horizon}", fill=_INK, font=self._font)
+        # A state beyond the list is shown below it while the automaton is in it.
         if q in (listed := self._listed()):
             self._state(draw, listed.index(q), q, True)
         else:
             self._state(draw, _STATES_SHOWN, q, True)
+        # Break the names of the letter into lines of some thirty characters, at most five.
         lines, line = [], ""
         for name in letter:
             if len(line) + len(name) > 30:
@@ -184,9 +212,11 @@ class Picture:
             draw.text((x, 440), verdict, fill=_VERDICTS[verdict], font=self._font)
 
     def _listed(self) -> list[int]:
+        """Return the automaton states that are always shown."""
         return list(range(min(self._problem.automaton.n_states, _STATES_SHOWN)))
 
     def _state(self, draw: Any, place: int, q: int, current: bool) -> None:
+        """Draw one automaton state in the list at the right."""
         x, y = WIDTH - SIDE + 22, 108 + 22 * place
         automaton = self._problem.automaton
         fill = _INK if current else _PAPER
@@ -202,7 +232,7 @@ def _region_names(shown_panels: Sequence[Panel]) -> list[str]:
 
 
 def _cells(n: int) -> list[tuple[int, int, int, int]]:
-    """Places of n panels, in one column or, from four on, two: left, top, right, bottom."""
+    """Return the places of n panels, in one column up to three and in two from four on: left, top, right, bottom."""
     columns = 1 if n <= 3 else 2
     rows = -(-n // columns)
     width, height = (WIDTH - SIDE) // columns, HEIGHT // rows

@@ -1,8 +1,8 @@
-"""What a picture of a problem shows: panels, the curves in them and the regions behind (data only, nothing is drawn).
+"""The scene of a problem: panels, the curves in them and the regions behind them. It holds data and draws nothing.
 
 An agent is shown by the output axes that its regions restrict, at most two of them: one axis gives a track over time,
-two a point on a map. Scalar agents named `x_S` and `y_S` are the two coordinates of one robot S and share a map.
-Agents whose panels would have the same axes and the same regions share a panel; all on a map of equal limits do.
+two axes give a point on a map. Scalar agents named `x_S` and `y_S` are the two coordinates of one robot S and share a
+map. Agents share a panel if their panels would have the same axes and the same regions; on maps, equal axes suffice.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box behind the curves of a panel: its name (of the family, if it has one) and corners on the panel's axes."""
+    """A box behind the curves of a panel: its name, or that of its family, and its corners on the panel's axes."""
 
     name: str
     low: tuple[float, ...]
@@ -26,7 +26,16 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One agent, or one robot made of two: name, position among all curves, rows (k, D) on the joint state."""
+    """The curve of one agent, or of one robot made of two agents.
+
+    Attributes
+    ----------
+    name : str
+    number : int
+        Position among all curves, which selects the colour.
+    rows : np.ndarray, shape (k, D)
+        Rows that turn a joint state into the k coordinates shown.
+    """
 
     name: str
     number: int
@@ -35,7 +44,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Axes with k = 1 (over time) or 2 (a map) coordinates: limits, regions and curves."""
+    """Axes with one coordinate over time, or two on a map: their limits, regions and curves."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
@@ -50,6 +59,8 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
+    """An agent or robot before it is given a panel."""
+
     curve: Curve
     box: Box
     regions: tuple[Region, ...]
@@ -58,61 +69,68 @@ class _Shown:
 def panels(problem: Problem) -> tuple[Panel, ...]:
     """Return the panels of a problem, in the order in which its agents first appear."""
     shown: dict[str, _Shown] = {}
-    starts = np.cumsum([0, *(agent.n_states for agent in problem.agents)])
+    # Two scalar agents x_S and y_S become one robot; the first of them waits under its name.
     pairs = {name for name in problem.agent_names if name.startswith("x_") and f"y_{name[2:]}" in problem.agent_names}
     for i, agent in enumerate(problem.agents):
-        part = _agent(problem, i, int(starts[i]), len(shown))
+        single = _agent(problem, i, len(shown))
         robot = agent.name[2:]
-        if agent.name.startswith(("x_", "y_")) and f"x_{robot}" in pairs and len(part.box.low) == 1:
+        if agent.name.startswith(("x_", "y_")) and f"x_{robot}" in pairs and len(single.box.low) == 1:
             key = f"robot {robot}"
-            shown[key] = _robot(key, shown[key], part) if key in shown else part
+            shown[key] = _robot(key, shown[key], single) if key in shown else single
         else:
-            shown[agent.name] = part
+            shown[agent.name] = single
+    # Over time, a panel also needs equal regions: bands of different agents could not be told apart.
     groups: dict[object, list[_Shown]] = {}
-    for part in shown.values():
-        axes = (tuple(part.box.low), tuple(part.box.high), len(part.box.low) == 2 or _signature(part.regions))
-        groups.setdefault(axes, []).append(part)
+    for item in shown.values():
+        axes = (tuple(item.box.low), tuple(item.box.high), len(item.box.low) == 2 or _signature(item.regions))
+        groups.setdefault(axes, []).append(item)
     return tuple(_panel(group) for group in groups.values())
 
 
 def _panel(group: list[_Shown]) -> Panel:
-    regions = {(r.name, r.low, r.high): r for part in group for r in part.regions}
+    """Return the panel of agents that share one; equal regions are drawn once."""
+    regions = {(r.name, r.low, r.high): r for item in group for r in item.regions}
     box = group[0].box
     return Panel(
-        tuple(map(float, box.low)), tuple(map(float, box.high)), tuple(regions.values()),
-        tuple(part.curve for part in group),
-    )  # fmt: skip
+        low=tuple(map(float, box.low)),
+        high=tuple(map(float, box.high)),
+        regions=tuple(regions.values()),
+        curves=tuple(item.curve for item in group),
+    )
 
 
 def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
     return tuple(sorted((r.name, r.low, r.high) for r in regions))
 
 
-def _agent(problem: Problem, i: int, start: int, number: int) -> _Shown:
-    """One agent on the axes that its regions restrict."""
+def _agent(problem: Problem, i: int, number: int) -> _Shown:
+    """Return one agent on the axes that its regions restrict."""
     agent = problem.agents[i]
+    # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
-    own = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
+    named = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
+    # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.
     restricted = np.zeros(agent.n_outputs, dtype=bool)
-    for _, proposition in own:
+    for _, proposition in named:
         restricted |= (proposition.low > low) | (proposition.high < high)
     axes = np.flatnonzero(restricted)[:2] if restricted.any() else np.arange(min(2, agent.n_outputs))
     rows = np.zeros((len(axes), problem.n_states))
-    rows[:, start : start + agent.n_states] = agent.output_matrix[axes]
+    rows[:, problem.columns[i]] = agent.output_matrix[axes]
     regions = tuple(
         Region(
             name,
             tuple(np.maximum(proposition.low, low)[axes].tolist()),
             tuple(np.minimum(proposition.high, high)[axes].tolist()),
         )
-        for name, proposition in own
+        for name, proposition in named
     )
     return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
 
 
 def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
-    """Two scalar agents as the coordinates of one robot; a region of one of them becomes a band."""
+    """Return two scalar agents as the coordinates of one robot; a region of one of them becomes a band."""
+    # A region of x says nothing about y: it reaches over the whole height of the map, and the other way round.
     low, high = np.append(x.box.low, y.box.low), np.append(x.box.high, y.box.high)
     bands = [Region(r.name, (r.low[0], float(low[1])), (r.high[0], float(high[1]))) for r in x.regions]
     bands += [Region(r.name, (float(low[0]), r.low[0]), (float(high[0]), r.high[0])) for r in y.regions]
@@ -121,13 +139,13 @@ def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
 
 
 def _output_box(agent: LinearAgent) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest box around the outputs in the workspace (up to rounding)."""
+    """Return the smallest box around the outputs in the workspace (up to rounding)."""
     ends = np.stack([agent.output_matrix * agent.state_low, agent.output_matrix * agent.state_high])
     return ends.min(axis=0).sum(axis=-1), ends.max(axis=0).sum(axis=-1)
 
 
 def coordinate_name(problem: Problem, k: int) -> str:
-    """Joint coordinate k in words."""
+    """Return the name of coordinate k of the joint state: that of its agent, with an index if it has several."""
     for agent in problem.agents:
         if k < agent.n_states:
             return agent.name if agent.n_states == 1 else f"{agent.name}[{k}]"

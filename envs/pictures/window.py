@@ -1,4 +1,4 @@
-"""A window for the render mode "human", by pygame, which is imported when the window opens."""
+"""A window for the render mode "human". It uses pygame, which is imported when the window opens."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 FRAMES_PER_SECOND = 4
+"""Slow enough to follow every step; also the `render_fps` of the environments."""
 
 
 class Window:
@@ -15,7 +16,7 @@ class Window:
     Raises
     ------
     ImportError
-        Without pygame.
+        If pygame is not installed.
     """
 
     def __init__(self, title: str, width: int, height: int) -> None:
@@ -31,6 +32,7 @@ class Window:
 
     def show(self, frame: np.ndarray) -> None:
         """Show a frame (height, width, 3) and wait for its share of a second."""
+        # pygame counts columns first, arrays count rows first.
         surface = self._pygame.surfarray.make_surface(np.swapaxes(frame, 0, 1))
         self._screen.blit(surface, (0, 0))
         self._pygame.event.pump()

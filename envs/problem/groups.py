@@ -1,18 +1,18 @@
-"""Tasks that fall apart: conjunctions whose parts speak of different agents.
+"""Tasks that decompose: conjunctions whose conjuncts concern different agents.
 
-Noises and policies of different agents are independent. Where a formula is a conjunction of formulas over disjoint
-groups of agents, so is the outcome of every group, and the probability of the whole is the **product** of theirs. The
-automaton of the whole would need as many states as there are combinations of the groups' states (fifty pairs that are
-to meet: 2^50); the groups' own automata stay small.
+Noise and policies of different agents are independent. If a formula is a conjunction of formulas over disjoint groups
+of agents, then the outcomes of the groups are independent, too, and the probability of the whole is the **product** of
+theirs. The automaton of the whole would need as many states as there are combinations of the groups' states (fifty
+pairs that have to meet: 2^50); the automata of the groups stay small.
 
-Conjunctions are found below ``&``, ``all``, ``G``, ``G[a,b]``, ``X`` and ``N``, and below the negations of ``|``,
-``any``, ``->``, ``F`` and ``F[a,b]``, all of which distribute over them. An agent that no conjunct speaks of is to stay
-in its workspace.
+Conjuncts are collected below ``&``, ``all``, ``G``, ``G[a,b]``, ``X`` and ``N``, and below the negations of ``|``,
+``any``, ``->``, ``F`` and ``F[a,b]``: all of these distribute over conjunction. An agent that appears in no conjunct
+has to stay in its workspace, and forms a group by itself.
 
-A co-safe task of the whole is satisfied at the step at which the last group accepts, and until then every agent has to
-stay in its workspace, also those of groups that are done. So a group of a co-safe task is judged at the horizon, like
-one of a finite trace: it has to be accepted, and stay in the workspace to the end. That is at least as much as the
-whole asks for; lower bounds stay lower bounds.
+A co-safe task of the whole is satisfied at the step at which the last group accepts. Until then every agent has to
+stay in its workspace, even the agents of groups that have accepted already. So a group of a co-safe task is judged at
+the horizon, like one of a finite trace: it has to be accepted, and its agents have to stay in the workspace to the end.
+That asks for at least as much as the whole does, so lower bounds stay lower bounds.
 """
 
 from __future__ import annotations
@@ -20,22 +20,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from ..agents import counted
 from ..logic import Automaton, Formula, NormalForm, parse_formula, translate
 
 MOST_STATES = 1000
-"""States of the groups together, multiplied, from which the automaton of the whole is not built."""
+"""Largest product of the groups' numbers of states up to which the automaton of the whole is built.
+
+Above it the joint automaton soon exceeds what the translator builds (`translate`, `max_states`).
+"""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Group:
-    """Agents whose task is independent of that of the others.
+    """Agents whose task is independent of the tasks of all other agents.
 
     Parameters
     ----------
     agents : tuple of int
         Positions in the problem, increasing.
     formula : Formula
-        Conjunction of what the task says about them, families written out.
+        Conjunction of the conjuncts that concern these agents, with families written out.
     automaton : Automaton
         Its automaton over the propositions of these agents, judged at the horizon.
     """
@@ -44,12 +48,19 @@ class Group:
     formula: Formula
     automaton: Automaton
 
+    def __repr__(self) -> str:
+        return f"Group({counted(len(self.agents), 'agent')}, {self.automaton!r})"
+
 
 def independent_groups(
-    formula: str, semantics: str, names: Sequence[str], families: Mapping[str, Sequence[str]], owners: Sequence[int],
+    formula: str,
+    semantics: str,
+    names: Sequence[str],
+    families: Mapping[str, Sequence[str]],
+    owners: Sequence[int],
     n_agents: int,
-) -> tuple[Group, ...]:  # fmt: skip
-    """Groups of agents with independent tasks; none if the automaton of the whole is small, or nothing falls apart.
+) -> tuple[Group, ...]:
+    """Return the groups of agents with independent tasks; none if the task is one, or its automaton is small anyway.
 
     Parameters
     ----------
@@ -70,65 +81,86 @@ def independent_groups(
     """
     whole = parse_formula(formula)
     owner = dict(zip(names, owners, strict=True))
-    parts = _conjuncts(whole, families, True)
-    if len(parts) < 2:
+    conjuncts = _conjuncts(whole, families, True)
+    if len(conjuncts) < 2:
         return ()
     NormalForm(names, families, semantics == "co-safe").read(whole)  # errors point at the formula as it was written
+    # Collect the conjuncts by the agents that they link; a conjunct about no agent belongs to the whole.
+    linked = _united([_agents_of(conjunct, families, owner) for conjunct in conjuncts])
     gathered: dict[tuple[int, ...], list[Formula]] = {}
-    for part, own in zip(parts, _united([_agents_of(part, families, owner) for part in parts]), strict=True):
-        gathered.setdefault(own, []).append(part)
+    for conjunct, agents in zip(conjuncts, linked, strict=True):
+        gathered.setdefault(agents, []).append(conjunct)
     if len(gathered) < 2 or () in gathered:
         return ()
     for i in set(range(n_agents)).difference(*gathered):
         gathered[i,] = [Formula("true")]
-    named: list[list[str]] = [[] for _ in range(n_agents)]
-    for name in names:
-        named[owner[name]].append(name)
-    groups, states, known = [], 1, dict[str, Automaton]()
-    for own, mine in sorted(gathered.items()):
-        joined = _renamed(mine[0] if len(mine) == 1 else Formula("&", tuple(mine)), {n: n for n in names}, families)
-        automaton = _automaton(joined, semantics, [name for i in own for name in named[i]], known)
-        groups.append(Group(own, joined, replace(automaton, semantics="finite-trace")))
-        states = min(states * int((~automaton.dead).sum()), MOST_STATES + 1)
+    groups = _translated_groups(gathered, semantics, names, families, owner)
+    # The dead states of a group are one in the automaton of the whole: they do not multiply.
+    states = 1
+    for group in groups:
+        states = min(states * int((~group.automaton.dead).sum()), MOST_STATES + 1)
     return tuple(groups) if states > MOST_STATES else ()
 
 
+def _translated_groups(
+    gathered: Mapping[tuple[int, ...], list[Formula]],
+    semantics: str,
+    names: Sequence[str],
+    families: Mapping[str, Sequence[str]],
+    owner: Mapping[str, int],
+) -> list[Group]:
+    """Return the groups with their automata, by their first agents."""
+    names_of: dict[int, list[str]] = {}
+    for name in names:
+        names_of.setdefault(owner[name], []).append(name)
+    groups, translated = [], dict[str, Automaton]()
+    for agents, conjuncts in sorted(gathered.items()):
+        joined = conjuncts[0] if len(conjuncts) == 1 else Formula("&", tuple(conjuncts))
+        joined = _renamed(joined, {name: name for name in names}, families)
+        group_names = [name for i in agents for name in names_of.get(i, ())]
+        automaton = _automaton(joined, semantics, group_names, translated)
+        groups.append(Group(agents, joined, replace(automaton, semantics="finite-trace")))
+    return groups
+
+
 def _conjuncts(formula: Formula, families: Mapping[str, Sequence[str]], positive: bool) -> list[Formula]:
-    """Formulas whose conjunction is the formula, or its negation; none for true."""
+    """Return formulas whose conjunction is the formula, or its negation; no formula at all for true."""
     operator, operands = formula.operator, formula.operands
     if operator == "!":
         return _conjuncts(operands[0], families, not positive)
     if operator == ("true" if positive else "false"):
         return []
     if operator == ("&" if positive else "|"):
-        return [part for operand in operands for part in _conjuncts(operand, families, positive)]
+        return [conjunct for operand in operands for conjunct in _conjuncts(operand, families, positive)]
     if operator == ("all" if positive else "any"):
         atoms = [Formula("atom", name=name) for name in families.get(formula.name, ())]
         return (atoms if positive else [Formula("!", (atom,)) for atom in atoms]) or [formula]
     if operator == "->" and not positive:
         return _conjuncts(operands[0], families, True) + _conjuncts(operands[1], families, False)
+    # G, X and N distribute over conjunction; a negated F is a G of the negation.
     if operator in (("G", "X", "N") if positive else ("F",)):
-        kept = operator if positive else "G"
-        parts = _conjuncts(operands[0], families, positive)
-        if operator == "X" and not parts:
+        outer = operator if positive else "G"
+        conjuncts = _conjuncts(operands[0], families, positive)
+        if operator == "X" and not conjuncts:
             return [formula]  # `X true` asks for another letter
-        return [Formula(kept, (part,), bounds=formula.bounds) for part in parts]
+        return [Formula(outer, (conjunct,), bounds=formula.bounds) for conjunct in conjuncts]
     return [formula if positive else Formula("!", (formula,))]
 
 
 def _agents_of(formula: Formula, families: Mapping[str, Sequence[str]], owner: Mapping[str, int]) -> frozenset[int]:
-    """Agents that a formula speaks of."""
-    found: set[int] = set()
-    for part in formula.subformulas():
-        if part.operator == "atom" and part.name in owner:
-            found.add(owner[part.name])
-        elif part.operator in ("all", "any"):
-            found.update(owner[name] for name in families.get(part.name, ()))
-    return frozenset(found)
+    """Return the agents whose propositions appear in a formula."""
+    agents: set[int] = set()
+    for subformula in formula.subformulas():
+        if subformula.operator == "atom" and subformula.name in owner:
+            agents.add(owner[subformula.name])
+        elif subformula.operator in ("all", "any"):
+            agents.update(owner[name] for name in families.get(subformula.name, ()))
+    return frozenset(agents)
 
 
 def _united(sets: Sequence[frozenset[int]]) -> list[tuple[int, ...]]:
-    """For each set, all agents that it is linked to by sets that overlap, increasing."""
+    """Return, for each set, all agents that it is linked to by sets that overlap, increasing."""
+    # Union-find: every agent points towards the root of its group; paths are halved on the way.
     parent: dict[int, int] = {}
 
     def root(i: int) -> int:
@@ -137,27 +169,28 @@ def _united(sets: Sequence[frozenset[int]]) -> list[tuple[int, ...]]:
             i = parent[i]
         return i
 
-    for own in sets:
-        for i in own:
-            parent[root(i)] = root(min(own))
+    for agents in sets:
+        for i in agents:
+            parent[root(i)] = root(min(agents))
     members: dict[int, list[int]] = {}
     for i in sorted(parent):
         members.setdefault(root(i), []).append(i)
-    return [tuple(members[root(min(own))]) if own else () for own in sets]
+    return [tuple(members[root(min(agents))]) if agents else () for agents in sets]
 
 
-def _automaton(formula: Formula, semantics: str, names: Sequence[str], known: dict[str, Automaton]) -> Automaton:
-    """Automaton of a group; groups whose tasks read alike share the work."""
+def _automaton(formula: Formula, semantics: str, names: Sequence[str], translated: dict[str, Automaton]) -> Automaton:
+    """Return the automaton of a group; groups whose tasks read alike share the work."""
+    # Number the propositions, so that fifty pairs with one task are translated once.
     places = {name: f"p{k}" for k, name in enumerate(names)}
     text = str(_renamed(formula, places, {}))
     key = f"{len(names)} {text}"
-    if key not in known:
-        known[key] = translate(text, list(places.values()), semantics)
-    return replace(known[key], propositions=tuple(names))
+    if key not in translated:
+        translated[key] = translate(text, list(places.values()), semantics)
+    return replace(translated[key], propositions=tuple(names))
 
 
 def _renamed(formula: Formula, places: Mapping[str, str], families: Mapping[str, Sequence[str]]) -> Formula:
-    """The formula with its propositions renamed and families written out."""
+    """Return the formula with its propositions renamed and families written out."""
     if formula.operator == "atom":
         return Formula("atom", name=places[formula.name])
     if formula.operator in ("all", "any"):

@@ -22,20 +22,21 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from ..agents import LinearAgent, Proposition, shown
+from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count, shown
 from ..logic import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
 from .families import checked_propositions, expand
 from .record import Problem
 from .specification import Specification
 
-MAX_AGENTS = 10_000
-_AGENT = tuple(signature(LinearAgent).parameters)
+_AGENT_KEYS = tuple(signature(LinearAgent).parameters)
+_OPTIONAL_AGENT_KEYS = ("copies", "initial_state", "initial_low", "initial_high", "output_matrix", "offset")
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
+"""Keys of which a specification has exactly one; it says how the task is written."""
 
 
 def load_problem(path: str | Path) -> Problem:
-    """Read a problem file.
+    """Return the problem that a file describes.
 
     Parameters
     ----------
@@ -45,13 +46,13 @@ def load_problem(path: str | Path) -> Problem:
     Raises
     ------
     ValueError
-        With one line that names the file, the table and the field, whatever is wrong.
+        If anything is wrong. The message is one line that names the file, the table and the field.
     """
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{shown(str(path))}: expected UTF-8 text, got byte {error.start} that is none") from error
+        raise ValueError(f"{shown(str(path))}: expected UTF-8 text, got an invalid byte at {error.start}") from error
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         reason = getattr(error, "strerror", None) or str(error)
         raise ValueError(f"{shown(str(path))}: expected a readable problem file, got: {reason}") from error
@@ -67,12 +68,12 @@ def problem_from_toml(text: str, source: str = "problem file", folder: Path | No
     source : str
         Name of the text in errors.
     folder : Path, optional
-        Where relative paths (`hoa`) start; without it the text may not refer to files.
+        Folder of relative paths (`hoa`); without it the text may not refer to files.
 
     Raises
     ------
     ValueError
-        With one line that names source, table and field.
+        If anything is wrong. The message is one line that names source, table and field.
     """
     try:
         data = tomllib.loads(text)
@@ -92,12 +93,12 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
     Raises
     ------
     ValueError
-        With one line that names table and field.
+        If anything is wrong. The message is one line that names table and field.
     """
     _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"))
     agents = _agents(data["agents"])
     propositions = _propositions(data["propositions"])
-    expand(propositions, [agent.name for agent in agents])
+    expand(propositions, [agent.name for agent in agents])  # errors in patterns come before those of the task
     specification = _specification(data["specification"], propositions, agents, folder)
     try:
         return Problem(
@@ -112,19 +113,20 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
 
 
 def _agents(tables: Any) -> list[LinearAgent]:
+    """Return the agents of the tables, those with `copies` repeated under numbered names."""
     if not isinstance(tables, list) or not tables:
         raise ValueError(f"[[agents]]: expected at least one table, got {shown(tables)}")
     agents: list[LinearAgent] = []
     for position, table in enumerate(tables):
+        # Name the table by its number, and by its name if it has a readable one.
         where = f"[[agents]] number {position + 1}"
         if isinstance(table, Mapping) and isinstance(table.get("name"), str):
             where += f" ({shown(table['name'], 40)})"
-        optional = ("copies", "initial_state", "initial_low", "initial_high", "output_matrix", "offset")
-        _check_keys(table, where, tuple(key for key in _AGENT if key not in optional), optional)
-        copies = table.get("copies")
-        most = MAX_AGENTS - len(agents)
-        if copies is not None and (isinstance(copies, bool) or not isinstance(copies, int) or not 1 <= copies <= most):
-            raise ValueError(f"{where}: `copies`: expected an integer from 1 to {most}, got {shown(copies)}")
+        required = tuple(key for key in _AGENT_KEYS if key not in _OPTIONAL_AGENT_KEYS)
+        _check_keys(table, where, required, _OPTIONAL_AGENT_KEYS)
+        copies, most = table.get("copies"), MOST_AGENTS - len(agents)
+        if copies is not None:
+            _prefixed(where, lambda copies=copies, most=most: checked_count(copies, "copies", most=most))
         agent = _prefixed(where, lambda table=table: LinearAgent(**{k: v for k, v in table.items() if k != "copies"}))
         agents.extend([agent] if copies is None else agent.copies(copies))
     return agents
@@ -144,23 +146,26 @@ def _propositions(table: Any) -> dict[str, Proposition]:
 def _specification(
     table: Any, propositions: Mapping[str, Proposition], agents: Sequence[LinearAgent], folder: Path | None
 ) -> Specification:
+    """Return the specification of the table: a formula, HOA text, an automaton as plain values, or one by hand."""
     where = "[specification]"
     if not isinstance(table, Mapping):
         raise ValueError(f"{where}: expected a table, got {shown(table)}")
-    given = [key for key in _ALTERNATIVES if key in table]
-    if len(given) != 1:
+    written_as = [key for key in _ALTERNATIVES if key in table]
+    if len(written_as) != 1:
+        # A misspelled key is the likely cause: complain about it first.
         _check_keys(table, where, (), (*_ALTERNATIVES, *_BY_HAND, "semantics", "otherwise"))
-        got = ", ".join(given) or "none"
+        got = ", ".join(written_as) or "none"
         raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
-    if given == ["formula"]:
+    if written_as == ["formula"]:
         _check_keys(table, where, ("formula", "semantics"))
         return _prefixed(where, lambda: Specification(table["formula"], table["semantics"]))
+    # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
-    if given == ["hoa"]:
+    if written_as == ["hoa"]:
         _check_keys(table, where, ("hoa",), ("semantics",))
         text = _hoa_text(table["hoa"], folder)
         automaton = _prefixed(f"{where} `hoa`", lambda: automaton_from_hoa(text, list(names)))
-    elif given == ["automaton"]:
+    elif written_as == ["automaton"]:
         _check_keys(table, where, ("automaton",), ("semantics",))
         if not isinstance(table["automaton"], Mapping):
             raise ValueError(f"{where}: `automaton`: expected a table, got {shown(table['automaton'])}")
@@ -171,9 +176,11 @@ def _specification(
 
 
 def _hoa_text(value: Any, folder: Path | None) -> str:
+    """Return HOA text as it stands in the table, or from the file that the table names."""
     where = "[specification] `hoa`"
     if not isinstance(value, str):
         raise ValueError(f"{where}: expected HOA text or a path, got {shown(value)}")
+    # No path starts like the text of an automaton.
     if value.lstrip().startswith("HOA:"):
         return value
     if folder is None:
@@ -188,6 +195,7 @@ def _hoa_text(value: Any, folder: Path | None) -> str:
 
 
 def _by_hand(table: Mapping[str, Any], names: list[str], families: Mapping[str, Sequence[str]]) -> Automaton:
+    """Return the automaton of states and transitions written in the table."""
     where = "the automaton"
     _check_keys(table, where, ("semantics", *_BY_HAND), ("otherwise",))
     for key in ("states", "accepting"):
@@ -195,8 +203,9 @@ def _by_hand(table: Mapping[str, Any], names: list[str], families: Mapping[str, 
     rows = table["transitions"]
     if not isinstance(rows, list):
         raise ValueError(f"`transitions`: expected a list of [source, guard, target], got {shown(rows)}")
+    # TOML gives plain values: check them here, so that errors name the key and not a Python type.
     for row in rows:
-        if not isinstance(row, list) or len(row) != 3 or not all(isinstance(part, str) for part in row):
+        if not isinstance(row, list) or len(row) != 3 or not all(isinstance(text, str) for text in row):
             raise ValueError(f"`transitions`: expected [source, guard, target], three strings, got {shown(row)}")
     for key in ("initial", "semantics", "otherwise"):
         if key in table and not isinstance(table[key], str):
@@ -214,18 +223,19 @@ def _by_hand(table: Mapping[str, Any], names: list[str], families: Mapping[str, 
 
 
 def _check_strings(value: Any, key: str) -> None:
-    if not isinstance(value, list) or not all(isinstance(part, str) for part in value):
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise ValueError(f"`{key}`: expected a list of names, got {shown(value)}")
 
 
 def _check_keys(table: Any, where: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
+    """Raise ValueError unless a table holds all required keys, and no others than these and the optional ones."""
     if not isinstance(table, Mapping):
         raise ValueError(f"{where}: expected a table, got {shown(table)}")
-    required, known = list(required), [*required, *optional]
+    required, allowed = list(required), [*required, *optional]
     for key in table:
-        if key not in known:
-            close = get_close_matches(str(key), known, n=1)
-            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join(known)}"
+        if key not in allowed:
+            close = get_close_matches(str(key), allowed, n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"the keys are {', '.join(allowed)}"
             raise ValueError(f"{where}: unknown key {shown(key)}; {remedy}")
     for key in required:
         if key not in table:
@@ -233,7 +243,7 @@ def _check_keys(table: Any, where: str, required: Iterable[str], optional: Itera
 
 
 def _prefixed(where: str, make: Any) -> Any:
-    """Call `make`, and put the place in front of what it complains about."""
+    """Return what `make` returns; put the place in front of the message if it raises ValueError."""
     try:
         return make()
     except ValueError as error:
@@ -241,7 +251,7 @@ def _prefixed(where: str, make: Any) -> Any:
 
 
 def _line(error: Exception) -> str:
-    """Return the message of an error on one line; a place in a formula becomes the number of its character."""
+    """Return the message of an error on one line; instead of carets it gives the number of the character."""
     if isinstance(error, FormulaError):
         place = f" (character {error.start + 1} of the formula)" if error.text else ""
         return " ".join(error.problem.split()) + place

@@ -1,7 +1,9 @@
 """A problem: agents, propositions, a specification and a horizon, checked once, when it is made.
 
 The task is judged on the word `l_0 ... l_T` of the letters met at times 0 to T = `horizon`; `l_0` is the letter of the
-start. Leaving the workspace of any agent violates. Reference: THEORY section 0.
+start. An agent that leaves its workspace violates the task.
+
+Reference: docs/theory/setting.md, "Letters and words" and "Satisfaction".
 """
 
 from __future__ import annotations
@@ -9,26 +11,42 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from ..agents import Labeling, LinearAgent, Proposition, float_array, inside, shown
+from ..agents import (
+    Labeling,
+    LinearAgent,
+    Proposition,
+    checked_count,
+    counted,
+    float_array,
+    inside,
+    names_text,
+    shortened,
+    shown,
+    slices_of,
+)
 from ..logic import Automaton, over_propositions, translate
 from .families import checked_propositions, expand
 from .groups import Group, independent_groups
 from .specification import Specification
+from .summary import summary_html, summary_text
+
+LONGEST_HORIZON = 10**6
+"""Most control steps: more would be a slip of the keyboard, and would fill the memory with policies."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Problem:
     """Agents and a task, validated; the task automaton and the labelling are built at construction.
 
-    A task that falls apart into so many independent ones that the automaton of the whole would be too large has none;
-    its parts are `tasks`, each a problem of its own (see `independent`).
+    A task may decompose into so many independent tasks that its own automaton would be too large. Then that automaton
+    is not built, and `tasks` holds one problem for each independent task (see `groups`).
 
     Parameters
     ----------
@@ -38,27 +56,27 @@ class Problem:
     agents : sequence of LinearAgent
         Each with a start.
     propositions : mapping from str to Proposition, or to a dict of its arguments
-        Each of one agent. An agent name with one `*` makes a family: one member per agent that matches, named by what
-        the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...).
+        Every proposition belongs to one agent. An agent name with one `*` makes a family: one member per agent that
+        matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...).
     specification : Specification
 
     Attributes
     ----------
     declared : mapping from str to Proposition
-        The propositions as given.
+        The propositions as they were passed in.
     propositions : mapping from str to Proposition
-        Families expanded; ordered agent by agent.
+        The propositions with families expanded, ordered agent by agent.
     families : mapping from str to tuple of str
         Members of each family, in agent order.
     labeling : Labeling
         Membership, classes and letters.
     groups : tuple of Group
-        Agents with independent tasks, where the automaton of the whole is not built; empty otherwise.
+        Agents with independent tasks, if the automaton of the whole is not built; empty otherwise.
 
     Raises
     ------
     ValueError
-        Naming the argument, what was expected and what came.
+        If an argument is wrong. The message names it, what was expected and what came.
 
     Examples
     --------
@@ -99,6 +117,7 @@ class Problem:
             raise ValueError(f"`name`: expected a line of 1 to 200 printable characters, got {shown(name)}")
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
+        # Expand families first: the labelling, the groups and the automaton all speak of single propositions.
         members = _checked_agents(agents)
         declared = checked_propositions(propositions)
         expanded, families = expand(declared, [agent.name for agent in members])
@@ -120,10 +139,30 @@ class Problem:
             object.__setattr__(self, key, value)
 
     def __repr__(self) -> str:
-        task = f"{len(self.groups)} independent tasks" if self.groups else repr(self.automaton)
-        return f"Problem({self.name!r}, {self.n_agents} agents, horizon {self.horizon}, {task})"
+        return summary_text(f"Problem {self.name!r}", self.agents, self._facts())
+
+    def _repr_html_(self) -> str:
+        return summary_html(self.name, self.agents, self._facts())
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return the rows of a summary below the agents, name and value."""
+        if self.groups:
+            sizes = [group.automaton.n_states for group in self.groups]
+            span = f"{min(sizes)}" if min(sizes) == max(sizes) else f"{min(sizes)} to {max(sizes)}"
+            automaton = ("automata", f"{len(self.groups)} independent tasks of {span} states each")
+        else:
+            automaton = ("automaton", counted(self.automaton.n_states, "state"))
+        declared = f" ({names_text(list(self.declared))})" if self.declared else ""
+        return [
+            ("propositions", f"{len(self.propositions)}{declared}"),
+            ("task", shortened(self.specification.formula or "given as an automaton", 200)),
+            ("semantics", self.specification.semantics),
+            automaton,
+            ("horizon", counted(self.horizon, "control step")),
+        ]
 
     def __reduce__(self) -> tuple[Any, ...]:
+        # Pickle the arguments alone: unpickling builds and checks the rest anew.
         return _rebuilt, (self.name, self.horizon, self.agents, dict(self.declared), self.specification)
 
     @property
@@ -133,7 +172,7 @@ class Problem:
         Raises
         ------
         ValueError
-            If the task falls apart into independent ones, whose joint automaton would be too large.
+            If the task decomposes into independent tasks whose joint automaton would be too large.
         """
         if self._automaton is None:
             raise ValueError(
@@ -144,19 +183,20 @@ class Problem:
 
     @cached_property
     def tasks(self) -> tuple[Problem, ...]:
-        """The independent tasks as problems of their own, by their first agents; the problem itself if there is one.
+        """One problem per independent task, ordered by first agents; the problem itself if there is only one task.
 
-        The task is satisfied with the product of their probabilities, or at least that for co-safe semantics (see
-        `independent`).
+        The probability of satisfying the whole is the product of theirs for finite-trace semantics, and at least that
+        product for co-safe semantics (see `groups`).
         """
         return tuple(self._task(group) for group in self.groups) or (self,)
 
     def _task(self, group: Group) -> Problem:
-        """The problem of one group of agents."""
+        """Return the problem of one group of agents."""
         names = self.labeling.names
-        own = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
+        group_names = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
         members = [self.agent_names[i] for i in group.agents]
         listed = ", ".join(members[:3]) + (", ..." if len(members) > 3 else "")
+        # The automaton of a co-safe group is judged at the horizon, which no formula says: hand it on as it is.
         if self.specification.semantics == "co-safe":
             specification = Specification(automaton=group.automaton)
         else:
@@ -165,7 +205,7 @@ class Problem:
             name=f"{self.name[:120]} ({listed[:70]})",
             horizon=self.horizon,
             agents=[self.agents[i] for i in group.agents],
-            propositions={name: self.propositions[name] for name in own},
+            propositions={name: self.propositions[name] for name in group_names},
             specification=specification,
         )
 
@@ -184,9 +224,25 @@ class Problem:
         """Number of components D of a joint state."""
         return sum(agent.n_states for agent in self.agents)
 
+    @property
+    def n_inputs(self) -> int:
+        """Number of components of a joint input."""
+        return sum(agent.n_inputs for agent in self.agents)
+
+    @cached_property
+    def columns(self) -> tuple[slice, ...]:
+        """Per agent: where its components stand in a joint state, in agent order."""
+        return slices_of(agent.n_states for agent in self.agents)
+
+    @cached_property
+    def input_columns(self) -> tuple[slice, ...]:
+        """Per agent: where its components stand in a joint input, in agent order."""
+        return slices_of(agent.n_inputs for agent in self.agents)
+
     @cached_property
     def initial_q(self) -> int | None:
-        """Automaton state after the letter of the start; None if there are several, or a start is outside."""
+        """Automaton state after the letter of the start; None if several letters are possible or a start is outside."""
+        # Put the letter together agent by agent; each start box must have a single class.
         letter = np.zeros(len(self.propositions), dtype=bool)
         for i, agent in enumerate(self.agents):
             start = agent.initial
@@ -208,14 +264,14 @@ class Problem:
         disturbance_scale: float | None = None,
         name: str | None = None,
     ) -> Problem:
-        """Return the problem with another horizon, name, start or noise; automata and labelling are shared.
+        """Return the problem with another horizon, name, start or noise; automata and labelling are not built again.
 
         Parameters
         ----------
         horizon : int, optional
         initial_state : mapping, or array_like, optional
-            Start: a mapping from agent names to vectors (the others keep theirs), a list of vectors, or a flat joint
-            vector (D,) in agent order. `initial_low` with `initial_high`, in the same forms, give a box.
+            Start: a mapping from agent names to vectors (agents not named keep theirs), a list of vectors, or a flat
+            joint vector (D,) in agent order. `initial_low` with `initial_high`, in the same forms, give a box.
         disturbance_scale : float, optional
             Factor, at least 0, on the standard deviations of all noise (its square on the covariances).
         name : str, optional
@@ -225,32 +281,38 @@ class Problem:
         ValueError
             As at construction.
         """
-        changed = object.__new__(Problem)
-        changed.__dict__.update(self.__dict__)
-        for cached in ("initial_q", "fingerprint", "tasks"):
-            changed.__dict__.pop(cached, None)
+        # Neither start nor noise changes propositions or regions, so everything derived from them is handed on.
+        changes: dict[str, Any] = {}
         if name is not None:
-            object.__setattr__(changed, "name", name)
+            changes["name"] = name
         if horizon is not None:
-            object.__setattr__(changed, "horizon", checked_horizon(horizon))
+            changes["horizon"] = checked_horizon(horizon)
         starts = {"initial_state": initial_state, "initial_low": initial_low, "initial_high": initial_high}
-        parts = {key: self._split(value, key) for key, value in starts.items() if value is not None}
-        if parts:
+        vectors = {key: self._vectors(value, key) for key, value in starts.items() if value is not None}
+        if vectors:
             agents = []
             for agent in self.agents:
-                mine = {key: part[agent.name] for key, part in parts.items() if agent.name in part}
-                agents.append(agent.replace(**mine) if mine else agent)
-            object.__setattr__(changed, "agents", tuple(agents))
+                start = {key: by_name[agent.name] for key, by_name in vectors.items() if agent.name in by_name}
+                agents.append(agent.replace(**start) if start else agent)
+            changes["agents"] = tuple(agents)
         if disturbance_scale is not None:
+            # Scale the agents with their new starts, so that both changes apply.
             factor = float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0]
             if factor < 0.0:
                 raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
-            noisy = [a.replace(noise_covariance=factor * factor * a.noise_covariance) for a in changed.agents]
-            object.__setattr__(changed, "agents", tuple(noisy))
+            agents = changes.get("agents", self.agents)
+            changes["agents"] = tuple(a.replace(noise_covariance=factor * factor * a.noise_covariance) for a in agents)
+        return self._with(changes)
+
+    def _with(self, changes: Mapping[str, Any]) -> Problem:
+        """Return a problem with some fields changed; cached properties are not copied, as they may change, too."""
+        changed = object.__new__(Problem)
+        for field in fields(Problem):
+            object.__setattr__(changed, field.name, changes.get(field.name, getattr(self, field.name)))
         return changed
 
-    def _split(self, value: Any, argument: str) -> Mapping[str, Any]:
-        """One vector per agent name, from a mapping, a list of vectors or a flat joint vector."""
+    def _vectors(self, value: Any, argument: str) -> Mapping[str, Any]:
+        """Return one vector per agent name, from a mapping, a list of vectors or a flat joint vector."""
         if isinstance(value, Mapping):
             for key in value:
                 if key not in self.agent_names:
@@ -258,23 +320,24 @@ class Problem:
                         f"`{argument}`: expected agents among {', '.join(self.agent_names[:8])}, got {shown(key)}"
                     )
             return value
-        if isinstance(value, (list, tuple)) and value and all(np.ndim(part) == 1 for part in value):
+        if isinstance(value, (list, tuple)) and value and all(np.ndim(vector) == 1 for vector in value):
             if len(value) != self.n_agents:
                 raise ValueError(f"`{argument}`: expected {self.n_agents} vectors, one per agent, got {len(value)}")
             return dict(zip(self.agent_names, value))
+        # Anything else has to be a joint vector, which is cut into those of the agents.
         joint = float_array(value, argument, (self.n_states,), f"{[0.0] * min(self.n_states, 4)}")
-        ends = np.cumsum([agent.n_states for agent in self.agents])
-        return dict(zip(self.agent_names, np.split(joint, ends[:-1])))
+        return {name: joint[columns] for name, columns in zip(self.agent_names, self.columns)}
 
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of matrices, boxes, propositions, automaton, start and horizon (not of the name): 64 hex digits."""
+        # Problems that behave alike shall agree: hash expanded families and the automaton, not how they were written.
         data = self.to_dict()
         del data["name"]
         data["propositions"] = [[key, value.to_dict()] for key, value in self.propositions.items()]
         if self.groups:
-            parts = [[group.agents, group.automaton.to_dict()] for group in self.groups]
-            data["specification"] = {"semantics": self.specification.semantics, "groups": parts}
+            groups = [[group.agents, group.automaton.to_dict()] for group in self.groups]
+            data["specification"] = {"semantics": self.specification.semantics, "groups": groups}
         else:
             data["specification"] = self.automaton.to_dict()
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -292,12 +355,12 @@ class Problem:
 
 
 def _rebuilt(*values: Any) -> Problem:
-    """Make a problem from its arguments (pickling)."""
+    """Return the problem with these arguments (for pickling)."""
     return Problem(**dict(zip(("name", "horizon", "agents", "propositions", "specification"), values)))
 
 
 def checked_problem(value: Any) -> Problem:
-    """Return a problem, or raise ValueError with what to do."""
+    """Return `value` if it is a Problem, or raise ValueError with what to do."""
     if not isinstance(value, Problem):
         raise ValueError(
             f"`problem`: expected a Problem, got {shown(value)}; make one with `make_problem`, `load_problem` or "
@@ -308,12 +371,11 @@ def checked_problem(value: Any) -> Problem:
 
 def checked_horizon(value: Any) -> int:
     """Return the horizon as an int, or raise ValueError."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 1 <= value <= 10**6:
-        raise ValueError(f"`horizon`: expected an integer from 1 to 1000000 (control steps), got {shown(value)}")
-    return int(value)
+    return checked_count(value, "horizon", most=LONGEST_HORIZON, unit="control steps")
 
 
 def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:
+    """Return the agents as a tuple if they differ in name and each has a start; raise ValueError otherwise."""
     if not isinstance(agents, Sequence) or not agents or not all(isinstance(a, LinearAgent) for a in agents):
         raise ValueError(f"`agents`: expected a list of at least one LinearAgent, got {shown(agents)}")
     seen: set[str] = set()
@@ -332,9 +394,11 @@ def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:
 def _groups(
     specification: Specification, labeling: Labeling, families: Mapping[str, tuple[str, ...]]
 ) -> tuple[Group, ...]:
+    """Return the groups of agents with independent tasks; a task given as an automaton is not taken apart."""
     if specification.formula is None:
         return ()
-    owners = np.repeat(np.arange(len(labeling.agents)), [len(own) for own in labeling.agent_propositions])
+    counts = [len(positions) for positions in labeling.agent_propositions]
+    owners = np.repeat(np.arange(len(labeling.agents)), counts)
     return independent_groups(
         specification.formula, specification.semantics, labeling.names, families, owners.tolist(), len(labeling.agents)
     )
@@ -343,6 +407,7 @@ def _groups(
 def _automaton(
     specification: Specification, names: tuple[str, ...], families: Mapping[str, tuple[str, ...]]
 ) -> Automaton:
+    """Return the automaton of the task over all propositions of the problem."""
     if specification.automaton is None:
         return translate(specification.formula or "", names, specification.semantics, families=families)
     unknown = [name for name in specification.automaton.propositions if name not in names]
@@ -350,4 +415,5 @@ def _automaton(
         raise ValueError(
             f"`automaton`: expected propositions among {shown(list(names))}, got {shown(unknown[0])}; declare it"
         )
+    # Its propositions may stand in another order, and some of the problem's may be missing.
     return over_propositions(specification.automaton, names)

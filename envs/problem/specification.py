@@ -1,17 +1,17 @@
-"""What the agents shall do: a formula with its semantics, or an automaton."""
+"""The task of the agents: a formula with its semantics, or an automaton."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-from ..agents import shown
+from ..agents import shortened, shown
 from ..logic import SEMANTICS, Automaton
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Specification:
-    """What the agents shall do: a formula with its semantics, or an automaton.
+    """The task of the agents: a formula with its semantics, or an automaton.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class Specification:
     semantics : str
         "co-safe" (satisfied as soon as the automaton accepts) or "finite-trace" (judged at the horizon).
     automaton : Automaton or None
-        Given instead of a formula; it brings its own semantics.
+        An automaton in place of a formula; it carries its semantics.
 
     Raises
     ------
@@ -36,12 +36,13 @@ class Specification:
         self, formula: str | None = None, semantics: str | None = None, *, automaton: Automaton | None = None
     ) -> None:
         if (formula is None) == (automaton is None):
-            given = "none" if formula is None else "both"
-            raise ValueError(f"`formula`: expected exactly one of a formula and an automaton, got {given}")
+            got = "none" if formula is None else "both"
+            raise ValueError(f"`formula`: expected exactly one of a formula and an automaton, got {got}")
         if formula is not None and not isinstance(formula, str):
             raise ValueError(f"`formula`: expected text such as 'F goal', got {shown(formula)}")
         if automaton is not None and not isinstance(automaton, Automaton):
             raise ValueError(f"`automaton`: expected an Automaton, got {shown(automaton)}")
+        # An automaton says its semantics; naming them as well is allowed, contradicting them is not.
         if semantics is None and automaton is not None:
             semantics = automaton.semantics
         if semantics not in SEMANTICS:
@@ -53,6 +54,10 @@ class Specification:
         object.__setattr__(self, "formula", formula)
         object.__setattr__(self, "semantics", semantics)
         object.__setattr__(self, "automaton", automaton)
+
+    def __repr__(self) -> str:
+        task = repr(self.automaton) if self.formula is None else repr(shortened(self.formula, 200))
+        return f"Specification({task}, {self.semantics})"
 
     @property
     def is_co_safe(self) -> bool:

@@ -1,20 +1,21 @@
 """Agents with independent axes, split into agents of fewer states.
 
-Where the matrices of an agent fall apart into blocks of axes (the state matrix, the covariance, the rows of the output
-matrix, and what each input acts on; input set, workspace and start are boxes anyhow), the blocks are agents of their
-own: a robot in the plane becomes one that moves along x and one that moves along y. `split_axes` says the same problem
-in these terms. A box region becomes the conjunction of its sides, a union of boxes the disjunction of such.
+The matrices of an agent may decompose into blocks of axes: the state matrix, the covariance, the rows of the output
+matrix, and the columns of the input matrix. (Input set, workspace and start are boxes, so they always decompose.) Then
+each block can be an agent by itself: a robot in the plane becomes one that moves along x and one that moves along y.
+`split_axes` states the same problem in these terms. A box region becomes the conjunction of its sides, and a union of
+boxes becomes the disjunction of such conjunctions.
 
-States, noise, letters and outcome of the split problem are those of the original, with the components in another order
-(`axis_order`), so under the same inputs both succeed in the same runs: **a bound certified for the split problem holds
-for the original**, with controllers that act on each block by its own state, the shared automaton state and the time.
-These are fewer policies than an agent kept whole has: its x input may answer to its y position, that of a split one
-may not. What is gained is size: two axes of n cells each instead of n * n cells.
+The split problem has the states, noise, letters and outcome of the original, with the components in another order
+(`axis_order`). Under the same inputs both succeed in the same runs, so **a bound certified for the split problem holds
+for the original**, with controllers that act on each block by the state of the block, the shared automaton state and
+the time. These are fewer policies than those of the whole agent: its x input may depend on its y position, that of a
+split agent may not. The gain is in size: two axes of n cells each instead of n * n cells.
 
-The components stay in agent order, blocks in the order of their first components; within a block nothing moves. So the
-joint state keeps its order unless the blocks of an agent interleave.
+The components stay in agent order, and blocks in the order of their first components; within a block nothing moves. So
+the joint state keeps its order unless the blocks of an agent interleave.
 
-Reference: THEORY section 0 (agents may be any partition of the components into independent ones).
+Reference: docs/theory/setting.md, "Agents": any partition of the components into independent ones may be the agents.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from .record import Problem, checked_problem
 from .specification import Specification
 
 Block = tuple[list[int], list[int], list[int]]
-"""Components of the state, the inputs that act on them and the rows of the output matrix that read them."""
+"""Components of the state, inputs that act on them, and rows of the output matrix that read them."""
 
 
 def split_axes(problem: Problem) -> Problem:
@@ -48,7 +49,7 @@ def split_axes(problem: Problem) -> Problem:
     Raises
     ------
     ValueError
-        If `problem` is none.
+        If `problem` is not a Problem.
 
     Examples
     --------
@@ -58,41 +59,45 @@ def split_axes(problem: Problem) -> Problem:
     (('robot_0_x0', 'robot_0_x1'), 'F (p1_x0 & p1_x1 & !(p2_x0 & p2_x1) U (p3_x0 & p3_x1))')
     """
     blocks = [_blocks(agent) for agent in checked_problem(problem).agents]
-    if all(len(own) == 1 for own in blocks):
+    if all(len(agent_blocks) == 1 for agent_blocks in blocks):
         return problem
+    # Agents of several blocks are replaced by one agent per block.
     taken = set(problem.agent_names)
     agents: list[LinearAgent] = []
-    parts: dict[str, list[LinearAgent]] = {}
-    for agent, own in zip(problem.agents, blocks, strict=True):
-        parts[agent.name] = [agent] if len(own) == 1 else [_part(agent, block, taken) for block in own]
-        agents += parts[agent.name]
+    pieces: dict[str, tuple[LinearAgent, list[Block], list[LinearAgent]]] = {}
+    for agent, agent_blocks in zip(problem.agents, blocks, strict=True):
+        is_whole = len(agent_blocks) == 1
+        replacements = [agent] if is_whole else [_agent_of_block(agent, block, taken) for block in agent_blocks]
+        pieces[agent.name] = agent, agent_blocks, replacements
+        agents += replacements
+    # Every region is replaced by its sides; the formula then asks for all of them.
     propositions: dict[str, Proposition] = {}
-    sides: dict[str, tuple[str, ...]] = {}
+    side_names: dict[str, tuple[str, ...]] = {}
     taken = set(problem.propositions)
-    by_name = {agent.name: (agent, own) for agent, own in zip(problem.agents, blocks, strict=True)}
     for name, proposition in problem.propositions.items():
-        agent, own = by_name[proposition.agent]
-        found = _sides(agent, own, parts[agent.name], proposition)
-        names = [name] if len(found) == 1 else [_fresh(f"{name}_{_axes(block)}", taken) for block, _ in found]
-        sides[name] = tuple(names)
-        propositions |= {side: part for side, (_, part) in zip(names, found, strict=True)}
-    specification = _substituted(problem.specification, problem.families, sides)
+        sides = _sides(*pieces[proposition.agent], proposition)
+        names = [name] if len(sides) == 1 else [_fresh(f"{name}_{_axes(block)}", taken) for block, _ in sides]
+        side_names[name] = tuple(names)
+        propositions |= {side_name: side for side_name, (_, side) in zip(names, sides, strict=True)}
     return Problem(
-        name=problem.name, horizon=problem.horizon, agents=agents, propositions=propositions,
-        specification=specification,
-    )  # fmt: skip
+        name=problem.name,
+        horizon=problem.horizon,
+        agents=agents,
+        propositions=propositions,
+        specification=_substituted(problem.specification, problem.families, side_names),
+    )
 
 
 def axis_order(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the components of the split problem stand in the original.
+    """Return the positions, in the original problem, of the components of the split one.
 
     Returns
     -------
     states : np.ndarray of int, shape (D,)
         ``x_split = x[states]`` for joint states in agent order; the noise likewise.
     inputs : np.ndarray of int
-        ``u_split = u[inputs]`` for joint inputs in agent order, but for -1: an axis that no input moves, whose input
-        is 0.
+        ``u_split = u[inputs]`` for joint inputs in agent order. An entry of -1 marks an axis that no input moves; its
+        input is 0.
 
     Examples
     --------
@@ -104,21 +109,24 @@ def axis_order(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     inputs: list[int] = []
     first_state = first_input = 0
     for agent in checked_problem(problem).agents:
-        for components, own, _ in _blocks(agent):
+        for components, block_inputs, _ in _blocks(agent):
             states += [first_state + k for k in components]
-            inputs += [first_input + k for k in own] or [-1]
+            inputs += [first_input + k for k in block_inputs] or [-1]
         first_state, first_input = first_state + agent.n_states, first_input + agent.n_inputs
     return np.array(states), np.array(inputs)
 
 
 def _blocks(agent: LinearAgent) -> list[Block]:
-    """The finest blocks that no matrix couples, in the order of their first components."""
+    """Return the finest blocks that no matrix couples, in the order of their first components."""
     d = agent.n_states
+    # Two components are linked if an entry of A or of the covariance couples them, or if one input acts on both or one
+    # output reads both.
     linked = (agent.A != 0) | (agent.noise_covariance != 0)
-    for columns in (agent.B.T, agent.output_matrix):  # what one input acts on, what one output reads
+    for columns in (agent.B.T, agent.output_matrix):
         for row in columns != 0:
             linked |= row[:, None] & row[None]
     linked |= linked.T | np.eye(d, dtype=bool)
+    # The blocks are the connected components; d squarings close the relation.
     for _ in range(d):
         linked = (linked.astype(int) @ linked.astype(int)) > 0
     groups = sorted({tuple(np.flatnonzero(row).tolist()) for row in linked})
@@ -133,15 +141,16 @@ def _blocks(agent: LinearAgent) -> list[Block]:
 
 
 def _owner(row: np.ndarray, groups: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """The group whose components a row speaks of; the first one, if it speaks of none."""
+    """Return the group that holds the nonzero components of a row; the first group for a row of zeros."""
     used = np.flatnonzero(row)
     return groups[0] if used.size == 0 else next(group for group in groups if int(used[0]) in group)
 
 
-def _part(agent: LinearAgent, block: Block, taken: set[str]) -> LinearAgent:
-    """The agent of one block."""
+def _agent_of_block(agent: LinearAgent, block: Block, taken: set[str]) -> LinearAgent:
+    """Return the agent of one block; a block without inputs gets one that is 0."""
     components, inputs, outputs = block
     start = agent.initial
+    # Rows and columns of the block are cut out of every matrix; no other entry of these rows is nonzero.
     return LinearAgent(
         name=_fresh(f"{agent.name}_{_axes(block)}", taken),
         A=agent.A[np.ix_(components, components)],
@@ -159,50 +168,52 @@ def _part(agent: LinearAgent, block: Block, taken: set[str]) -> LinearAgent:
 
 
 def _output(agent: LinearAgent, block: Block) -> np.ndarray:
-    """Output matrix of a block, doubled where it would be the identity but that of the agent is not.
+    """Return the output matrix of a block, doubled where it would become the identity.
 
-    The regions of an agent with `y = x` are closed at the upper edge of the workspace, those of others are not.
-    Doubling, of regions as well, is exact and keeps them half-open.
+    The regions of an agent with `y = x` are closed at the upper edge of the workspace, those of other agents are not.
+    If the agent's output matrix is not the identity but that of the block would be, outputs and regions are doubled:
+    that is exact, and keeps the regions half-open.
     """
     components, _, outputs = block
     return agent.output_matrix[np.ix_(outputs, components)] * _scale(agent, block)
 
 
 def _scale(agent: LinearAgent, block: Block) -> float:
-    """Factor on outputs and regions of a block."""
+    """Return the factor on outputs and regions of a block, 1 or 2."""
     components, _, outputs = block
-    own = agent.output_matrix[np.ix_(outputs, components)]
-    return 2.0 if not agent.has_identity_output and np.array_equal(own, np.eye(len(components))) else 1.0
+    block_matrix = agent.output_matrix[np.ix_(outputs, components)]
+    return 2.0 if not agent.has_identity_output and np.array_equal(block_matrix, np.eye(len(components))) else 1.0
 
 
 def _sides(
-    agent: LinearAgent, blocks: list[Block], parts: list[LinearAgent], proposition: Proposition
+    agent: LinearAgent, blocks: list[Block], replacements: list[LinearAgent], proposition: Proposition
 ) -> list[tuple[Block, Proposition]]:
-    """The sides of a region on the blocks of its agent, but those that hold in the whole workspace."""
-    found = []
-    for block, part in zip(blocks, parts, strict=True):
+    """Return the sides of a region on the blocks of its agent, without those that hold in the whole workspace."""
+    sides = []
+    for block, replacement in zip(blocks, replacements, strict=True):
         rows = block[2]
         if rows:
             scale = _scale(agent, block) if len(blocks) > 1 else 1.0
-            side = Proposition(part.name, proposition.low[rows] * scale, proposition.high[rows] * scale)
-            found.append((block, side))
+            side = Proposition(replacement.name, proposition.low[rows] * scale, proposition.high[rows] * scale)
+            sides.append((block, side))
     if not agent.has_identity_output:
-        return found
-    bound = [
+        return sides
+    # With y = x the workspace can be compared with the side. One side stays even if none restricts anything.
+    restricting = [
         (block, side)
-        for block, side in found
+        for block, side in sides
         if np.any(side.low > agent.state_low[block[0]]) or np.any(side.high < agent.state_high[block[0]])
     ]
-    return bound or found[:1]
+    return restricting or sides[:1]
 
 
 def _axes(block: Block) -> str:
-    """Components in a name."""
+    """Return the components of a block as they appear in names."""
     return "_".join(f"x{k}" for k in block[0])
 
 
 def _fresh(name: str, taken: set[str]) -> str:
-    """`name`, made longer until nothing else is called so."""
+    """Return `name`, with underscores added until it is not taken, and note it as taken."""
     while name in taken:
         name += "_"
     taken.add(name)
@@ -212,7 +223,7 @@ def _fresh(name: str, taken: set[str]) -> str:
 def _substituted(
     specification: Specification, families: Mapping[str, tuple[str, ...]], sides: Mapping[str, tuple[str, ...]]
 ) -> Specification:
-    """The specification with every proposition replaced by the conjunction of its sides."""
+    """Return the specification with every proposition replaced by the conjunction of its sides."""
     if specification.automaton is not None:
         return Specification(automaton=with_sides(specification.automaton, sides))
     formula = _in_formula(parse_formula(specification.formula or ""), families, sides)
@@ -222,19 +233,21 @@ def _substituted(
 def _in_formula(
     formula: Formula, families: Mapping[str, tuple[str, ...]], sides: Mapping[str, tuple[str, ...]]
 ) -> Formula:
+    """Return the formula with every atom replaced by the conjunction of its sides, and families written out."""
     if formula.operator == "atom":
         return _joined("&", [Formula("atom", name=side) for side in sides[formula.name]])
     if formula.operator in ("all", "any"):
         members = [_in_formula(Formula("atom", name=member), families, sides) for member in families[formula.name]]
         return _joined("&" if formula.operator == "all" else "|", members)
-    operands = [_in_formula(part, families, sides) for part in formula.operands]
+    operands = [_in_formula(operand, families, sides) for operand in formula.operands]
     if formula.operator in ("&", "|"):
         return _joined(formula.operator, operands)
     return replace(formula, operands=tuple(operands), text="")
 
 
 def _joined(operator: str, operands: list[Formula]) -> Formula:
-    """Conjunction or disjunction, without parentheses around operands of the same kind."""
+    """Return a conjunction or disjunction, without parentheses around operands of the same kind."""
+    # `a & (b & c)` would print its parentheses and hide that it is one conjunction.
     flat: list[Formula] = []
     for operand in operands:
         flat += operand.operands if operand.operator == operator else (operand,)

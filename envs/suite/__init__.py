@@ -1,6 +1,6 @@
 """The named problems, and environments by name.
 
-Loaded when first used: registration, which happens when the package is imported, needs the ids alone.
+Problems are loaded on first use: registration, at the import of the package, needs the ids alone.
 """
 
 import lazy_loader

@@ -1,10 +1,10 @@
 """Building automation (BAS4): two heated zones keep their temperatures comfortable for six steps.
 
-Each zone is an agent with two states, the air temperature and the temperature of its radiator's return, and one input,
-the supply temperature. The zones are decoupled. The input acts on the air alone, so the input matrix has more rows than
+Each zone is an agent with two states, the temperatures of the air and of the radiator's return, and one input, the
+supply temperature. The zones are decoupled. The input acts on the air alone, so the input matrix has more rows than
 columns.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Park a car in the plane: reach the lower bay on the right edge without having touched the upper one.
+"""Park a car in the plane: reach the lower bay on the right edge, and never touch the upper one.
 
-A classic of the field for a single agent.
+A classic problem of the field for a single agent.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

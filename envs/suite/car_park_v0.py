@@ -1,8 +1,8 @@
-"""Park a car on a line: come to rest in the bay without having touched the forbidden stretch behind it.
+"""Park a car on a line: come to rest in the bay, and never touch the forbidden stretch behind it.
 
-A classic of the field for a single agent, with more noise than its small inputs can undo at once.
+A classic problem of the field for a single agent, whose small inputs cannot undo the noise of a step at once.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

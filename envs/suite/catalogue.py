@@ -1,4 +1,4 @@
-"""The suite: problems with ids. An id changes its `-vN` when results on it change."""
+"""The suite: problems by their ids. The version `-vN` of an id changes when results on the problem change."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..agents import shown
 from ..problem import Problem
 from .ids import MODULES, NAMESPACE
 
+# Arguments that every problem takes: they are handed to `Problem.replace`.
 _CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
 
 
@@ -34,9 +35,9 @@ def make_problem(id: str, **arguments: Any) -> Problem:
     id : str
         One of `problem_ids()`, with or without the prefix "certigym/".
     **arguments
-        Arguments of the problem, such as `horizon` or (where its page says so) `n_agents`; for every problem also
-        `initial_state`, or `initial_low` and `initial_high`, and `disturbance_scale`, in the forms that
-        `Problem.replace` takes.
+        Arguments of the problem, such as `horizon` or, if its page says so, `n_agents`. Every problem also takes
+        `initial_state`, or `initial_low` and `initial_high`, and `disturbance_scale`, in the forms of
+        `Problem.replace`.
 
     Raises
     ------
@@ -51,15 +52,17 @@ def make_problem(id: str, **arguments: Any) -> Problem:
     key = id.removeprefix(f"{NAMESPACE}/") if isinstance(id, str) else id
     if not isinstance(key, str) or key not in MODULES:
         close = get_close_matches(str(key), MODULES, n=1)
-        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(problem_ids())}"
+        remedy = f"did you mean {close[0]!r}?" if close else f"the ids are {', '.join(problem_ids())}"
         raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
+    # Load the one module that is needed; its parameters are the problem's arguments.
     make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
     changes = {name: arguments.pop(name) for name in _CHANGES if name in arguments}
-    known = list(signature(make).parameters)
+    parameters = list(signature(make).parameters)
     for name in arguments:
-        if name not in known:
-            close = get_close_matches(name, [*known, *_CHANGES], n=1)
-            remedy = f"did you mean `{close[0]}`?" if close else f"known are {', '.join([*known, *_CHANGES])}"
+        if name not in parameters:
+            allowed = [*parameters, *_CHANGES]
+            close = get_close_matches(name, allowed, n=1)
+            remedy = f"did you mean `{close[0]}`?" if close else f"its arguments are {', '.join(allowed)}"
             raise ValueError(f"`{name}`: no argument of {key}; {remedy}")
     problem = make(**arguments)
     return problem.replace(**changes) if changes else problem

@@ -1,7 +1,7 @@
-"""Cyclic delivery: four planar robots pick a load up together and deliver it together; if one strays, all start again.
+"""Cyclic delivery: four planar robots pick up a load together and deliver it together; if one strays, all start again.
 
-The loss sends the task back to its start, so that the automaton has a cycle, and the regions are true boxes of the
-plane: both make the number of terms of a value function grow.
+A loss sends the task back to its start, so the automaton has a cycle, and the regions are boxes of the plane. Both make
+the number of terms of a value function grow.
 
 | state | letter | next |
 |---|---|---|
@@ -11,7 +11,7 @@ plane: both make the number of terms of a value function grow.
 | carrying | all robots in delivery | done (accepting) |
 | carrying | any other letter | carrying |
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ..logic import automaton_from_transitions
 from ..problem import Problem, Specification
 from .make import environments
 
+# The guards of a state must exclude each other on all letters, so the last two repeat that no robot is in loss.
 _TRANSITIONS = (
     ("empty", "all(pickup)", "carrying"),
     ("empty", "!all(pickup)", "empty"),

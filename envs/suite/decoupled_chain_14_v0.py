@@ -1,6 +1,6 @@
 """Autonomous decoupled chain of 14 agents: `decoupled-chain-v0` with `n_agents` = 14.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

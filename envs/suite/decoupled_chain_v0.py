@@ -1,21 +1,22 @@
 """Autonomous decoupled chain: any number of agents, which no input moves, stay safe or not by chance alone.
 
-A yardstick for probabilities, not for policies: the inputs are there, as an environment needs them, but B = 0. From 0
-each agent stays safe with probability .626213 for 6 steps and .430846 for 10, so 14 agents do for 6 steps with
-1.426e-3.
+A yardstick for probabilities, not for policies: an environment needs inputs, but B = 0. From 0 each agent stays safe
+with probability .626213 for 6 steps and .430846 for 10 steps, so all of 14 agents stay safe for 6 steps with
+probability 1.426e-3.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
 
-from ..agents import LinearAgent, Proposition, checked_count
+from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count
 from ..problem import Problem, Specification
 from .make import environments
 
 
 def problem(n_agents: int = 2, horizon: int = 6) -> Problem:
     """Return the autonomous decoupled chain of the literature."""
+    n_agents = checked_count(n_agents, "n_agents", most=MOST_AGENTS)
     agent = LinearAgent(
         name="agent",
         A=[[0.8]],
@@ -28,7 +29,7 @@ def problem(n_agents: int = 2, horizon: int = 6) -> Problem:
         initial_state=[0.0],
     )
     return Problem(
-        name=f"decoupled-chain-{checked_count(n_agents, 'n_agents')}-v0",
+        name=f"decoupled-chain-{n_agents}-v0",
         horizon=horizon,
         agents=agent.copies(n_agents),
         propositions={"safe": Proposition("agent_*", [-1.0], [1.0])},

@@ -1,10 +1,10 @@
 """Formation through a door: three robots pass one after the other and take their places behind it.
 
-The door is as wide as one robot wants it: never may two be in it, and nobody may enter before the robot ahead is
-through. The task is fulfilled when all three stand in their slots at the same time, the wall untouched. A robot moves
-1.2 per step and axis at most, so it cannot jump over the door.
+The door is wide enough for one robot: two may never be in it at the same time, and nobody may enter before the robot
+ahead is through. The task is satisfied when all three stand in their slots at the same time, and nobody has touched the
+wall. A robot moves at most 1.2 per step and axis, so it cannot jump over the door.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from .make import environments
 
 _SAFE = "!any(north) & !any(south) & !(door_0 & door_1) & !(door_0 & door_2) & !(door_1 & door_2)"
 _TASK = f"(({_SAFE}) U (slot_0 & slot_1 & slot_2)) & (!door_1 U through_0) & (!door_2 U through_1)"
+# Lower and upper corner of each robot's slot.
 _SLOTS = (((5.0, -1.0), (7.0, 1.0)), ((3.0, 1.0), (5.0, 3.0)), ((3.0, -3.0), (5.0, -1.0)))
 
 

@@ -1,6 +1,7 @@
-"""The ids of the suite and the modules behind them (a table alone, so that registering loads no problem)."""
+"""The ids of the suite and the modules behind them: a table alone, so that registration loads no problem."""
 
 NAMESPACE = "certigym"
+"""Prefix of all ids in the registries of PettingZoo and Gymnasium."""
 
 IDS = (
     "building-automation-v0",

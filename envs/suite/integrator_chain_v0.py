@@ -1,9 +1,9 @@
-"""Integrator chain: one agent whose input is integrated `dimension` times stays within its bounds.
+"""Integrator chain: one agent, whose input is integrated `dimension` times, stays within its bounds.
 
-Sampled exactly with the period .1 s. With two states the input is an acceleration, the states position and velocity. A
-scaling family in the dimension of one agent.
+The chain is sampled exactly with the period .1 s. With two states they are position and velocity, and the input is an
+acceleration. The dimension of the agent makes this a scaling family.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from ..agents import LinearAgent, Proposition, checked_count
 from ..problem import Problem, Specification
 from .make import environments
 
-_PERIOD = 0.1
+_PERIOD = 0.1  # seconds, as in the literature
+_LONGEST = 20  # integrations: in longer chains the input hardly moves the first state
 
 
 def problem(dimension: int = 2, horizon: int = 5) -> Problem:
     """Return the integrator chain of the literature, started near its bound on the first state."""
-    d = checked_count(dimension, "dimension", most=20)
+    # Entry k steps above the diagonal of exp(A t) is t^k / k!; the input enters at the last state.
+    d = checked_count(dimension, "dimension", most=_LONGEST)
     powers = [_PERIOD**k / factorial(k) for k in range(d + 1)]
     chain = LinearAgent(
         name="chain_0",

@@ -1,6 +1,6 @@
 """Invariance of 100 agents in the second setting: `invariance-v0` with `n_agents` = 100 and `setting` = "B".
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

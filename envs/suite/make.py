@@ -1,6 +1,6 @@
-"""Environments by the id, the file or the record of a problem: PettingZoo, Gymnasium, and batches of Gymnasium.
+"""Environments for the id, the file or the record of a problem: PettingZoo, Gymnasium, and batches of Gymnasium.
 
-The shells of ``interfaces`` take a `Problem`; here names and paths are resolved to one.
+The shells of ``interfaces`` take a `Problem`; this module finds the problem behind a name or a path.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from ..problem import Problem, load_problem
 from .catalogue import make_problem
 
 OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "caption")
-"""Arguments of `parallel_env` that say how a problem is shown, not which."""
+"""Arguments of `parallel_env` that say how a problem is shown, not which problem."""
 
 CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions")
-"""Those of `central_env`."""
+"""The same of `central_env`."""
 
 VECTOR_OPTIONS = ("autoreset_mode", *CENTRAL_OPTIONS)
-"""Those of `vector_env`."""
+"""The same of `vector_env`."""
 
 
 def parallel_env(
     problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any
 ) -> ProblemEnv | TasksEnv:
-    """Return the PettingZoo parallel environment of a problem; of independent tasks, all together (`TasksEnv`).
+    """Return the PettingZoo parallel environment of a problem; independent tasks share one (`TasksEnv`).
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def parallel_env(
 
 
 def aec_env(problem: Problem | str | Path, render_mode: str | None = None, **arguments: Any) -> AECEnv:  # type: ignore[type-arg, unused-ignore]
-    """Return the PettingZoo agent-environment-cycle form of `parallel_env` (same arguments)."""
+    """Return the PettingZoo agent-environment-cycle form of `parallel_env`, which takes the same arguments."""
     return parallel_to_aec(parallel_env(problem, render_mode, **arguments))
 
 
@@ -90,7 +90,7 @@ def vector_env(
     problem : Problem, str or Path
         A problem, the id of a suite problem, or the path of a problem file (`.toml`).
     num_envs : int
-        Worlds M.
+        Number of worlds M.
     render_mode : None or "rgb_array"
     **arguments
         Options of `ProblemVectorEnv`; with an id also the arguments of `make_problem`.
@@ -107,13 +107,14 @@ def vector_env(
 
 
 def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
-    """Return the problem that a Problem, a suite id (with arguments) or the path of a problem file stands for.
+    """Return the problem for a Problem, a suite id (with arguments) or the path of a problem file.
 
     Raises
     ------
     ValueError
-        If `problem` is none of these, or if arguments are given without an id.
+        If `problem` is not one of these, or if there are arguments without an id.
     """
+    # A text is the path of a problem file if it ends like one, and an id otherwise.
     if isinstance(problem, str) and not problem.endswith(".toml"):
         return make_problem(problem, **arguments)
     if isinstance(problem, str | Path):
@@ -130,8 +131,8 @@ def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
 def environments(id: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
     """Return the functions `parallel_env`, `env` and `raw_env` that the module of a suite problem offers.
 
-    Each takes `render_mode` and the arguments of the problem; `env` and `raw_env` give the agent-environment-cycle
-    form, with and without PettingZoo's check of the call order.
+    Each takes `render_mode` and the arguments of the problem. `env` and `raw_env` return the agent-environment-cycle
+    form, the one with and the other without PettingZoo's check of the call order.
     """
 
     def parallel(render_mode: str | None = None, **arguments: Any) -> Any:

@@ -1,9 +1,9 @@
-"""Meeting: two robots meet in a room, either of two, at the same time, and then report to their desks at the same time.
+"""Meeting: two robots meet in either of two rooms at the same time, and then report to their desks at the same time.
 
-Neither room is better by itself; what counts is that both choose the same one and the same step, which policies that
-see only their own robot must agree on beforehand. The pillar in the middle must not be touched.
+Neither room is better than the other. What counts is that both robots choose the same room and the same step. Each
+policy sees only its robot, so they must agree on both beforehand. The pillar in the middle must not be touched.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

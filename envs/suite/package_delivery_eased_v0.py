@@ -1,6 +1,6 @@
 """Package delivery with less noise: `package-delivery-v0` with the variance .01.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

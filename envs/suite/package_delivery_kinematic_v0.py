@@ -1,9 +1,9 @@
 """Package delivery by robots with velocities (PD-kin): the task of `package-delivery-v0` on positions.
 
 Every coordinate has a position and a velocity, and the input is an acceleration. The noise is that of the eased
-variant, the horizon longer: robots that weigh something stop late.
+variant. The horizon is longer, because robots with a velocity need time to stop.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

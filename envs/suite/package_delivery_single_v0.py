@@ -1,8 +1,8 @@
-"""Package delivery by one robot: pick up in p1, bring it to p3, and do not pass p2 on the way (else pick up again).
+"""Package delivery by one robot: pick up in p1, deliver in p3, and do not pass p2 on the way (else pick up again).
 
-A classic of the field for a single agent.
+A classic problem of the field for a single agent.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

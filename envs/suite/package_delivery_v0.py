@@ -1,6 +1,7 @@
 """Package delivery by four robots (PD8): pick up together, cross two corridors, deliver each to its own slot.
 
-The agents x_k and y_k are the coordinates of robot k. A robot with row and column at once is in the *loss square*.
+The agents x_k and y_k are the coordinates of robot k. A robot that is in the row and in the column is in the *loss
+square*.
 
 | state | letter | next |
 |---|---|---|
@@ -12,8 +13,8 @@ The agents x_k and y_k are the coordinates of robot k. A robot with row and colu
 | carrying | all robots delivered in their slots | done (accepting) |
 | any | any other letter | failed |
 
-**Versions**: v0, first. `package-delivery-eased-v0` has the variance .01; `package-delivery-kinematic-v0` has robots
-with velocities.
+**Versions**: v0: the first version. `package-delivery-eased-v0` has the variance .01; `package-delivery-kinematic-v0`
+has robots with velocities.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from ..logic import automaton_from_transitions
 from ..problem import Problem, Specification
 from .make import environments
 
+# Starts of x_0, y_0, x_1, y_1, ..., as published; slots on the x axes; regions by family: agents, lower and upper end.
 _START = (-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.2875)
 _SLOTS = {"slot_a": (-20.0, -14.0), "slot_b": (-14.0, -8.0), "slot_c": (-8.0, -2.0), "slot_d": (-2.0, 5.0)}
 _FAMILIES = {
@@ -33,8 +35,8 @@ _FAMILIES = {
     "delivery": ("y_*", -20.0, -15.0),
     "column": ("x_*", -10.0, -5.0),
 }
-# No point lies in two of the bands center, low, row and delivery. The guards say so again, because an automaton is
-# checked for overlaps on all letters, also on those that no point has.
+# No point lies in two of the bands center, low, row and delivery. The guards say so once more, because an automaton is
+# checked for overlaps on all letters, even on those that no point has.
 _TRANSITIONS = (
     ("init", "!any(pickup)", "init"),
     ("init", "all(pickup)", "carrying"),
@@ -56,7 +58,7 @@ def problem(horizon: int = 20) -> Problem:
 
 
 def coordinate(variance: float) -> LinearAgent:
-    """Return one coordinate of a robot of PD8, with another noise variance."""
+    """Return one coordinate of a robot of PD8, with the given noise variance."""
     return LinearAgent(
         name="robot",
         A=[[0.9]],
@@ -70,7 +72,8 @@ def coordinate(variance: float) -> LinearAgent:
 
 
 def delivery(name: str, horizon: int, agent: LinearAgent) -> Problem:
-    """Return a package delivery by four robots, whose coordinates move as `agent`; its first state is the position."""
+    """Return a package delivery by four robots whose coordinates move like `agent`; its first state is the position."""
+    # Regions restrict the position alone; other states start at 0 and may be anywhere in the workspace.
     rest, low, high = [0.0] * (agent.n_states - 1), agent.state_low.tolist()[1:], agent.state_high.tolist()[1:]
     agents = [
         agent.replace(name=f"{axis}_{robot}", initial_state=[_START[2 * robot + (axis == "y")], *rest])

@@ -1,10 +1,10 @@
 """Patrol with recharging: two robots guard a post so that it is never empty, and recharge in time, again and again.
 
-The docks are a step away from the post, on opposite sides of it. A robot that was away from its dock for five steps in
-a row has run dry. While one charges the other must stand guard, so they relieve each other, to a rhythm that they have
-agreed on beforehand. Started at the post, a robot's battery is full.
+The docks are one step away from the post, on opposite sides of it. A robot that was away from its dock for five steps
+in a row has run dry. While one robot charges, the other must stand guard, so they relieve each other in a rhythm that
+they agree on beforehand. At the start, both robots are at the post with full batteries.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _ENDURANCE = 5  # steps in a row away from the dock that drain a battery
 
 
 def _dry(dock: str) -> str:
-    """`!dock & X (!dock & X (...))`: that many steps without the dock from now on."""
+    """Return `!dock & X (!dock & X (...))`: as many steps without the dock as the battery lasts, from now on."""
     formula = f"!{dock}"
     for _ in range(_ENDURANCE - 1):
         formula = f"!{dock} & X ({formula})"

@@ -1,9 +1,9 @@
 """Reach-avoid of two agents with position and velocity (RA4): the task of `reach-avoid-v0` on positions.
 
-An input acts on the velocity, and a step later on the position: the input matrix has more rows than columns, so no
-input puts the mean of the next state anywhere at will. Both components carry noise.
+An input acts on the velocity, and one step later on the position. The input matrix has more rows than columns, so no
+input can put the mean of the next state at an arbitrary point. Both components carry noise.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

@@ -1,19 +1,20 @@
 """Reach-avoid of any number of agents (RA-N): all stay safe until one of them reaches the target.
 
-A scaling family: one more agent is one more that can help, and one more that can fail.
+A scaling family: each further agent can help, and can fail.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations
 
-from ..agents import LinearAgent, Proposition, checked_count
+from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count
 from ..problem import Problem, Specification
 from .make import environments
 
 
 def problem(n_agents: int = 4, horizon: int = 6) -> Problem:
     """Return the problem RA-N of the module docstring."""
+    n_agents = checked_count(n_agents, "n_agents", most=MOST_AGENTS)
     agent = LinearAgent(
         name="agent",
         A=[[1.0]],
@@ -26,7 +27,7 @@ def problem(n_agents: int = 4, horizon: int = 6) -> Problem:
         initial_state=[4.0],
     )
     return Problem(
-        name=f"reach-avoid-{checked_count(n_agents, 'n_agents')}-v0",
+        name=f"reach-avoid-{n_agents}-v0",
         horizon=horizon,
         agents=agent.copies(n_agents),
         propositions={

@@ -1,9 +1,9 @@
 """Reach-avoid in the plane: two agents on spiralling dynamics reach their goals at the same time, around obstacles.
 
-The dynamics turn the state a little in every step, so that standing still costs input. p1 and p2 are goal and obstacle
-of agent_0, p3 and p4 those of agent_1; each agent minds its own obstacle only.
+The dynamics turn the state a little in every step, so even standing still takes input. p1 and p2 are the goal and the
+obstacle of agent_0, p3 and p4 those of agent_1. Each agent has to avoid its obstacle only, not that of the other.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

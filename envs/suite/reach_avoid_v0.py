@@ -1,10 +1,11 @@
-"""Two-agent reach-avoid (RA2): agent_0 must reach its goal, and on the way the two must not be in two places at once.
+"""Two-agent reach-avoid (RA2): agent_0 must reach its goal; on the way the agents must not be in two places at once.
 
-The running example of the literature on certified multi-agent synthesis. The edges of neighbouring regions belong to
-the upper one: at 0 agent_0 is in p1, not in p2. Here the noise `w` has the variance .25, that is a standard deviation
-of .5; published tables were computed with a standard deviation of .25.
+The running example of the literature on certified multi-agent synthesis: until agent_0 is in p1, it must not be in p2
+while agent_1 is in p3. The common edge of neighbouring regions belongs to the upper one: at 0, agent_0 is in p1 and not
+in p2. The noise `w` has the variance .25, that is a standard deviation of .5; published tables were computed with a
+standard deviation of .25.
 
-**Versions**: v0, first.
+**Versions**: v0: the first version.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Registration of the suite with PettingZoo and Gymnasium, done when `certigym` is imported.
+"""Registration of the suite with PettingZoo and Gymnasium, at the import of `certigym`.
 
-`pettingzoo.make("parallel", "certigym/reach-avoid-v0")`, `pettingzoo.make("aec", ...)`,
-`gymnasium.make("certigym/ReachAvoid-v0")` and `gymnasium.make_vec` then work. Entry points are texts: no environment is
+Afterwards `pettingzoo.make("parallel", "certigym/reach-avoid-v0")`, `pettingzoo.make("aec", ...)`,
+`gymnasium.make("certigym/ReachAvoid-v0")` and `gymnasium.make_vec` work. Entry points are strings, so no environment is
 loaded before it is made.
 """
 

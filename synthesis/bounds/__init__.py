@@ -1,7 +1,18 @@
 """From computed values to certified numbers, from below and from above."""
 
 from .above import evaluate_above
-from .certified import Bound, a_posteriori_bound, nominal_bound, plain_loss, relative_rounding, robust_bound, robust_loss, stranded_mass, train_bound, undecided_steps
+from .certified import (
+    Bound,
+    a_posteriori_bound,
+    nominal_bound,
+    plain_loss,
+    relative_rounding,
+    robust_bound,
+    robust_loss,
+    stranded_mass,
+    train_bound,
+    undecided_steps,
+)
 from .continuous import continuous_upper_bound
 from .optimum import abstract_bound
 

@@ -1,6 +1,6 @@
 """The certified claim, everything it rests on, and its file."""
 
-from .certificate import Certificate, EXACT_GAP, checked_certificate
+from .certificate import EXACT_GAP, Certificate, checked_certificate
 from .certificate_file import load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .claim import Claim

@@ -2,7 +2,7 @@
 
 from .agent_controller import AgentController
 from .controller import Controller
-from .given_policies import Decentralised, InputTable, LOCAL, Policy, decentralised, vectorized
+from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
 from .product_controller import ProductController
 
 __all__ = [

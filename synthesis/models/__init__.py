@@ -1,10 +1,23 @@
 """The finite model of each agent, the guards of the task, and both joined."""
 
-from .abstraction import Abstraction, AgentModel, Relations, Settings, abstract, abstraction_of, alike_arrays, check_names, check_settings, has_full_rank, models_of, relations_of
+from .abstraction import (
+    Abstraction,
+    AgentModel,
+    Relations,
+    Settings,
+    abstract,
+    abstraction_of,
+    alike_arrays,
+    check_names,
+    check_settings,
+    has_full_rank,
+    models_of,
+    relations_of,
+)
 from .agent_models import FINE
 from .choices import BAND_BYTES, Choices, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
-from .kernel import BLOCK, Kernel, REACH, gaussian_table
+from .kernel import BLOCK, REACH, Kernel, gaussian_table
 
 __all__ = [
     "Abstraction",

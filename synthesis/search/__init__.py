@@ -2,7 +2,7 @@
 
 from .ascent import Limits, Sweep, forward, start_value, sweep
 from .best_response import best_choices
-from .policy_search import FINAL, Found, MANY_TERMS, Search, find_policies
+from .policy_search import FINAL, MANY_TERMS, Found, Search, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relaxed_policies, upper_bound
 from .stationary import stationary_best
 from .train_ascent import TrainSweep

@@ -1,9 +1,51 @@
 """Value functions as sums of products and as tensor trains with certified error: records and algebra."""
 
-from .devices import Array, HOST, Residents, UNIT, add_rows, beside, concatenate, device_put, empty, multiply_into, namespace, take, to_host
+from .devices import (
+    HOST,
+    UNIT,
+    Array,
+    Residents,
+    add_rows,
+    beside,
+    concatenate,
+    device_put,
+    empty,
+    multiply_into,
+    namespace,
+    take,
+    to_host,
+)
 from .tensor_train import Cells, Core, Diagram, Train, added, ones, rounded
-from .terms import BoolArray, Guards, IndexArray, Merges, Occupancy, Skeleton, Terms, _masses, candidate_depths, compress, distinct, merge_rows, term_depths
-from .train_values import Rounding, Routes, Smooth, Trains, Unread, arrival, assembled, core_rows, counted_as_failed, routes, smoothed_core, start_above, start_value
+from .terms import (
+    BoolArray,
+    Guards,
+    IndexArray,
+    Merges,
+    Occupancy,
+    Skeleton,
+    Terms,
+    _masses,
+    candidate_depths,
+    compress,
+    distinct,
+    merge_rows,
+    term_depths,
+)
+from .train_values import (
+    Rounding,
+    Routes,
+    Smooth,
+    Trains,
+    Unread,
+    arrival,
+    assembled,
+    core_rows,
+    counted_as_failed,
+    routes,
+    smoothed_core,
+    start_above,
+    start_value,
+)
 
 __all__ = [
     "Array",

@@ -188,8 +188,9 @@ def compare(
     Examples
     --------
     >>> import certigym as cg
+    >>> from certigym.baselines import IdleController
     >>> problem = cg.make_problem("invariance-v0", n_agents=2)
-    >>> result = compare(problem, {"centre": lambda x, q, t: -0.5 * x, "idle": cg.IdleController()}, 500)
+    >>> result = compare(problem, {"centre": lambda x, q, t: -0.5 * x, "idle": IdleController()}, 500)
     >>> [entry.name for entry in result.entries], len(result.pairs)
     (['centre', 'idle'], 1)
     """

@@ -2,7 +2,7 @@
 
 from .chunks import ChunkResult, Frame, chunks_of, frames, paths
 from .cluster import DaskExecutor, executor_for
-from .loop import BatchPolicy, Batchable, Loop
+from .loop import Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
 from .rollouts import Rollouts, rollout, stream
 from .spread import Executor, in_order

@@ -1,6 +1,16 @@
 """Exact limits and e-processes for success rates. Imports nothing of ours."""
 
-from .binomial import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most, verdict
+from .binomial import (
+    CONFIRMED,
+    CONSISTENT,
+    REFUTED,
+    check_confidence,
+    clopper_pearson,
+    holm,
+    p_at_least,
+    p_at_most,
+    verdict,
+)
 from .sequential import SequentialState, confidence_sequence
 
 __all__ = [
