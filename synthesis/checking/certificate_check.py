@@ -30,21 +30,20 @@ from ...envs.suite import as_problem
 from ..cells import FloatArray
 from ..certificates import (
     EXACT_GAP,
-    BrokenTrainError,
     Certificate,
     Claim,
     ProductCertificate,
     as_certificate,
     grid_noise,
-    regrow_trains,
     significant_down,
     significant_up,
 )
-from ..values import UNIT, Terms, Trains
+from ..values import UNIT, Terms
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .regrown_tree import BrokenTreeError, regrow
 from .relation_check import verify_relation
+from .train_check import BrokenTrainError, Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
 CORRELATION = 1e-11
@@ -234,18 +233,19 @@ def _check_above(certificate: Certificate, gap: float) -> tuple[float | None, li
     return above, failures
 
 
-def _regrown(certificate: Certificate) -> Terms | Trains:
+def _regrown(certificate: Certificate) -> Terms | Value:
     """Value function at time 0, grown again from the policies."""
-    if certificate.rounding is None:
-        return regrow(certificate)
-    return regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding)
+    return regrow(certificate) if certificate.rounding is None else regrown_trains(certificate)
 
 
-def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
+def _start_value(certificate: Certificate, terms: Terms | Value) -> float:
     """Regrown value at the problem's start, less what lost relations can cost."""
     delta = certificate.delta if certificate.bound == "a-posteriori" else 0.0
     if certificate.bound == "nominal" and certificate.delta > 0:
         return float("nan")  # the nominal value proves nothing then
+    if not isinstance(terms, Terms):
+        steps = certificate.problem.horizon * (1 + 1e-9)
+        return max(0.0, train_start_value(certificate, terms) - delta * steps)
     relations = tuple(p.relation_of(a) for a, p in zip(certificate.problem.agents, certificate.agents, strict=True))
     start = certificate.start_target, certificate.start_mask
     claim = Claim(certificate.problem, certificate.agents, relations, *start, terms, 0.0, 0.0)
@@ -254,8 +254,7 @@ def _start_value(certificate: Certificate, terms: Terms | Trains) -> float:
     value = float(claim.at(low)[0]) if np.array_equal(low, high) else claim.mean(low, high)
     if not delta:
         return value
-    steps = certificate.problem.horizon if isinstance(terms, Trains) else _undecided(certificate)
-    return max(0.0, value - delta * steps * (1 + 1e-9))
+    return max(0.0, value - delta * _undecided(certificate) * (1 + 1e-9))
 
 
 def _undecided(certificate: Certificate) -> float:
@@ -267,7 +266,7 @@ def _undecided(certificate: Certificate) -> float:
     return sum(min(1.0, mass.alive + mass.dropped + SPARE) for mass in passed[:-1])
 
 
-def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: float) -> list[str]:
+def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: float) -> list[str]:
     """The claims are not larger than what was regrown."""
     failures = []
     n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
@@ -281,7 +280,7 @@ def _check_values(certificate: Certificate, terms: Terms | Trains, recomputed: f
         failures.append("its reserve for rounding is too small")
     tolerance = 1.0 + 1e-11
     stored, regrown = certificate.terms, terms
-    if stored is None or isinstance(regrown, Trains):
+    if stored is None or not isinstance(regrown, Terms):
         return failures if stored is None else [*failures, "it stores a value tree beside its tensor trains"]
     if any(len(a) != len(b) for a, b in zip(stored.index, regrown.index, strict=True)):
         return [*failures, "the stored value function has other terms than the tree"]

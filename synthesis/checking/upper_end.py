@@ -7,7 +7,8 @@ its policy says, every cell has one class, grids tile the workspaces, and the gu
 successor are counted agent by agent through the decision diagram, both in whole numbers.
 
 What the policies attain is then evaluated in another direction than the value: as the mass that is accepted going
-forward (``checked_mass``); for tensor trains, which leave cells out, by ``train_above``.
+forward (``checked_mass``); for tensor trains, which leave cells out, backward again, with
+all that they leave out counted as accepted (``train_check``).
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ import math
 
 import numpy as np
 
-from ..certificates import Certificate, lost_to_rounding, regrow_trains
-from ..values import Occupancy, Terms, start_above
-from .forward_mass import TooManyProducts, mass_at_start, masses
+from ..certificates import Certificate, lost_to_rounding
+from .forward_mass import TooManyProducts, masses
 from .guard_check import joint_cells_by_target
+from .train_check import regrown_trains, train_start_value
 
 MOST = 100_000
 """Products of the mass beyond which the upper end is left unverified."""
@@ -68,14 +69,8 @@ def attained(certificate: Certificate) -> float | None:
     lost = sum(lost_to_rounding(a.noise_covariance, p) for a, p in zip(problem.agents, agents, strict=True))
     lost *= problem.horizon
     if certificate.rounding is not None:
-        start = mass_at_start(certificate)
-        rows = tuple(start.index[start.states == q] for q in range(problem.automaton.n_states))
-        occupancy = Occupancy(Terms(tuple(start.factors), rows), 0.0)
-        return min(
-            1.0,
-            start_above(occupancy, regrow_trains(problem, agents, certificate.guards, certificate.rounding, above=True))
-            + lost,
-        )
+        value = regrown_trains(certificate, upper=True)
+        return min(1.0, train_start_value(certificate, value, upper=True) + lost)
     share = SPARED * certificate.relative_rounding * certificate.lower_bound / (problem.horizon + 1)
     try:
         *_, last = masses(certificate, share, MOST)

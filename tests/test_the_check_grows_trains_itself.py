@@ -1,0 +1,145 @@
+"""The check's own recursion on tensor trains: as close to dense programming as it says, and apart from the search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.bounds.dense import dense_value
+from certigym.synthesis.checking import train_check
+from certigym.synthesis.checking.train_check import ErrorBoundedTrain, regrown_trains, train_start_value
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.search import train_backward
+from certigym.synthesis.values import Rounding
+from problems import two_agents
+
+WEAK: dict[str, Any] = {"input_low": [-0.2], "input_high": [0.2]}
+"""Inputs too weak for some cells: no target is admissible there."""
+
+PROBLEMS = {
+    "two agents": two_agents("F (a & F c) & G[0,2] !b", horizon=4),
+    "weak agents": two_agents("F (a & F c)", horizon=4, **WEAK),
+    "invariance": two_agents("G (b -> X d)", "finite-trace", horizon=3),
+    "three agents": cg.make_problem("reach-avoid-n-v0", n_agents=3).replace(horizon=3),
+}
+
+
+def trained(problem: cg.Problem, cells: int, tolerance: float = 1e-6) -> cg.Certificate:
+    """A certificate on tensor trains, its policies drawn at random, some choices missing."""
+    certificate = cg.synthesize(problem, cells, value="train", max_sweeps=0).certificate
+    rng = np.random.default_rng(3)
+    agents = []
+    for part in certificate.agents:
+        choices = rng.integers(0, len(part.lattice[0]), size=part.policy.shape).astype(np.int32)
+        agents.append(replace(part, policy=np.where(rng.random(choices.shape) < 0.1, -1, choices).astype(np.int32)))
+    rounding = Rounding(tolerance, (None,) * (problem.horizon + 1))
+    return replace(certificate, agents=tuple(agents), rounding=rounding)
+
+
+def everywhere(train: ErrorBoundedTrain | None, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """The function of a train at every joint cell."""
+    if train is None:
+        return np.zeros(shape)
+    total = np.ones((1, 1))
+    for core in train.cores:
+        total = np.tensordot(total, core, axes=1)
+    return np.asarray(total[0, ..., 0])
+
+
+def exactly(certificate: cg.Certificate, cells: int) -> Any:
+    """Value at time 0 by dense programming, (n_states, S_1, ..)."""
+    models = abstract(certificate.problem, cells).models
+    return dense_value(certificate.problem, models, tuple(part.policy for part in certificate.agents))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-3, 0.5])
+def test_values_lie_within_their_error_of_dense_programming(name: str, tolerance: float) -> None:
+    cells = 6 if name == "three agents" else 16
+    certificate = trained(PROBLEMS[name], cells, tolerance)
+    dense = exactly(certificate, cells)
+    for q, train in enumerate(regrown_trains(certificate)):
+        if not certificate.problem.automaton.dead[q]:
+            off = np.max(np.abs(everywhere(train, dense.shape[1:]) - dense[q]))
+            assert off <= (0.0 if train is None else train.error) <= max(0.3 * tolerance, 1e-10)
+
+
+@pytest.mark.parametrize("name", ["two agents", "weak agents", "three agents"])
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_left_out_fail_below_and_survive_above(name: str, seed: int) -> None:
+    cells = 6 if name == "three agents" else 16
+    certificate = trained(PROBLEMS[name], cells)
+    rng = np.random.default_rng(seed)
+    sizes = [part.grid.n_cells for part in certificate.agents]
+    visited = tuple(
+        tuple(np.flatnonzero(rng.random(n) < 0.7) for n in sizes) for _ in range(certificate.problem.horizon + 1)
+    )
+    certificate = replace(certificate, rounding=Rounding(1e-9, visited))
+    dense, there = exactly(certificate, cells), np.ix_(*visited[0])
+    below, above = regrown_trains(certificate), regrown_trains(certificate, upper=True)
+    strict = []
+    for q, (low, high) in enumerate(zip(below, above, strict=True)):
+        if low is None or high is None or certificate.problem.automaton.dead[q]:
+            continue
+        truth = dense[q][there]
+        assert np.all(everywhere(low, truth.shape) - low.error <= truth)
+        assert np.all(everywhere(high, truth.shape) + high.error >= truth)
+        strict.append(np.max(everywhere(high, truth.shape) - everywhere(low, truth.shape)))
+    assert max(strict) > 1e-3
+
+
+@pytest.mark.parametrize("upper", [False, True])
+def test_the_start_is_read_on_the_side_that_was_asked_for(upper: bool) -> None:
+    certificate = cg.synthesize(PROBLEMS["two agents"], 16, value="train").certificate
+    value = regrown_trains(certificate, upper)
+    honest = train_start_value(certificate, value, upper)
+    assert honest > 1e-6
+    wrong = tuple(None if train is None else replace(train, error=train.error + honest / 2) for train in value)
+    changed = train_start_value(certificate, wrong, upper)
+    assert changed == pytest.approx(1.5 * honest if upper else 0.5 * honest, rel=1e-6)
+
+
+def test_a_start_outside_of_the_covered_cells_counts_for_nothing_below_and_in_full_above() -> None:
+    certificate = trained(PROBLEMS["two agents"], 16)
+    away = tuple(np.arange(2) for _ in certificate.agents)
+    certificate = replace(certificate, rounding=Rounding(1e-6, (away,) * 5))
+    for upper, expected in ((False, 0.0), (True, 1.0)):
+        value = train_start_value(certificate, regrown_trains(certificate, upper), upper)
+        assert value == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("visited", [[[-1, 0]], [[0, 0]], [[3, 2]], [[0, 10**6]], [[]]], ids=str)
+def test_cells_that_are_no_cells_are_refused(visited: list[list[int]]) -> None:
+    certificate = trained(PROBLEMS["two agents"], 16)
+    wrong = (np.array(visited[0], dtype=int), np.arange(2))
+    broken = replace(certificate, rounding=Rounding(1e-6, (wrong,) * 5))
+    with pytest.raises(train_check.BrokenTrainError, match="no cells"):
+        regrown_trains(broken)
+    assert not cg.check(broken)
+    for rounding in (
+        Rounding(1e-6, ((np.arange(2),) * 2,) * 3),
+        Rounding(0.0, (None,) * 5),
+        Rounding(2.0, (None,) * 5),
+    ):
+        with pytest.raises(train_check.BrokenTrainError, match="horizon"):
+            regrown_trains(replace(certificate, rounding=rounding))
+
+
+def test_a_mistake_in_the_trains_of_the_search_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The step of the search multiplies what arrives by a factor: its bound is too large, and the check says so."""
+    problem = PROBLEMS["two agents"]
+    assert cg.check(cg.synthesize(problem, 16, value="train"))
+    honest = train_backward.arrival
+
+    def wrong(*arguments: Any, **named: Any) -> Any:
+        train = honest(*arguments, **named)
+        return train and replace(train, cores=(1.02 * train.cores[0], *train.cores[1:]))
+
+    monkeypatch.setattr(train_backward, "arrival", wrong)
+    report = cg.check(cg.synthesize(problem, 16, value="train"))
+    assert not report
+    assert "exceeds the recomputed value" in str(report)
