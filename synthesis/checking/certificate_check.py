@@ -30,6 +30,7 @@ from ...envs.suite import as_problem
 from ..cells import FloatArray
 from ..certificates import (
     EXACT_GAP,
+    BrokenTrainError,
     Certificate,
     Claim,
     ProductCertificate,
@@ -43,7 +44,7 @@ from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .regrown_tree import BrokenTreeError, regrow
 from .relation_check import verify_relation
-from .train_check import BrokenTrainError, Value, regrown_trains, train_start_value
+from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
 CORRELATION = 1e-11

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import Certificate, axis_tables, smooth
+from ..certificates import BrokenTrainError, Certificate, axis_tables, smooth
 from .forward_mass import mass_at_start
 
 ROUNDOFF = 2.0**-52
@@ -39,10 +39,6 @@ ROWS_AT_ONCE = 256
 
 Cells = tuple[NDArray[np.integer], ...] | None
 """Cells of each agent that a train covers, increasing; elsewhere it counts as 0. None: all of them."""
-
-
-class BrokenTrainError(ValueError):
-    """What a certificate says about its tensor trains makes no sense."""
 
 
 @dataclass(frozen=True, eq=False)
