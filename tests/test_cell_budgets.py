@@ -50,15 +50,19 @@ def test_equal_agents_get_equal_cells_and_share_their_kernel() -> None:
 
 
 @pytest.mark.parametrize(
-    ("id", "horizon", "memory"),
-    [("reach-avoid-v0", 7, 10e6), ("car-park-planar-v0", 10, 20e6), ("reach-avoid-kinematic-v0", 4, 25e6)],
+    ("id", "horizon", "memory", "relation"),
+    [
+        ("reach-avoid-v0", 7, 10e6, "auto"),
+        ("car-park-planar-v0", 10, 20e6, "auto"),
+        ("reach-avoid-kinematic-v0", 4, 15e6, "tube"),
+    ],
 )
-def test_memory_is_used_and_kept(id: str, horizon: int, memory: float) -> None:
+def test_memory_is_used_and_kept(id: str, horizon: int, memory: float, relation: str) -> None:
     """Predictions after the first run within a factor of 3, the peak within a quarter of the budget, by tracemalloc."""
     problem = cg.make_problem(id, horizon=horizon)
     tracemalloc.start()
     try:
-        found = cg.synthesize(problem, memory=memory, max_sweeps=1)
+        found = cg.synthesize(problem, memory=memory, relation=relation, max_sweeps=1)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

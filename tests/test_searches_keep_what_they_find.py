@@ -305,7 +305,7 @@ def test_what_pruning_hides_is_found_in_the_end() -> None:
 def test_trains_try_staged_starts_where_others_fail() -> None:
     """Two robots have to agree on one of two rooms; from other starts they do not."""
     problem = cg.make_problem("meeting-v0")
-    result = cg.synthesize(problem, 48, value="train")
+    result = cg.synthesize(problem, 32, value="train")
     starts = result.stats["starts"]
     assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
     assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)

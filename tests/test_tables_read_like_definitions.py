@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,12 @@ def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("mismatch", [None, Mismatch(noise_scale=3.0, actuator_bias=0.3), Mismatch(delay=1)])
 @pytest.mark.parametrize("name", SMALL)
-def test_leaving_settled_worlds_changes_no_outcome(name: str, mismatch: Mismatch | None) -> None:
+def test_leaving_settled_worlds_changes_no_outcome(
+    name: str, mismatch: Mismatch | None, synthesized: Callable[..., cg.Synthesis]
+) -> None:
     """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
     problem = cg.make_problem(name)
-    controller = cg.synthesize(problem, 12 if "planar" in name or "door" in name else 60, max_sweeps=0).controller
+    controller = synthesized(problem, 12 if "planar" in name or "door" in name else 60, max_sweeps=0).controller
     loop = Loop(problem, controller, seed=4, chunk=150, mismatch=mismatch)
     dynamics, policy = loop.arranged
     parts = list(stream(loop, 1000))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,16 @@ PROBLEMS = {
 }
 
 
-def trained(problem: cg.Problem, cells: int, tolerance: float = 1e-6) -> cg.Certificate:
+@cache
+def honest(name: str, cells: int) -> cg.Synthesis:
+    return cg.synthesize(PROBLEMS[name], cells, value="train", max_sweeps=0)
+
+
+@cache
+def trained(name: str, cells: int, tolerance: float = 1e-6) -> cg.Certificate:
     """A certificate on tensor trains, its policies drawn at random, some choices missing."""
-    certificate = cg.synthesize(problem, cells, value="train", max_sweeps=0).certificate
+    problem = PROBLEMS[name]
+    certificate = honest(name, cells).certificate
     rng = np.random.default_rng(3)
     agents = []
     for part in certificate.agents:
@@ -60,7 +68,7 @@ def exactly(certificate: cg.Certificate, cells: int) -> Any:
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-3, 0.5])
 def test_values_lie_within_their_error_of_dense_programming(name: str, tolerance: float) -> None:
     cells = 6 if name == "three agents" else 16
-    certificate = trained(PROBLEMS[name], cells, tolerance)
+    certificate = trained(name, cells, tolerance)
     dense = exactly(certificate, cells)
     for q, train in enumerate(regrown_trains(certificate)):
         if not certificate.problem.automaton.dead[q]:
@@ -72,7 +80,7 @@ def test_values_lie_within_their_error_of_dense_programming(name: str, tolerance
 @pytest.mark.parametrize("seed", range(3))
 def test_cells_left_out_fail_below_and_survive_above(name: str, seed: int) -> None:
     cells = 6 if name == "three agents" else 16
-    certificate = trained(PROBLEMS[name], cells)
+    certificate = trained(name, cells)
     rng = np.random.default_rng(seed)
     sizes = [part.grid.n_cells for part in certificate.agents]
     visited = tuple(
@@ -94,17 +102,17 @@ def test_cells_left_out_fail_below_and_survive_above(name: str, seed: int) -> No
 
 @pytest.mark.parametrize("upper", [False, True])
 def test_the_start_is_read_on_the_side_that_was_asked_for(upper: bool) -> None:
-    certificate = cg.synthesize(PROBLEMS["two agents"], 16, value="train").certificate
+    certificate = honest("two agents", 16).certificate
     value = regrown_trains(certificate, upper)
-    honest = train_start_value(certificate, value, upper)
-    assert honest > 1e-6
-    wrong = tuple(None if train is None else replace(train, error=train.error + honest / 2) for train in value)
+    bound = train_start_value(certificate, value, upper)
+    assert bound > 1e-6
+    wrong = tuple(None if train is None else replace(train, error=train.error + bound / 2) for train in value)
     changed = train_start_value(certificate, wrong, upper)
-    assert changed == pytest.approx(1.5 * honest if upper else 0.5 * honest, rel=1e-6)
+    assert changed == pytest.approx(1.5 * bound if upper else 0.5 * bound, rel=1e-6)
 
 
 def test_a_start_outside_of_the_covered_cells_counts_for_nothing_below_and_in_full_above() -> None:
-    certificate = trained(PROBLEMS["two agents"], 16)
+    certificate = trained("two agents", 16)
     away = tuple(np.arange(2) for _ in certificate.agents)
     certificate = replace(certificate, rounding=Rounding(1e-6, (away,) * 5))
     for upper, expected in ((False, 0.0), (True, 1.0)):
@@ -114,7 +122,7 @@ def test_a_start_outside_of_the_covered_cells_counts_for_nothing_below_and_in_fu
 
 @pytest.mark.parametrize("visited", [[[-1, 0]], [[0, 0]], [[3, 2]], [[0, 10**6]], [[]]], ids=str)
 def test_cells_that_are_no_cells_are_refused(visited: list[list[int]]) -> None:
-    certificate = trained(PROBLEMS["two agents"], 16)
+    certificate = trained("two agents", 16)
     wrong = (np.array(visited[0], dtype=int), np.arange(2))
     broken = replace(certificate, rounding=Rounding(1e-6, (wrong,) * 5))
     with pytest.raises(train_check.BrokenTrainError, match="no cells"):
@@ -132,14 +140,14 @@ def test_cells_that_are_no_cells_are_refused(visited: list[list[int]]) -> None:
 def test_a_mistake_in_the_trains_of_the_search_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """The step of the search multiplies what arrives by a factor: its bound is too large, and the check says so."""
     problem = PROBLEMS["two agents"]
-    assert cg.check(cg.synthesize(problem, 16, value="train"))
-    honest = train_backward.arrival
+    assert cg.check(honest("two agents", 16))
+    arrival = train_backward.arrival
 
     def wrong(*arguments: Any, **named: Any) -> Any:
-        train = honest(*arguments, **named)
+        train = arrival(*arguments, **named)
         return train and replace(train, cores=(1.02 * train.cores[0], *train.cores[1:]))
 
     monkeypatch.setattr(train_backward, "arrival", wrong)
-    report = cg.check(cg.synthesize(problem, 16, value="train"))
+    report = cg.check(cg.synthesize(problem, 16, value="train", max_sweeps=0))
     assert not report
     assert "exceeds the recomputed value" in str(report)
