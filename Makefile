@@ -7,16 +7,24 @@ export OPENBLAS_NUM_THREADS ?= 1
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
+# one process per core, up to eight; `make test WORKERS=0` runs in one process
+WORKERS ?= auto
+PYTEST := $(BIN)/python -m pytest --numprocesses=$(WORKERS) --maxprocesses=8 --dist=worksteal
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test lint docs links clean
+.PHONY: demo test quick lint docs links clean
 
 demo: .venv/core
 	$(BIN)/certigym run reach-avoid-v0
 
 test: .venv/test lint
 	$(BIN)/python -m mypy
-	$(BIN)/python -m pytest
+	$(PYTEST)
+
+# the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs one file
+quick: .venv/test
+	$(BIN)/python -m ruff check --quiet .
+	$(PYTEST) -m "not slow" $(ARGS)
 
 lint: .venv/test
 	$(BIN)/python -m ruff check .

@@ -12,7 +12,7 @@ import certigym as cg
 
 @pytest.fixture(scope="session")
 def synthesized() -> Callable[..., cg.Synthesis]:
-    """``synthesized(problem, cells, **options)``, where ``problem`` is an id or a Problem: the same result every time."""
+    """``synthesized(problem, cells, **options)``, of an id or a Problem: the same result every time."""
     known: dict[tuple[Any, ...], cg.Synthesis] = {}
 
     def of(problem: str | cg.Problem, cells: Any = None, **options: Any) -> cg.Synthesis:

@@ -21,6 +21,8 @@ from certigym.validation.audits.step_tests import audit
 from certigym.validation.audits.value_at import bound_by_steps_left, charge_of, claimed_values
 from problems import scalar_agent, two_agents
 
+pytestmark = pytest.mark.slow
+
 CONFIDENCE = 1 - 1e-6
 EPISODES = 20_000
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}

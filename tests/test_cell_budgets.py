@@ -18,6 +18,8 @@ from certigym.synthesis.choosing.cell_choice import Budget, refine
 from certigym.synthesis.models.abstraction import abstract
 from problems import two_agents
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("resolution", [2.3, 3.0, 4.1])
 def test_means_of_position_and_velocity_fall_on_the_lattice(resolution: float) -> None:

@@ -17,6 +17,8 @@ from certigym.validation.figures import draw_comparison
 from certigym.validation.policies.comparison import mcnemar
 from problems import two_agents
 
+pytestmark = pytest.mark.slow
+
 PROBLEM = two_agents(horizon=4, noise_covariance=[[0.8]])
 AGENT = """
 [[agents]]

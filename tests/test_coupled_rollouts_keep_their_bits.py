@@ -22,6 +22,8 @@ from certigym.validation.simulation.rollouts import TOGETHER, rollout, stream
 from certigym.validation.simulation.streams import Streams
 from problems import cart, cart_reach, two_agents
 
+pytestmark = pytest.mark.slow
+
 
 def turned() -> cg.Problem:
     """A cart with correlated noise, and two scalar agents that share grid and relation."""

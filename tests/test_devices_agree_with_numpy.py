@@ -31,6 +31,8 @@ from certigym.synthesis.values.devices import (
     to_host,
 )
 
+pytestmark = pytest.mark.slow
+
 DEVICE = "torch:cpu"
 CLOSE = 1e-11
 """Relative difference allowed: far below the reserve for rounding, 1e-11 per agent and ten more."""

@@ -31,6 +31,8 @@ from certigym.synthesis.relations.tube import disturbance_of
 from certigym.validation.statistics.binomial import clopper_pearson
 from problems import scalar_agent
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("cvxpy", reason="the extra lmi is not installed")
 
 FALSE_ALARM = 1e-6

@@ -13,6 +13,8 @@ import environment_pages
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.pictures.automaton_drawing import edges
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def texts() -> dict[str, str]:

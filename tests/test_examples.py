@@ -12,6 +12,8 @@ import pytest
 
 import certigym as cg
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 NEEDS = {"09_learn_and_certify.py": "stable_baselines3", "10_many_workers.py": "dask"}

@@ -16,6 +16,8 @@ from certigym.synthesis.models.joint import join, start_of
 from certigym.validation.statistics.binomial import clopper_pearson
 from problems import scalar_agent, two_agents
 
+pytestmark = pytest.mark.slow
+
 FALSE_ALARM = 1e-6
 
 

@@ -15,6 +15,8 @@ import pytest
 
 import certigym
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("envs", "synthesis", "validation")
 HEAVY = ("matplotlib", "torch", "pygame", "scipy.stats", "stable_baselines3", "PIL", "cvxpy")

@@ -22,6 +22,8 @@ from certigym.envs.problem.problem_file import problem_from_toml
 from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]

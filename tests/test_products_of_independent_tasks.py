@@ -31,6 +31,8 @@ from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import rollout
 from certigym.validation.statistics.binomial import REFUTED
 
+pytestmark = pytest.mark.slow
+
 FALSE_ALARM = 1e-6
 
 

@@ -23,6 +23,8 @@ from certigym.synthesis.search.relaxation import relax, upper_bound
 from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
+pytestmark = pytest.mark.slow
+
 NEEDS_SOLVER = "cvxpy"
 
 

@@ -30,6 +30,8 @@ from certigym.validation.verdicts.stress_test import stress
 from certigym.validation.verdicts.sweeps import synthesize_best, validate_horizons
 from problems import two_agents
 
+pytestmark = pytest.mark.slow
+
 EPISODES, CHUNK = 21_300, 500
 
 

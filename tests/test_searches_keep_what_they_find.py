@@ -25,6 +25,8 @@ from certigym.synthesis.values.devices import UNIT
 from certigym.validation.statistics.binomial import REFUTED
 from problems import cart, cart_reach, scalar_agent, two_agents
 
+pytestmark = pytest.mark.slow
+
 FALSE_ALARM = 1e-6
 
 

@@ -89,6 +89,7 @@ def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyP
     assert Dynamics.of(two_agents()).reader is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mismatch", [None, Mismatch(noise_scale=3.0, actuator_bias=0.3), Mismatch(delay=1)])
 @pytest.mark.parametrize("name", SMALL)
 def test_leaving_settled_worlds_changes_no_outcome(

@@ -16,6 +16,8 @@ from certigym.envs.interfaces.tasks_env import TasksEnv
 from certigym.envs.problem import groups as independent
 from test_products_of_independent_tasks import pairs
 
+pytestmark = pytest.mark.slow
+
 
 def both(monkeypatch: pytest.MonkeyPatch, semantics: str, **options: Any) -> tuple[TasksEnv, ProblemEnv]:
     """Environments of two pairs without noise, fallen apart and whole."""
