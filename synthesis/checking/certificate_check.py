@@ -32,7 +32,6 @@ from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
-    Claim,
     ProductCertificate,
     as_certificate,
     grid_noise,
@@ -42,8 +41,9 @@ from ..certificates import (
 from ..values import UNIT, Terms
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
-from .regrown_tree import BrokenTreeError, regrow
-from .relation_check import verify_relation
+from .execution import execution_of, wrong_actions
+from .regrown_tree import BrokenTreeError, regrow, tree_start_value
+from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
@@ -112,21 +112,21 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    else:
-        for step in (_check_form, _check_grids, _check_relations, wrong_guards):
-            failures += step(certificate)
-            if failures:
-                break
+    for step in (_check_form, _check_grids):
+        failures = failures or step(certificate)
+    if not failures:
+        failures, margins, loss = _check_agents(certificate)
+    failures = failures or wrong_guards(certificate, margins)
+    if not failures:
+        try:
+            value = _regrown(certificate)
+        except (BrokenTreeError, BrokenTrainError) as error:
+            failures.append(str(error))
         else:
-            try:
-                value = _regrown(certificate)
-            except (BrokenTreeError, BrokenTrainError) as error:
-                failures.append(str(error))
-            else:
-                recomputed = _start_value(certificate, value)
-                failures += _check_values(certificate, value, recomputed)
-                if certificate.gap is not None and not failures:
-                    above, failures = _check_above(certificate, certificate.gap)
+            recomputed = _start_value(certificate, value, loss)
+            failures += _check_values(certificate, value, recomputed)
+            if certificate.gap is not None and not failures:
+                above, failures = _check_above(certificate, certificate.gap, loss)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
 
 
@@ -210,24 +210,35 @@ def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: Floa
     return bool(np.all(low <= middle - reach + slack) and np.all(high >= middle + reach - slack))
 
 
-def _check_relations(certificate: Certificate) -> list[str]:
-    """The relation of every agent holds, and its policy asks for nothing beyond the input box."""
-    failures = []
-    seen: set[object] = set()
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray | None], float]:
+    """What is wrong with relations and controllers; label margins; and what carrying the policies out can cost.
+
+    Agents that share everything are verified once.
+    """
+    failures, margins, loss = [], [], 0.0
+    verified: dict[object, tuple[FloatArray | None, float]] = {}
+    controllers = certificate.controller.agents
+    for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
         arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
         arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (id(part.grid), json.dumps(part.relation, sort_keys=True), *(own.tobytes() for own in arrays))
-        if key not in seen:
-            seen.add(key)
-            failures += [f"agent `{agent.name}`: {text}" for text in verify_relation(agent, part)]
-    return failures
+        if key not in verified:
+            relation = controller.relation
+            execution = execution_of(agent, part, relation)
+            wrong = verify_relation(agent, part, relation, execution)
+            wrong = wrong or wrong_actions(agent, part, controller, execution)
+            failures += [f"agent `{agent.name}`: {text}" for text in wrong]
+            verified[key] = label_margin(part, relation, execution), execution.loss
+        margins.append(verified[key][0])
+        loss += verified[key][1]
+    return failures, margins, loss * certificate.problem.horizon
 
 
-def _check_above(certificate: Certificate, gap: float) -> tuple[float | None, list[str]]:
+def _check_above(certificate: Certificate, gap: float, loss: float) -> tuple[float | None, list[str]]:
     """What the policies attain at most, and whether the certificate says less."""
     failures = inexact(certificate)
     above = None if failures else attained(certificate)
+    above = None if above is None else min(1.0, above + loss)
     if above is not None and not above <= certificate.lower_bound + gap:
         most = certificate.lower_bound + gap
         failures.append(f"it says that the probability is at most {most:.12g}, but what was recomputed is {above:.12g}")
@@ -239,23 +250,17 @@ def _regrown(certificate: Certificate) -> Terms | Value:
     return regrow(certificate) if certificate.rounding is None else regrown_trains(certificate)
 
 
-def _start_value(certificate: Certificate, terms: Terms | Value) -> float:
-    """Regrown value at the problem's start, less what lost relations can cost."""
-    delta = certificate.delta if certificate.bound == "a-posteriori" else 0.0
+def _start_value(certificate: Certificate, value: Terms | Value, loss: float) -> float:
+    """Regrown value at the problem's start, less ``loss`` and what lost relations can cost."""
     if certificate.bound == "nominal" and certificate.delta > 0:
         return float("nan")  # the nominal value proves nothing then
-    if not isinstance(terms, Terms):
-        steps = certificate.problem.horizon * (1 + 1e-9)
-        return max(0.0, train_start_value(certificate, terms) - delta * steps)
-    relations = tuple(p.relation_of(a) for a, p in zip(certificate.problem.agents, certificate.agents, strict=True))
-    start = certificate.start_target, certificate.start_mask
-    claim = Claim(certificate.problem, certificate.agents, relations, *start, terms, 0.0, 0.0)
-    boxes = [agent.initial for agent in certificate.problem.agents]
-    low, high = (np.concatenate([getattr(b, side) for b in boxes]) for side in ("low", "high"))
-    value = float(claim.at(low)[0]) if np.array_equal(low, high) else claim.mean(low, high)
-    if not delta:
-        return value
-    return max(0.0, value - delta * _undecided(certificate) * (1 + 1e-9))
+    if not isinstance(value, Terms):
+        total, steps = train_start_value(certificate, value), float(certificate.problem.horizon)
+    else:
+        total, steps = tree_start_value(certificate, value), 0.0
+    if certificate.bound == "a-posteriori":
+        loss += certificate.delta * (steps or _undecided(certificate)) * (1 + 1e-9)
+    return max(0.0, total - loss)
 
 
 def _undecided(certificate: Certificate) -> float:

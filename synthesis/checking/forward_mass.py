@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..cells import FloatArray, start_share
+from ..cells import FloatArray
 from ..certificates import axis_tables
+from .geometry import start_shares
 
 if TYPE_CHECKING:
     from ..certificates import Certificate
@@ -86,8 +87,7 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
 def mass_at_start(certificate: Certificate) -> Mass:
     """Mass before the first step, the first letter read."""
     problem, agents = certificate.problem, certificate.agents
-    pairs = zip(problem.agents, agents, strict=True)
-    shares = [start_share(p.grid, p.coordinates, a.initial.low, a.initial.high)[None] for a, p in pairs]
+    shares = [start_shares(a, p)[None] for a, p in zip(problem.agents, agents, strict=True)]
     automaton, point = problem.automaton, certificate.start == "point"
     if point or (automaton.finished[automaton.initial]):  # no letter is asked
         q = problem.initial_q if point else automaton.initial

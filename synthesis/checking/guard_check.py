@@ -11,38 +11,63 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
 from ...envs.logic import followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate
-from ..relations import CoupledRelation
+from .geometry import box_image, cell_boxes, classes_in_boxes, is_identity
 
 
-def wrong_guards(certificate: Certificate) -> list[str]:
-    """Guards are disjoint, stay inside the workspace, and every letter of their states leads where they say."""
+def wrong_guards(certificate: Certificate, margins: Sequence[FloatArray | None]) -> list[str]:
+    """Guards are disjoint, stay inside the workspace, and every letter of their states leads where they say.
+
+    ``margins`` (d,) say how far related states are from the centres of their cells (see ``label_margin``).
+    """
     initial = np.full(len(certificate.start_target), certificate.problem.automaton.initial)
-    arriving = [part.masks for part in certificate.agents], certificate.guard_source, certificate.guard_target
-    starting = [part.start_masks for part in certificate.agents], initial, certificate.start_target
-    failures = _check_guard_set(certificate, *arriving, certificate.guard_mask, starting=False)
-    return failures or _check_guard_set(certificate, *starting, certificate.start_mask, starting=True)
+    agents, none = certificate.agents, [None] * len(margins)
+    arriving = [part.masks for part in agents], certificate.guard_source, certificate.guard_target
+    starting = [part.start_masks for part in agents], initial, certificate.start_target
+    failures = _wrong_guards(certificate, *arriving, certificate.guard_mask, margins)
+    return failures or _wrong_guards(certificate, *starting, certificate.start_mask, none)
 
 
-def _check_guard_set(
-    certificate: Certificate, masks: list[NDArray], source: NDArray, target: NDArray, mask: NDArray, starting: bool
-) -> list[str]:  # fmt: skip
+def cell_classes(
+    problem: Problem, agent: int, part: AgentPart, margin: FloatArray | None
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Classes (K, P), which of them (S, K) the states related to each cell may have, and which cells (S,) stay inside.
+
+    ``margin`` as for ``wrong_guards``; None for the states of the cell itself.
+    """
+    low, high = cell_boxes(part)
+    workspace = problem.agents[agent].workspace
+    half_open = margin is None and is_identity(part.coordinates)
+    if margin is not None:
+        centre = 0.5 * (low + high)
+        low, high = box_image(centre, centre, part.coordinates)
+        low, high = low - margin, high + margin
+    elif not half_open:
+        low, high = box_image(low, high, part.coordinates)
+    inside = np.all((workspace.low <= low) & (high <= workspace.high), axis=1)
+    classes, possible = classes_in_boxes(problem, agent, low, high, closed=not half_open)
+    return classes, possible, inside
+
+
+def _wrong_guards(
+    certificate: Certificate,
+    masks: list[NDArray],
+    source: NDArray,
+    target: NDArray,
+    mask: NDArray,
+    margins: Sequence[FloatArray | None],
+) -> list[str]:
     """What is wrong with one set of guards."""
     problem, automaton = certificate.problem, certificate.problem.automaton
     meets, letters = [], []
-    for i, (part, own) in enumerate(zip(certificate.agents, masks, strict=True)):
+    for i, (part, own, margin) in enumerate(zip(certificate.agents, masks, margins, strict=True)):
         meets.append((own.astype(np.int64) @ own.T.astype(np.int64)) > 0)
-        agent = problem.agents[i]
-        low, high = _cell_boxes(agent, part, starting)
-        possible = problem.labeling.box_classes(i, low, high)
-        outside = np.any((low < agent.workspace.low) | (high > agent.workspace.high), axis=1)
-        if own[:, outside].any():
-            return [f"a guard uses cells of agent `{agent.name}` that reach beyond its workspace"]
-        classes = problem.labeling.classes[i]
+        classes, possible, inside = cell_classes(problem, i, part, margin)
+        if own[:, ~inside].any():
+            return [f"a guard uses cells of agent `{problem.agents[i].name}` that reach beyond its workspace"]
         letters.append([classes[possible[cells].any(axis=0)] for cells in own])
     for q in np.unique(source):
         rows = np.flatnonzero(source == q)
@@ -93,16 +118,3 @@ def joint_cells_by_target(problem: Problem, q: int, classes: Sequence[NDArray[np
                 following[e] = following.get(e, 0) + count * number
         counts = following
     return {-1 - entry: count for entry, count in counts.items()}
-
-
-def _cell_boxes(agent: LinearAgent, part: AgentPart, starting: bool) -> tuple[FloatArray, FloatArray]:
-    """Boxes in state space around the states related to each cell; for ``starting`` around the cell itself."""
-    relation = part.relation_of(agent)
-    if isinstance(relation, CoupledRelation) and not relation.is_cell and not starting:
-        epsilon = relation.state_reach
-        centre = part.grid.centres @ part.coordinates.T
-        return centre - epsilon - 1e-12, np.nextafter(centre + epsilon + 1e-12, np.inf)
-    if np.array_equal(part.coordinates, np.eye(len(part.coordinates))):
-        return part.grid.low, part.grid.high
-    centre, reach = part.grid.centres @ part.coordinates.T, part.grid.half_widths @ np.abs(part.coordinates).T
-    return centre - reach * (1 + 1e-12) - 1e-12, centre + reach * (1 + 1e-12) + 1e-12

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray
 from ..certificates import Certificate, axis_tables, smooth
 from ..values import Terms
+from .forward_mass import mass_at_start
 
 
 class BrokenTreeError(ValueError):
@@ -45,6 +46,8 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
             guard, child = origin[:, 0], origin[:, 1]
             if np.any(guard >= len(certificate.guard_source)) or np.any(certificate.guard_source[guard] != q):
                 raise BrokenTreeError("its tree uses a guard of another automaton state")
+            if len(np.unique(origin, axis=0)) != len(origin):
+                raise BrokenTreeError("its tree lists a vertex twice")
             below = _children(index, certificate.guard_target[guard], child, n_agents)
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             _check_merges(merges.into, merges.absorbed, kept)
@@ -63,6 +66,18 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def tree_start_value(certificate: Certificate, terms: Terms) -> float:
+    """Value at the start of the problem, over the products that the start falls into."""
+    start = mass_at_start(certificate)
+    shares = [own @ factors.T for own, factors in zip(start.factors, terms.factors, strict=True)]  # (K_i, terms)
+    total = 0.0
+    for q, row in zip(start.states.tolist(), start.index, strict=True):
+        rows = terms.index[q]
+        read = [own[k][rows[:, i]] for i, (own, k) in enumerate(zip(shares, row, strict=True))]
+        total += float(np.prod(read, axis=0).sum()) if len(rows) else 0.0
+    return total
 
 
 def _children(index: list[NDArray[np.int64]], target: NDArray, child: NDArray, n_agents: int) -> NDArray[np.int64]:

@@ -1,8 +1,10 @@
 """Verification of a simulation relation from the matrices alone, whoever found it.
 
-For every agent: the relation is invariant under the coupled step, the abstract means are what the relation says, every
-input that a policy can ask for is admissible from every related state, and ``delta`` is at least the probability that
-the coupling fails. Comparisons carry their tolerance on the restrictive side.
+For every agent: the error stays in a set E under the coupled step, rounding of the controller included; the abstract
+means are what the relation says; every input that a policy can ask for is admissible from every related state; and
+``delta`` is at least the probability that the coupling fails. Comparisons carry their tolerance on the restrictive
+side. The set of a tube is not the one of the search: every number of terms gives an invariant zonotope, so does what
+they have in common, and its supports are computed here.
 """
 
 from __future__ import annotations
@@ -15,16 +17,28 @@ from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..relations import (
     CoupledRelation,
-    disturbance_of,
+    ExactRelation,
+    Relation,
     ellipsoid_factor,
     ellipsoid_failure,
     ellipsoid_is_invariant,
     ellipsoid_support,
-    tube_generators,
 )
+from .execution import Execution
+from .geometry import cell_boxes
+
+MOST_TERMS = 400
+"""Most terms of the zonotopes around a tube."""
+
+OUTWARD = 1.0 + 1e-12
+"""Widening of half widths and supports, far above their rounding and far below that of the relations themselves."""
 
 
-def verify_relation(agent: LinearAgent, part: AgentPart) -> list[str]:
+WIDENED = 1.0 + 1e-9
+"""Widening of the interval of a ``paper`` relation, which leaves room for rounding; its margins are as wide."""
+
+
+def verify_relation(agent: LinearAgent, part: AgentPart, relation: Relation, execution: Execution) -> list[str]:
     """What is wrong with the relation of one agent; an empty list if it holds.
 
     Parameters
@@ -32,134 +46,143 @@ def verify_relation(agent: LinearAgent, part: AgentPart) -> list[str]:
     agent : LinearAgent
         The continuous agent.
     part : AgentPart
-        Grid, lattice, relation and policy to be verified.
+        Grid, lattice and policy to be verified.
+    relation : Relation
+        Of its controller.
+    execution : Execution
+        What its controller may be off by.
     """
-    return _verify_exact(agent, part) if part.relation["kind"] == "exact" else _verify_coupled(agent, part)
+    if isinstance(relation, ExactRelation):
+        return _verify_targets(agent, part, relation, execution)
+    return _verify_coupled(agent, part, relation, execution)
 
 
-def _verify_exact(agent: LinearAgent, part: AgentPart) -> list[str]:
+def label_margin(part: AgentPart, relation: Relation, execution: Execution) -> FloatArray | None:
+    """How far (d,) related states may be from the centres of their cells, in state units; None if in the same cell."""
+    if not isinstance(relation, CoupledRelation) or (relation.kind == "paper" and relation.is_cell):
+        return None
+    return error_support(part, relation, execution, part.coordinates)
+
+
+def error_support(part: AgentPart, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:
+    """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d) in grid coordinates."""
+    if relation.shape is not None:
+        return ellipsoid_support(relation.shape, relation.epsilon, rows)
+    if relation.kind == "paper":
+        return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
+    return _tube_support(relation.A + relation.B @ relation.feedback, _disturbance(part, relation, execution), rows)
+
+
+def _verify_targets(agent: LinearAgent, part: AgentPart, relation: ExactRelation, execution: Execution) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
-    inverse = np.linalg.inv(part.coordinates)
-    A, B, offset = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
-    middle = 0.5 * (agent.input_box.low + agent.input_box.high)
-    to_input = np.linalg.pinv(B)
-    if np.max(np.abs(B @ to_input - np.eye(len(B)))) > 1e-9:
-        return ["its inputs do not reach every mean"]
-    spread = part.grid.half_widths @ np.abs(to_input @ A).T
+    R, A = relation.right_inverse, relation.A
+    low, high = cell_boxes(part)
+    centres = 0.5 * (low + high)
+    spread = (0.5 * (high - low) * OUTWARD) @ np.abs(R @ A).T + execution.inputs
     rows = part.policy.reshape(-1, part.policy.shape[-1])
     for policy in np.unique(rows, axis=0) if len(rows) > 1 else rows:
         index = np.unravel_index(np.maximum(policy, 0), tuple(len(axis) for axis in part.lattice))
         goal = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
-        inputs = (goal - part.grid.centres @ A.T - offset - B @ middle) @ to_input.T + middle
+        inputs = (goal - centres @ A.T - relation.drift) @ R.T + relation.input_centre
         beyond = (inputs - spread < agent.input_box.low) | (inputs + spread > agent.input_box.high)
         if np.any(beyond & (policy >= 0)[:, None]):
             return ["it is asked for inputs beyond its input box"]
     return []
 
 
-def _verify_coupled(agent: LinearAgent, part: AgentPart) -> list[str]:
+def _verify_coupled(agent: LinearAgent, part: AgentPart, relation: CoupledRelation, execution: Execution) -> list[str]:
     """Invariance, coupling, input reserve and means of a relation with memory."""
-    try:
-        relation = part.relation_of(agent)
-    except ValueError as error:
-        return [str(error)]
-    if not isinstance(relation, CoupledRelation):
-        return ["its relation is of another kind"]
-    inverse = np.linalg.inv(part.coordinates)
-    A, B, offset = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
     if part.menu is None or part.menu.shape[1] != len(relation.inputs):
         return ["its menu does not list its inputs"]
-    means = (part.grid.centres @ A.T + offset)[:, None, :] + (relation.inputs @ B.T)[None]
-    index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
-    points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
-    half = np.array([0.5 * np.max(np.diff(edges)) for edges in part.grid.edges])
-    snapped = np.max(np.abs(points - means), axis=(0, 1))
-    closed = A + B @ relation.feedback
+    disturbance = _disturbance(part, relation, execution)
+    failures = []
+    if not np.all(np.isfinite(disturbance)):
+        return ["its means are not those of its dynamics"]
+    closed = relation.A + relation.B @ relation.feedback - relation.coupling
+    variances = np.diag(_grid_noise(agent, part))
+    if np.any(np.abs(relation.covariance - variances) > 1e-12 * variances):
+        failures.append("its noise is not that of its agent")
     if relation.shape is not None:
-        return _verify_ellipsoid(agent, part, relation, relation.shape, closed - relation.coupling, snapped)
-    failures = _verify_tube(agent, part, closed, half, snapped) if part.relation["kind"] == "tube" else []
-    if part.relation["kind"] == "paper":
-        failures = _verify_scalar(agent, relation, closed, half, snapped)
-    reserve = np.abs(_generators(part, closed) @ relation.feedback.T).sum(axis=0)
-    return failures + _verify_reserve(agent, relation, reserve)
-
-
-def _verify_reserve(agent: LinearAgent, relation: CoupledRelation, reserve: FloatArray) -> list[str]:
-    """Every abstract input leaves ``reserve`` (m,) to both sides."""
+        failures += _verify_ellipsoid(relation, relation.shape, closed, disturbance, variances)
+    elif relation.kind == "paper":
+        failures += _verify_interval(part, relation, closed, disturbance, variances)
+    elif np.any(relation.coupling):
+        failures.append("its tube is said to have a coupling")
+    reserve = error_support(part, relation, execution, relation.feedback) + execution.inputs
+    if not np.all(np.isfinite(reserve)):
+        return [*failures, "its tube is not invariant"]
     low, high = relation.inputs - reserve, relation.inputs + reserve
     if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):
-        return ["its abstract inputs leave no room for the feedback"]
-    return []
-
-
-def _verify_scalar(
-    agent: LinearAgent, relation: CoupledRelation, closed: FloatArray, half: FloatArray, snapped: FloatArray
-) -> list[str]:
-    """``|a_K - F| epsilon + h/2 <= epsilon`` and ``delta >= 2 Phi(|F| epsilon / (2 sigma)) - 1``."""
-    epsilon, coupling = float(relation.reach[0]), float(relation.coupling[0, 0])
-    deviation = float(np.sqrt(agent.noise_covariance[0, 0]))
-    failures = []
-    if abs(closed[0, 0] - coupling) * epsilon + half[0] > epsilon * (1 + 1e-12):
-        failures.append("its relation is not invariant")
-    if relation.delta < float(erf(abs(coupling) * epsilon / (2.0 * np.sqrt(2.0) * deviation))) * (1 - 1e-14):
-        failures.append("its delta is smaller than the probability that the coupling fails")
-    if snapped[0] > 1e-9 * half[0]:
-        failures.append("its means are not those of its dynamics")
+        failures.append("its abstract inputs leave no room for the feedback")
     return failures
 
 
-def _verify_tube(
-    agent: LinearAgent, part: AgentPart, closed: FloatArray, half: FloatArray, snapped: FloatArray
+def _disturbance(part: AgentPart, relation: CoupledRelation, execution: Execution) -> FloatArray:
+    """Half widths (d,) of W: half the largest cell, what means are snapped by, and rounding."""
+    assert part.menu is not None
+    low, high = cell_boxes(part)
+    means = (0.5 * (low + high) @ relation.A.T + relation.drift)[:, None, :] + (relation.inputs @ relation.B.T)[None]
+    index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
+    points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
+    snapped = np.max(np.abs(points - means), axis=(0, 1))
+    return np.asarray((0.5 * np.max(high - low, axis=0) + snapped) * OUTWARD + execution.disturbance)
+
+
+def _tube_support(closed: FloatArray, disturbance: FloatArray, rows: FloatArray) -> FloatArray:
+    """Upper bounds (n,) on ``rows @ e`` over an invariant set; infinite if none was found.
+
+    For every s with ``closed^s W inside alpha W``, ``alpha < 1``, the zonotope of the first s powers over
+    ``1 - alpha`` is invariant; so is the intersection of all of them.
+    """
+    power, total, best = np.diag(disturbance), np.zeros(len(rows)), np.full(len(rows), np.inf)
+    for _ in range(MOST_TERMS):
+        total = total + np.abs(rows @ power).sum(axis=1)
+        power = closed @ power
+        alpha = float(np.max(np.abs(power).sum(axis=1) / disturbance)) * OUTWARD
+        if alpha < 1.0:
+            best = np.minimum(best, total / (1.0 - alpha))
+        if alpha < 1e-15 or not np.isfinite(alpha):
+            break
+    return np.asarray(best * (1.0 + 1e-11))
+
+
+def _verify_interval(
+    part: AgentPart, relation: CoupledRelation, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
 ) -> list[str]:
-    """``(A + B K)^s W inside alpha W`` with alpha < 1 for the zonotope used, W as large as cells and snapping are."""
-    generators = _generators(part, closed)
-    snap = np.array(part.relation["snap"], dtype=float)
+    """``|a_K - F| epsilon + w <= epsilon`` and ``delta >= 2 Phi(|F| epsilon / (2 sigma)) - 1``, epsilon a little wider.
+
+    Where related states are those of one cell, half a cell takes the place of epsilon, and ``(a_K - F) e`` is charged
+    as a disturbance (``Execution``).
+    """
+    epsilon, coupling = float(relation.reach[0]) * WIDENED, abs(float(relation.coupling[0, 0]))
     failures = []
-    if np.any(snapped > snap * (1 + 1e-9) + 1e-9 * half):
-        failures.append("its means are snapped by more than its tube allows for")
-    # E is invariant if the support of (A + B K) E + W is not larger than that of E along every facet normal; for the
-    # zonotope sum_{k<s} M^k W / (1 - alpha) that is what M^s W inside alpha W says, checked on the generators
-    d = len(half)
-    steps = len(generators) // d
-    first, last = generators[:d], generators[-d:]
-    scale = np.diag(first) / (half + snap)
-    alpha = 1.0 - 1.0 / np.min(scale)
-    beyond = np.abs(closed @ last.T / np.min(scale)).sum(axis=1)
-    if steps < 1 or not 0.0 <= alpha < 1.0 or np.any(beyond > alpha * (half + snap) * (1 + 2e-9) + 1e-15):
-        failures.append("its tube is not invariant")
+    if relation.is_cell:
+        kept = 0.5 * float(np.max(np.diff(part.grid.edges[0]))) * OUTWARD <= epsilon
+    else:
+        kept = abs(closed[0, 0]) * epsilon + disturbance[0] <= epsilon
+    if not kept:
+        failures.append("its relation is not invariant")
+    if relation.delta < float(erf(coupling * epsilon / (2.0 * np.sqrt(2.0 * variances[0])))) * (1 + 1e-14):
+        failures.append("its delta is smaller than the probability that the coupling fails")
     return failures
 
 
 def _verify_ellipsoid(
-    agent: LinearAgent,
-    part: AgentPart,
-    relation: CoupledRelation,
-    shape: FloatArray,
-    closed: FloatArray,
-    snapped: FloatArray,
+    relation: CoupledRelation, shape: FloatArray, closed: FloatArray, disturbance: FloatArray, variances: FloatArray
 ) -> list[str]:
-    """Invariance for every vertex of W, coupling, margins of labels and inputs; ``closed`` is ``A + B K - F``."""
-    epsilon, snap = relation.epsilon, relation.snap
+    """Invariance for every vertex of W, and coupling; ``closed`` is ``A + B K - F``."""
+    epsilon = relation.epsilon
     if ellipsoid_factor(shape) is None or not epsilon > 0:
         return ["its ellipsoid is none: its matrix is not positive definite, or badly conditioned"]
     failures = []
-    if np.any(snap < 0) or np.any(snapped > snap + 1e-9 * disturbance_of(part.grid, None) / 2):
-        failures.append("its means are snapped by more than its ellipsoid allows for")
-    if not ellipsoid_is_invariant(shape, epsilon, closed, disturbance_of(part.grid, snap)):
+    if not ellipsoid_is_invariant(shape, epsilon, closed, disturbance):
         failures.append("its ellipsoid was not proved invariant")
-    inverse = np.linalg.inv(part.coordinates)
-    variances = np.diag(inverse @ agent.noise_covariance @ inverse.T)
     if relation.delta < ellipsoid_failure(shape, epsilon, relation.coupling, variances):
         failures.append("its delta is smaller than the probability that the coupling fails")
-    if np.any(relation.state_reach < ellipsoid_support(shape, epsilon, part.coordinates)):
-        failures.append("the box around its ellipsoid is too small")
-    return failures + _verify_reserve(agent, relation, ellipsoid_support(shape, epsilon, relation.feedback))
+    return failures
 
 
-def _generators(part: AgentPart, closed: FloatArray) -> FloatArray:
-    """Generators (G, d) of the error set."""
-    if part.relation["kind"] == "paper":
-        half = 0.5 * float(np.max(np.diff(part.grid.edges[0])))
-        return np.array([[max(float(part.relation["epsilon"]), half)]])
-    found = tube_generators(closed, disturbance_of(part.grid, np.array(part.relation["snap"], dtype=float)))
-    return np.full((1, len(closed)), np.inf) if found is None else found
+def _grid_noise(agent: LinearAgent, part: AgentPart) -> FloatArray:
+    """Covariance of the noise in grid coordinates."""
+    inverse = np.linalg.inv(part.coordinates)
+    return np.asarray(inverse @ agent.noise_covariance @ inverse.T)

@@ -19,7 +19,8 @@ import numpy as np
 
 from ..certificates import Certificate, lost_to_rounding
 from .forward_mass import TooManyProducts, masses
-from .guard_check import joint_cells_by_target
+from .geometry import is_identity
+from .guard_check import cell_classes, joint_cells_by_target
 from .train_check import regrown_trains, train_start_value
 
 MOST = 100_000
@@ -35,11 +36,10 @@ def inexact(certificate: Certificate) -> list[str]:
     claim = "it says how far above its bound the probability may be, but "
     classes = []
     for i, (agent, part) in enumerate(zip(problem.agents, agents, strict=True)):
-        possible = problem.labeling.box_classes(i, part.grid.low, part.grid.high)
-        tiles = np.array_equal(part.coordinates, np.eye(len(part.coordinates)))
-        if part.relation["kind"] != "exact" or not tiles or np.any(possible.sum(axis=1) != 1):
+        rows, possible, _ = cell_classes(problem, i, part, None)
+        if part.relation["kind"] != "exact" or not is_identity(part.coordinates) or np.any(possible.sum(axis=1) != 1):
             return [f"{claim}agent `{agent.name}` does not follow its policy exactly, or a cell has no certain class"]
-        classes.append(problem.labeling.classes[i][possible.argmax(axis=1)])
+        classes.append(rows[possible.argmax(axis=1)])
     arriving = [part.masks.sum(axis=1).tolist() for part in agents]
     starting = [part.start_masks.sum(axis=1).tolist() for part in agents]
     sets = []

@@ -1,0 +1,218 @@
+"""An adversary: random problems, forged certificates and hostile files, against code that is not the package's own.
+
+    python benchmarks/adversary.py claims --trials 800        random problems; certificates against ``independent``
+    python benchmarks/adversary.py forgeries --trials 40      every field of certificates changed, digest recomputed
+    python benchmarks/adversary.py files                      hostile files and formulas, under limits
+
+Every finding is printed with the seed that makes it. A claim is refuted if what was seen has probability below 1e-6,
+divided by the number of trials, under the claim.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom
+
+import certigym as cg
+from forgeries import Forgery, forgeries, opened, written
+from independent import successes
+from measuring import Rows, show
+from random_problems import Spec, random_spec
+
+FALSE_ALARM = 1e-6
+"""Probability that a campaign of true claims reports a refuted one."""
+
+INFLATION = 0.01
+"""A claim that is false by so much counts as visible if it would have been refuted."""
+
+
+def problem_of(spec: Spec) -> cg.Problem:
+    """The package's record of a random problem."""
+    return cg.Problem(
+        name="random",
+        horizon=spec["horizon"],
+        agents=[cg.LinearAgent(**agent) for agent in spec["agents"]],
+        propositions={name: cg.Proposition(**region) for name, region in spec["propositions"].items()},
+        specification=cg.Specification(spec["text"], spec["semantics"]),
+    )
+
+
+class Deployed:
+    """The controllers of a certificate, their automaton states kept by letters that the simulator read."""
+
+    def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
+        self.problem = certificate.problem
+        parts = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
+        names = self.problem.agent_names
+        self.parts = [(part, [names.index(name) for name in part.problem.agent_names]) for part in parts]
+        self.q = [np.full(episodes, part.problem.automaton.initial) for part, _ in self.parts]
+        self.memory: dict[int, Any] = {}
+        self.rng = np.random.default_rng([seed, 1])
+
+    def __call__(self, states: list[np.ndarray], held: list[dict[str, np.ndarray]], t: int) -> list[np.ndarray]:
+        inputs: list[Any] = [None] * len(states)
+        for k, (part, members) in enumerate(self.parts):
+            own = {name: value for i in members for name, value in held[i].items()}
+            empty = np.zeros((0, len(self.q[k])), dtype=bool)
+            letters = np.stack([own[name] for name in part.problem.propositions]) if own else empty
+            self.q[k] = part.problem.automaton.next_state(self.q[k], letters)
+            for i, agent in zip(members, part.controller.agents, strict=True):
+                x = states[i][:, None]
+                if t == 0:
+                    self.memory[i] = agent.begin(x)
+                uniform = self.rng.random((1, x.shape[-1])) if agent.draws else None
+                u, self.memory[i] = agent.act(x, self.q[k], t, self.memory[i], uniform)
+                inputs[i] = u[:, 0]
+        return inputs
+
+
+def claim(seed: int, episodes: int, level: float) -> dict[str, Any]:
+    """One random problem: certified, checked, and simulated by other code. ``finding`` is empty if all agree."""
+    spec = random_spec(seed)
+    result: dict[str, Any] = {"seed": seed, "text": spec["text"], "relation": spec["options"].get("relation", "auto")}
+    try:
+        problem = problem_of(spec)
+        found = cg.synthesize(problem, **spec["options"])
+    except ValueError as error:
+        return result | {"outcome": "refused", "reason": str(error).split("\n", 1)[0], "finding": ""}
+    certificate, findings = found.certificate, []
+    report = cg.check(certificate)
+    if not report:
+        findings.append(f"check refuses an honest certificate: {report}")
+    number, beyond = successes(spec, Deployed(certificate, episodes, seed), episodes, seed)
+    lower, gap = certificate.lower_bound, certificate.gap
+    if binom.cdf(number, episodes, lower) < level:
+        findings.append(f"claimed {lower}, {number} of {episodes} succeeded")
+    if gap is not None and binom.sf(number - 1, episodes, min(1.0, lower + gap)) < level:
+        findings.append(f"claimed at most {lower + gap}, {number} of {episodes} succeeded")
+    most = found.stats.get("continuous_upper_bound")
+    if isinstance(most, float) and binom.sf(number - 1, episodes, min(1.0, most)) < level:
+        findings.append(f"no policy was to exceed {most}, {number} of {episodes} succeeded")
+    if beyond > 0 and certificate.delta == 0 and lower > 0:
+        findings.append(f"an input was outside of its box by {beyond:.3g} of its width")
+    visible = bool(lower > INFLATION and binom.cdf(number, episodes, min(1.0, lower + INFLATION)) < level)
+    return result | {
+        "outcome": "certified" if lower > 0 else "nothing certified",
+        "lower": lower, "estimate": number / episodes, "visible": visible, "exact": certificate.exact,
+        "finding": "; ".join(findings),
+    }  # fmt: skip
+
+
+def claims(trials: int, episodes: int, first: int) -> int:
+    """All random problems; the number of findings."""
+    level, rows, reasons, began = FALSE_ALARM / (3 * trials), [], Counter[str](), time.time()
+    for seed in range(first, first + trials):
+        try:
+            row = claim(seed, episodes, level)
+        except Exception as error:  # noqa: BLE001 a traceback is a finding, too
+            row = {"seed": seed, "outcome": "error", "finding": f"{type(error).__name__}: {error}"}
+        if row["finding"]:
+            print(f"seed {row['seed']}: {row['finding']}", flush=True)
+        if row["outcome"] == "refused":
+            reasons[row["reason"][:70]] += 1
+        rows.append(row)
+        if sys.stderr.isatty():
+            print(f"\r{len(rows)} of {trials}", end="", file=sys.stderr, flush=True)
+    outcomes = Counter(str(row["outcome"]) for row in rows)
+    certified = [row for row in rows if row["outcome"] == "certified"]
+    table: Rows = [
+        {
+            "trials": trials, **outcomes, "exact": sum(bool(row["exact"]) for row in certified),
+            f"visible +{INFLATION}": sum(bool(row["visible"]) for row in certified),
+            "findings": sum(bool(row["finding"]) for row in rows), "minutes": (time.time() - began) / 60,
+        }
+    ]  # fmt: skip
+    show("Random problems against an independent simulator", table)
+    show("Reasons for refusing", [{"times": n, "reason": reason} for reason, n in reasons.most_common(12)])
+    return sum(bool(row["finding"]) for row in rows)
+
+
+def forged(spec: Spec, file: Path, forgery: Forgery, episodes: int, level: float) -> tuple[str, str]:
+    """What became of one forgery, and a finding if it was accepted, or crashed something."""
+    header, arrays = opened(file)
+    forge, target = forgery[1], file.with_suffix(".forged.npz")
+    try:
+        forge(header, arrays)
+        written(target, header, arrays)
+    except (ValueError, TypeError, IndexError, OverflowError, KeyError):
+        return "no such forgery", ""
+    try:
+        certificate = cg.load_certificate(target)
+        report = cg.check(certificate)
+        if report.recomputed > 0:  # the forger learns, and claims what would be proved
+            lower = report.recomputed * (1 - 1e-9) - 1e-12
+            header |= {"lower_bound": lower, "bounds": {header["bound"]: lower}, "gap": None, "exact": False}
+            written(target, header, arrays)
+            certificate = cg.load_certificate(target)
+            report = cg.check(certificate)
+    except ValueError:
+        return "refused when read", ""
+    except Exception as error:  # noqa: BLE001
+        return "crashed", f"{type(error).__name__}: {error}"
+    if not report:
+        return "refused by the check", ""
+    number, beyond = successes(spec, Deployed(certificate, episodes, 1), episodes, 1)
+    lower, gap = certificate.lower_bound, certificate.gap
+    if binom.cdf(number, episodes, lower) < level:
+        return "ACCEPTED", f"claims {lower}, {number} of {episodes} succeeded"
+    if gap is not None and report.above is not None and binom.sf(number - 1, episodes, min(1.0, lower + gap)) < level:
+        return "ACCEPTED", f"claims at most {lower + gap}, {number} of {episodes} succeeded"
+    if beyond > 1e-9 and lower > 0:
+        return "ACCEPTED", f"an input was outside of its box by {beyond:.3g} of its width"
+    return "true all the same", ""
+
+
+def forge_all(trials: int, episodes: int, first: int, per_array: int) -> int:
+    """Forgeries of the certificates of ``trials`` random problems; the number of findings."""
+    outcomes, findings, seed, done = Counter[str](), 0, first, 0
+    kinds: Counter[str] = Counter()
+    with TemporaryDirectory() as folder:
+        while done < trials:
+            seed += 1
+            spec = random_spec(seed)
+            try:
+                certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+            except ValueError:
+                continue
+            if not 0.05 < certificate.lower_bound < 0.99 or isinstance(certificate, cg.ProductCertificate):
+                continue
+            done += 1
+            kinds.update("+".join(sorted({part.relation["kind"] for part in certificate.agents})).split("|"))
+            file = Path(folder) / "certificate.npz"
+            cg.save_certificate(certificate, file)
+            rng = np.random.default_rng(seed)
+            for forgery in list(forgeries(*opened(file), rng, per_array)):
+                outcome, finding = forged(spec, file, forgery, episodes, FALSE_ALARM / (1000 * trials))
+                outcomes[outcome] += 1
+                if finding:
+                    findings += 1
+                    print(f"seed {seed}: {forgery[0]}: {outcome}: {finding}", flush=True)
+    show("Forgeries", [{"certificates": trials, **outcomes, "findings": findings}])
+    show("Relations", [dict(kinds)])
+    return findings
+
+
+def main() -> int:
+    """Run one part of the campaign; the exit status is 1 if there are findings."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=["claims", "forgeries"])
+    parser.add_argument("--trials", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
+    given = parser.parse_args()
+    if given.part == "claims":
+        return int(claims(given.trials, given.episodes, given.seed) > 0)
+    return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array) > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,287 @@
+"""What a controller does, against what was evaluated: its own matrices, floating point included.
+
+The kernel says where the mean of the next state is, or the finite model's. The controller of the certificate computes
+an input from numbers of its own, and a coupled one its abstract state. Here its numbers are compared with those of the
+agent: entry by entry, over the whole workspace, with the rounding of every operation. What they may be off by becomes a
+probability: a mean that is off by ``dev`` costs at most ``2 Phi(|Sigma^(-1/2) dev| / 2) - 1`` per step (total variation
+of two normal laws), a cell that is read off by ``rho`` at most the mass within ``rho`` of any cell edge. Both are added
+over steps and agents, whatever relation, units and coordinates there are.
+
+Besides, the very code that acts is run on points of every kind, and each of its inputs and memories compared with what
+is written here once more (``wrong_actions``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray
+from ..certificates import AgentPart
+from ..controllers import AgentController
+from ..relations import CoupledRelation, ExactRelation, Relation
+from .geometry import is_identity
+
+UNIT = 2.0**-53
+
+DENSITY = 0.39895
+"""Upper bound on the density of the standard normal law."""
+
+COUPLING = 1e-12
+"""Upper bound on what rounding changes in the law of noise that is drawn by a coupling, in total variation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """How far a controller may be off, at every point of the workspace; upper bounds, in grid coordinates.
+
+    Parameters
+    ----------
+    mean : (d,) array
+        Of the mean of the next state (``exact``), or of where the abstract state lands.
+    disturbance : (d,) array
+        What is added to the error of a coupled relation per step; 0 for ``exact``.
+    inputs : (m,) array
+        Rounding of an input.
+    loss : float
+        Probability, per step, that it is told from what was evaluated.
+    """
+
+    mean: FloatArray
+    disturbance: FloatArray
+    inputs: FloatArray
+    loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """The agent in grid coordinates, with what computing them may be off by, and the sizes of everything.
+
+    ``A``, ``B``, ``c``, each with ``*_off`` (same shape); ``x``, ``u`` largest states and inputs; ``read`` what the
+    coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what the
+    noise is away, in total variation, from one that is independent along the axes.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    c: FloatArray
+    A_off: FloatArray
+    B_off: FloatArray
+    c_off: FloatArray
+    x: FloatArray
+    u: FloatArray
+    read: FloatArray
+    deviations: FloatArray
+    narrow: FloatArray
+    law: float
+    unit: float
+
+
+def execution_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> Execution:
+    """How far the controller with this relation may be off."""
+    setting = _setting(agent, part)
+    if isinstance(relation, ExactRelation):
+        return _exact(setting, part, relation)
+    return _coupled(setting, part, relation)
+
+
+def _setting(agent: LinearAgent, part: AgentPart) -> _Setting:
+    d, m = agent.n_states, agent.n_inputs
+    unit = (4.0 * (d + m) + 16.0) * UNIT
+    x = np.array([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])
+    u = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))
+    C = part.coordinates
+    if np.array_equal(C, np.eye(d)):
+        inverse, wrong = np.eye(d), np.zeros((d, d))
+        read, A, B, c = np.zeros(d), agent.A, agent.B, agent.offset
+    else:
+        inverse = np.linalg.inv(C)
+        # |C^-1 - inverse| <= 2 |inverse| |C inverse - I|, as long as the last is small
+        wrong = np.abs(inverse) @ (np.abs(C @ inverse - np.eye(d)) + unit * np.abs(C) @ np.abs(inverse)) * 2.0
+        read = (wrong + unit * np.abs(inverse)) @ np.abs(C) @ x
+        A, B, c = inverse @ agent.A @ C, inverse @ agent.B, inverse @ agent.offset
+    off = wrong + (unit * np.abs(inverse) if np.any(wrong) else 0.0)
+    noise = inverse @ agent.noise_covariance @ inverse.T
+    noise_off = 2.0 * off @ np.abs(agent.noise_covariance) @ (np.abs(inverse) + off).T
+    deviations = np.sqrt(np.diag(noise))
+    noise_off += np.abs(noise - np.diag(np.diag(noise)))
+    return _Setting(
+        A=A, B=B, c=c,
+        A_off=off @ np.abs(agent.A) @ np.abs(C), B_off=off @ np.abs(agent.B), c_off=off @ np.abs(agent.offset),
+        x=x, u=u, read=read,
+        deviations=deviations * (1.0 - 1e-9),
+        law=float(np.linalg.norm(noise_off / np.outer(deviations, deviations))),
+        narrow=np.array([np.min(np.diff(edges)) for edges in part.grid.edges]),
+        unit=unit,
+    )  # fmt: skip
+
+
+def _exact(s: _Setting, part: AgentPart, relation: ExactRelation) -> Execution:
+    """The mean of the next state is ``A x + B (R (z - d - A_r x) + mid) + c``; it is to be z."""
+    z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
+    A, R, drift, middle = relation.A, relation.right_inverse, relation.drift, relation.input_centre
+    asked = np.abs(R) @ (z + np.abs(drift) + np.abs(A) @ s.x) + np.abs(middle)
+    moved = s.B @ R
+    size = np.abs(s.A) @ s.x + np.abs(s.B) @ asked + np.abs(s.c) + z
+    off = np.abs(s.A - moved @ A) @ s.x + np.abs(moved - np.eye(len(A))) @ z
+    off += np.abs(s.c + s.B @ middle - moved @ drift)
+    off += s.A_off @ s.x + s.B_off @ asked + s.c_off + np.abs(moved) @ np.abs(A) @ s.read + s.unit * size
+    distance = float(np.sqrt(np.sum((off / s.deviations) ** 2)))
+    loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
+    inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
+    return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
+
+
+def _coupled(s: _Setting, part: AgentPart, relation: CoupledRelation) -> Execution:
+    """The abstract state lands on ``z + (x' - A_r x - B_r u - d) + F e``, with what is read and computed."""
+    A, B, K, F = relation.A, relation.B, relation.feedback, relation.coupling
+    z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
+    size = s.x + np.abs(A) @ s.x + np.abs(B) @ s.u + np.abs(relation.drift) + z
+    landed = (np.abs(s.A - A) + s.A_off) @ s.x + (np.abs(s.B - B) + s.B_off) @ s.u + np.abs(s.c - relation.drift)
+    landed += s.c_off + np.abs(A) @ s.read + s.read + s.unit * size
+    error = s.read + s.unit * s.x  # of ``x - xhat`` as it is computed
+    if relation.is_cell:  # what is left of the error when both land in one cell
+        landed += np.abs(s.A + s.B @ K - F) @ relation.reach
+    disturbance = landed + (np.abs(s.B) @ np.abs(K) + np.abs(F)) @ error
+    inputs = np.abs(K) @ error + s.unit * s.u * np.any(K, axis=1)  # without feedback it is a number of the relation
+    return Execution(landed, disturbance, inputs, _misread(s, disturbance) + s.law + (COUPLING if np.any(F) else 0.0))
+
+
+def _misread(s: _Setting, off: FloatArray) -> float:
+    """Upper bound on the mass of a normal law within ``off`` of any cell edge.
+
+    Along an axis the densities at edges a cell apart sum to at most ``1 / width + largest density``.
+    """
+    return float(np.sum(2.0 * off * (1.0 / s.narrow + DENSITY / s.deviations)))
+
+
+# --- the code that acts --------------------------------------------------------------------------------------
+PROBES = 20_000
+"""Points at which a controller without memory is run, over all times."""
+
+EPISODES, MOST_STEPS = 256, 25
+"""Episodes, and steps of each, in which the memory of a coupled controller is followed."""
+
+NEAR = 1e-9
+"""Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
+
+
+def wrong_actions(agent: LinearAgent, part: AgentPart, controller: AgentController, execution: Execution) -> list[str]:
+    """What a controller is seen to do otherwise than its certificate says, on points of every kind.
+
+    Parameters
+    ----------
+    agent : LinearAgent
+    part : AgentPart
+    controller : AgentController
+        The very object that is deployed.
+    execution : Execution
+        What it may be off by.
+    """
+    rng, relation = np.random.default_rng(0), controller.relation
+    if isinstance(relation, CoupledRelation):
+        return _wrong_memory(agent, part, controller, relation, execution, rng)
+    for t in range(len(part.policy)):
+        failures = _wrong_means(agent, part, controller, execution, t, rng)
+        if failures:
+            return failures
+    return []
+
+
+def _wrong_means(
+    agent: LinearAgent, part: AgentPart, controller: AgentController, execution: Execution, t: int, rng: Generator
+) -> list[str]:
+    """Inputs at time t outside their box, or means of the next state off the lattice point of the policy."""
+    count = max(64, PROBES // len(part.policy))
+    cells, q = rng.integers(part.grid.n_cells, size=count), rng.integers(part.policy.shape[1], size=count)
+    # inside the cells; a quarter of the coordinates on their lower faces where these can be told
+    share = NEAR + rng.random((len(part.lattice), count)) * (1.0 - 2.0 * NEAR)
+    if is_identity(part.coordinates):
+        share[rng.random(share.shape) < 0.25] = 0.0
+    index = np.unravel_index(cells, part.grid.shape)
+    axes = zip(part.grid.edges, index, share, strict=True)
+    states = part.coordinates @ np.stack([e[k] + r * (e[k + 1] - e[k]) for e, k, r in axes])
+    inputs = controller.act(states[:, None], q, t, None)[0][:, 0]
+    if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
+        return ["its controller was seen to ask for inputs beyond its input box"]
+    mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+    choice = part.policy[t, q, cells]
+    off = np.abs(mean - _lattice_points(part, np.maximum(choice, 0)))
+    if np.any((off > execution.mean[:, None]) & (choice >= 0)):
+        return ["its controller was seen to steer elsewhere than its policy says"]
+    return []
+
+
+def _wrong_memory(
+    agent: LinearAgent,
+    part: AgentPart,
+    controller: AgentController,
+    relation: CoupledRelation,
+    execution: Execution,
+    rng: Generator,
+) -> list[str]:
+    """Inputs, abstract states or errors that differ from those of episodes that are followed here."""
+    assert part.menu is not None
+    C, K, F = part.coordinates, relation.feedback, relation.coupling
+    A, B, c = (np.linalg.solve(C, own) for own in (agent.A @ C, agent.B, agent.offset[:, None]))
+    deviations = np.sqrt(np.diag(np.linalg.solve(C, np.linalg.solve(C, agent.noise_covariance).T)))[:, None]
+    low, high = (np.array([edges[k] for edges in part.grid.edges])[:, None] for k in (0, -1))
+    points = low + rng.random((len(low), EPISODES)) * (high - low)
+    cells, error, sure = _placed(part, points, points)
+    memory, alive, lost = controller.begin((C @ points)[:, None]), np.ones(EPISODES, dtype=bool), ~sure
+    for t in range(MOST_STEPS if len(part.policy) == 1 else min(MOST_STEPS, len(part.policy))):
+        q, uniform = rng.integers(part.policy.shape[1], size=EPISODES), rng.random(EPISODES)
+        if t > 0:
+            noise = (points - mean) / deviations
+            move = F @ error / deviations
+            ratio = np.exp(-np.sum((noise + 0.5 * move) * move, axis=0))
+            length = np.where(np.any(move, axis=0), np.sum(move**2, axis=0), 1.0)
+            mirrored = noise - 2.0 * move * np.sum(move * noise, axis=0) / length
+            landed = target + deviations * np.where(uniform <= ratio, noise + move, mirrored)
+            cells, error, sure = _placed(part, landed, points)
+            sure &= np.abs(uniform - ratio) > NEAR
+        inputs, memory = controller.act((C @ points)[:, None], q, t, memory, uniform[None])
+        assert memory is not None
+        # what is outside, or was not told from the next cell, is not followed any more
+        alive &= np.all((points > low) & (points < high), axis=0) & ~lost
+        told = alive & sure & ~memory.lost[0]
+        choice = np.maximum(part.policy[min(t, len(part.policy) - 1), q, cells], 0)
+        asked = relation.inputs[choice].T + K @ error
+        box = (agent.input_box.low[:, None] <= inputs[:, 0]) & (inputs[:, 0] <= agent.input_box.high[:, None])
+        if np.any(alive & ~memory.lost[0] & ~np.all(box, axis=0)):
+            return ["its controller was seen to ask for inputs beyond its input box"]
+        wrong = np.any(np.abs(inputs[:, 0] - asked) > 2.0 * execution.inputs[:, None] + 1e-300, axis=0)
+        if np.any(told & ((memory.cells[0] != cells) | wrong)):
+            return ["its controller was seen to remember or to do something else than its relation says"]
+        if relation.delta == 0.0 and np.any(alive & sure & memory.lost[0]):
+            return ["its controller was seen to lose a relation that is never lost"]
+        alive &= told
+        target = _lattice_points(part, np.take_along_axis(part.menu[cells], choice[:, None], axis=1)[:, 0])
+        mean = A @ points + B @ inputs[:, 0] + c
+        points = mean + deviations * rng.standard_normal(points.shape)
+    return []
+
+
+def _lattice_points(part: AgentPart, flat: NDArray[np.integer]) -> FloatArray:
+    """Lattice points (d, n) by their numbers (n,)."""
+    index = np.unravel_index(flat, tuple(len(axis) for axis in part.lattice))
+    return np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)])
+
+
+def _placed(
+    part: AgentPart, landed: FloatArray, points: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
+    """Cells (n,) of abstract states that land on points (d, n), ``x - xhat`` (d, n), and where no rounding decides."""
+    cells, error, sure = np.zeros(landed.shape[1], dtype=np.int64), [], np.ones(landed.shape[1], dtype=bool)
+    for edges, to, x in zip(part.grid.edges, landed, points, strict=True):
+        place = np.clip(np.searchsorted(edges, to, side="right") - 1, 0, len(edges) - 2)
+        width = edges[place + 1] - edges[place]
+        sure &= (edges[place] + NEAR * width < to) & (to < edges[place + 1] - NEAR * width)
+        error.append(x - 0.5 * (edges[place] + edges[place + 1]))
+        cells = cells * (len(edges) - 1) + place
+    return cells, np.stack(error), sure
