@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models import AgentModel, StepPolicy
-from ..values import Guards, Occupancy, Terms, _masses, beside, compress, distinct, empty, merge_rows, take
+from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses
 
 
 def push(
@@ -43,7 +43,7 @@ def push(
     guard, index = rows[:, 0], rows[:, 2:].copy()
     target = guards.target[guard].astype(np.int64)
     kept, index, _ = merge_rows(factors, index, target)
-    mass = _masses(factors, index[kept])
+    mass = term_masses(factors, index[kept])
     chosen, dropped = _largest(mass, target[kept], tolerance, max_rank)
     kept = kept[chosen]
     for i in range(n_agents):
