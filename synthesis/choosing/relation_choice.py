@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...envs.problem import Problem
-from ..cells import Cells, RelationRefused, cells_of_agent
+from ..cells import CellCounts, RelationRefused, cells_of_agent
 from ..certificates import Synthesis, rounded_up
 from ..models import (
     Abstraction,
@@ -86,7 +86,7 @@ class Group:
     refused: dict[str, str]
 
 
-def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Settings) -> list[Group]:
+def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], settings: Settings) -> list[Group]:
     """Groups of agents with their models; ``asked`` names a relation per agent, ``"auto"`` or ``"best"``.
 
     Raises
@@ -102,7 +102,7 @@ def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Se
     return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
 
 
-def _on_cells(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
+def _on_cells(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
     """The group on the cells that are asked for; default ones are doubled where no relation applies to them."""
     first, names = problem.agents[members[0]], [problem.agents[i].name for i in members]
     own = cells_of_agent(first, cells)
@@ -119,7 +119,7 @@ def _on_cells(problem: Problem, cells: Cells, asked: str, members: tuple[int, ..
     raise refused[0]
 
 
-def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
+def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
     models: dict[str, dict[int, AgentModel]] = {}
     refused: dict[str, str] = {}
     wanted = {"auto": ALL[:3] if has_full_rank(problem.agents[members[0]]) else ALL[1:3], "best": ALL}

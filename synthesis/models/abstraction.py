@@ -21,8 +21,8 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
+    CellCounts,
     CellLabels,
-    Cells,
     FloatArray,
     Grid,
     agent_grid,
@@ -167,7 +167,9 @@ class Settings:
         return used
 
 
-def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "auto", **settings: Any) -> Abstraction:
+def abstract(
+    problem: Problem, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
+) -> Abstraction:
     """Finite models of the agents of ``problem``.
 
     Parameters
@@ -195,7 +197,7 @@ def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "au
     return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
 
 
-def abstraction_of(problem: Problem, cells: Cells, kinds: Sequence[str], settings: Settings) -> Abstraction:
+def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
     """Finite models under one kind of relation per agent; settings that no agent has a use for are refused."""
     foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
     for name in sorted(foreign):
@@ -223,7 +225,7 @@ def relations_of(problem: Problem, relation: Relations) -> list[str]:
 
 
 def models_of(
-    problem: Problem, cells: Cells, kinds: Mapping[int, str], settings: Settings
+    problem: Problem, cells: CellCounts, kinds: Mapping[int, str], settings: Settings
 ) -> dict[int, AgentModel]:  # fmt: skip
     """Finite models of some agents, by their number, each under the relation that ``kinds`` asks for."""
     bare: dict[object, Bare] = {}
