@@ -28,7 +28,7 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import region_boundaries
-from ..models import BAND_BYTES, BLOCK, FINE, REACH
+from ..models import BAND_BYTES, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS
 from ..relations import coupling_failure
 
 Shape = tuple[int, ...]
@@ -178,7 +178,7 @@ def _equal_parts(low: float, high: float, inside: Sequence[float]) -> int | None
 
 
 def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]) -> tuple[int, ...]:
-    """Lattice points per cell and axis that the means of equal cells need; ``FINE`` where they are snapped."""
+    """Return the lattice points per cell and axis that the means of equal cells need, ``SNAPPED_POINTS`` at most."""
     widths = (agent.state_high - agent.state_low) / shape
     found = []
     for k in range(agent.n_states):
@@ -187,11 +187,11 @@ def _points_per_cell(agent: LinearAgent, shape: np.ndarray, even: Sequence[bool]
             if column[k] != 0:
                 used = column != 0
                 moves.append(0.5 * column[k] * float(np.min(widths[used] / np.abs(column[used]))))
-        q = 1 if all(even) else FINE
+        q = 1 if all(even) else SNAPPED_POINTS
         for move in moves:
-            share = Fraction(float(move / widths[k])).limit_denominator(FINE)
-            q = math.lcm(q, share.denominator) if abs(float(share) - move / widths[k]) <= 1e-9 else FINE
-            q = min(q, FINE)
+            share = Fraction(float(move / widths[k])).limit_denominator(SNAPPED_POINTS)
+            q = math.lcm(q, share.denominator) if abs(float(share) - move / widths[k]) <= 1e-9 else SNAPPED_POINTS
+            q = min(q, SNAPPED_POINTS)
         found.append(q)
     return tuple(found)
 
@@ -209,7 +209,7 @@ def _sized(
         beyond = 2 * reach[k] + (np.abs(agent.A[k]) - np.eye(d)[k]).clip(0) @ (agent.state_high - agent.state_low)
         beyond = min(beyond, 6 * deviations[k]) if by_target else beyond
         points = shape[k] * per_cell[k] * (1 + beyond / (agent.state_high[k] - agent.state_low[k]))
-        band = min(shape[k], 2 * REACH * deviations[k] / widths[k] + BLOCK / per_cell[k])
+        band = min(shape[k], 2 * REACH_DEVIATIONS * deviations[k] / widths[k] + LATTICE_BLOCK / per_cell[k])
         kernel += 8 * points * band
         lattice *= points
     if by_target:

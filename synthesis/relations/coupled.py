@@ -92,7 +92,7 @@ class CoupledRelation:
         rows = [
             ("errors", f"within {box_text(-self.state_reach, self.state_reach)} of a cell's centre"),
             ("inputs", f"{len(self.inputs)} of {box_text(self.inputs.min(axis=0), self.inputs.max(axis=0))}"),
-            ("delta", f"{self.delta:.3g} per step at most"),
+            ("delta", f"at most {self.delta:.3g} per step"),
         ]
         return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
 

@@ -42,8 +42,8 @@ class Terms:
 
     def __repr__(self) -> str:
         terms, distinct_factors = sum(len(rows) for rows in self.index), sum(len(rows) for rows in self.factors)
-        sizes = f"terms: {terms} in {len(self.index)} states, at most {self.rank} in one"
-        return f"Terms({sizes}; distinct factors: {distinct_factors} of {len(self.factors)} agents)"
+        sizes = f"terms: {terms}, automaton states: {len(self.index)}, rank {self.rank}"
+        return f"Terms({sizes}, agents: {len(self.factors)}, distinct factors: {distinct_factors})"
 
     @property
     def rank(self) -> int:
@@ -80,7 +80,7 @@ class Merges:
     agent: IndexArray
 
     def __repr__(self) -> str:
-        return f"Merges({len(self.into)} rows united with others)"
+        return f"Merges(rows united: {len(self.into)})"
 
     @classmethod
     def none(cls) -> Merges:
@@ -200,7 +200,7 @@ class Skeleton:
     def __repr__(self) -> str:
         rows, terms = sum(map(len, self.origin)), sum(map(len, self.kept))
         united = sum(len(merges.into) for merges in self.merges)
-        return f"Skeleton({len(self.origin)} states, {rows} rows, {united} of them united, {terms} terms kept)"
+        return f"Skeleton(automaton states: {len(self.origin)}, rows: {rows}, united: {united}, terms: {terms})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -224,7 +224,7 @@ class Guards:
 
     def __repr__(self) -> str:
         states = len({*self.source.tolist()})
-        return f"Guards({len(self.source)} out of {states} states, over {len(self.masks)} agents)"
+        return f"Guards({len(self.source)}, agents: {len(self.masks)}, automaton states with guards: {states})"
 
     def out_of(self, q: int) -> NDArray[np.int64]:
         """Return the numbers of the guards out of state q."""
@@ -276,7 +276,7 @@ class Occupancy:
 
     def __repr__(self) -> str:
         terms = sum(len(rows) for rows in self.terms.index)
-        return f"Occupancy({terms} terms in {len(self.terms.index)} states, leftover {self.leftover:.2g})"
+        return f"Occupancy(terms: {terms}, automaton states: {len(self.terms.index)}, leftover {self.leftover:.2g})"
 
     def masses(self, q: int) -> NDArray[np.float64]:
         """Return the mass (K_q,) of each term of state q, up to rounding."""

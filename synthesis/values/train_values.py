@@ -36,7 +36,7 @@ class Trains:
 
     def __repr__(self) -> str:
         held = sum(train is not None for train in self.states)
-        return f"Trains({held} of {len(self.states)} states, rank {self.rank}, error {self.error:.2g})"
+        return f"Trains(automaton states: {len(self.states)}, not 0: {held}, rank {self.rank}, error {self.error:.2g})"
 
     @property
     def rank(self) -> int:
@@ -85,7 +85,7 @@ class Rounding:
     visited: tuple[Cells, ...]
 
     def __repr__(self) -> str:
-        return f"Rounding(tolerance {self.tolerance:.2g}, {len(self.visited)} times)"
+        return f"Rounding(tolerance {self.tolerance:.2g}, times: {len(self.visited)})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,7 +110,7 @@ class Unread:
     masks: tuple[NDArray, ...]
 
     def __repr__(self) -> str:
-        return f"Unread({len(self.target)} start guards, {self.value!r})"
+        return f"Unread(start guards: {len(self.target)}, value: {self.value!r})"
 
     @property
     def rank(self) -> int:
