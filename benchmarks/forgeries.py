@@ -184,7 +184,14 @@ def _of_array(array: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str
         yield "all flipped", lambda a: ~a
     elif array.dtype.kind in "iu":
         info = np.iinfo(array.dtype)
-        for value in (0, -1 if array.dtype.kind == "i" else 0, int(array.max()), int(array.max()) + 1, info.max, info.min):
+        for value in (
+            0,
+            -1 if array.dtype.kind == "i" else 0,
+            int(array.max()),
+            int(array.max()) + 1,
+            info.max,
+            info.min,
+        ):
             yield f"one is {value}", put(value)
         yield "all the largest", lambda a: np.full_like(a, a.max())
         yield "all 0", lambda a: np.zeros_like(a)

@@ -19,7 +19,7 @@ def random_spec(seed: int) -> Spec:
     rng = np.random.default_rng([20261121, seed])
     n_agents = int(rng.choice([1, 2, 3], p=[0.45, 0.42, 0.13]))
     agents = [_agent(rng, f"agent_{i}", n_agents) for i in range(n_agents)]
-    correlated = any([agent.pop("correlated") for agent in agents])
+    correlated = bool(sum(agent.pop("correlated") for agent in agents))
     propositions: dict[str, dict[str, Any]] = {}
     for agent in agents:
         for k in range(int(rng.integers(1, 3 if n_agents > 1 else 4))):

@@ -17,6 +17,7 @@ from .bounds import (
     abstract_bound,
     continuous_upper_bound,
     evaluate_above,
+    execution_loss,
     nominal_bound,
     relative_rounding,
     robust_bound,
@@ -68,7 +69,7 @@ def certificate_of(
         above = None
         if abstraction.is_exact:
             above = start_above(start_of(problem, joint), evaluate_above(joint, best.policies, best.rounding))
-        grown, bound = best, train_bound(joint, best, above)
+        grown, bound = best, train_bound(joint, best, execution_loss(problem, joint), above)
         bounds = {bound.name: bound.lower}
     else:
         grown, bound, bounds = best_bound(problem, abstraction, joint, best)
@@ -114,18 +115,19 @@ def best_bound(
     problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
 ) -> tuple[Sweep, Bound, dict[str, float]]:
     """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
+    lost = execution_loss(problem, joint)
     if all(model.delta == 0.0 for model in joint.models):
         stranded = 0.0
         if abstraction.is_exact and any(np.any(model.choices.resting_choice < 0) for model in joint.models):
             stranded = stranded_mass(
                 joint, best.policies, forward(joint, best.policies, start_of(problem, joint), FINAL)
             )
-        bound = nominal_bound(joint, best, abstraction.is_exact, stranded)
+        bound = nominal_bound(joint, best, lost, abstraction.is_exact, stranded)
         return best, bound, {bound.name: bound.lower}
     start = start_of(problem, joint)
     undecided = undecided_steps(joint, forward(joint, best.policies, start, FINAL))
     robust = sweep(joint, best.policies, start, FINAL, improve=False, loss=robust_loss)
-    found = [(best, a_posteriori_bound(joint, best, undecided)), (robust, robust_bound(joint, robust))]
+    found = [(best, a_posteriori_bound(joint, best, lost, undecided)), (robust, robust_bound(joint, robust, lost))]
     grown, bound = max(found, key=lambda pair: pair[1].lower)
     return grown, bound, {other.name: other.lower for _, other in found}
 

@@ -4,6 +4,7 @@ from .above import evaluate_above
 from .certified import (
     Bound,
     a_posteriori_bound,
+    execution_loss,
     nominal_bound,
     plain_loss,
     relative_rounding,
@@ -21,6 +22,7 @@ __all__ = [
     "a_posteriori_bound",
     "abstract_bound",
     "continuous_upper_bound",
+    "execution_loss",
     "evaluate_above",
     "nominal_bound",
     "plain_loss",

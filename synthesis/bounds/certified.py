@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.problem import Problem
 from ..models import AgentModel, JointModel, Policies
 from ..relations import joint_delta
 from ..search import Sweep, TrainSweep
@@ -76,7 +77,14 @@ def relative_rounding(joint: JointModel, rank: int) -> float:
     return 2.0 * gamma + AGENT_RESERVE * (n_agents + COMMON_RESERVE)
 
 
-def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: float = 0.0) -> Bound:
+def execution_loss(problem: Problem, joint: JointModel) -> float:
+    """Return an upper bound on what carrying out policies in floating point costs over the horizon, a probability."""
+    agents = zip(problem.agents, joint.models, strict=True)
+    per_step = sum(model.relation.execution_loss(agent, model.grid.edges) for agent, model in agents)
+    return joint.horizon * per_step * CHARGE_INFLATION
+
+
+def nominal_bound(joint: JointModel, sweep: Sweep, lost: float, aligned: bool, stranded: float = 0.0) -> Bound:
     """Return the bound of a value with delta = 0, and its gap if nothing is lost at edges.
 
     Parameters
@@ -84,6 +92,8 @@ def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: floa
     joint : JointModel
     sweep : Sweep
         With frozen policies.
+    lost : float
+        What carrying the policies out costs (see ``execution_loss``).
     aligned : bool
         Whether no value is lost at region and workspace edges.
     stranded : float
@@ -91,39 +101,40 @@ def nominal_bound(joint: JointModel, sweep: Sweep, aligned: bool, stranded: floa
         counts such runs as failed, but the controller goes on with them.
     """
     relative = relative_rounding(joint, sweep.rank)
-    lower = min(1.0, max(0.0, sweep.value * (1.0 - relative)))
+    lower = min(1.0, max(0.0, sweep.value * (1.0 - relative) - lost))
     # Everything that the value may lack: rounding, what was pruned, what kernels miss, runs that are stranded.
-    loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
+    loss = joint.horizon * sum(model.kernel.loss for model in joint.models) + lost
     gap = (sweep.value - lower) + sweep.value * relative + sweep.dropped + loss + stranded
     return Bound("nominal", lower, min(gap * (1 + 1e-12), 1.0 - lower) if aligned else None)
 
 
-def train_bound(joint: JointModel, sweep: TrainSweep, above: float | None = None) -> Bound:
+def train_bound(joint: JointModel, sweep: TrainSweep, lost: float, above: float | None = None) -> Bound:
     """Return the bound of a value held as tensor trains: less its error and, where relations can be lost, ``Delta T``.
 
-    ``above``, an upper bound on what the policies attain (see ``evaluate_above``), gives the gap.
+    ``lost`` is what carrying the policies out costs (see ``execution_loss``); ``above``, an upper bound on what they
+    attain (see ``evaluate_above``), gives the gap.
     """
     delta = joint_delta([model.delta for model in joint.models])
     rounding = SECOND_EVALUATION * sweep.rounding.tolerance
-    reserve = sweep.terms.error + rounding + relative_rounding(joint, sweep.rank)
+    reserve = sweep.terms.error + rounding + relative_rounding(joint, sweep.rank) + lost
     lower = min(1.0, max(0.0, sweep.value - reserve - delta * joint.horizon * CHARGE_INFLATION))
     if delta > 0 or above is None:
         return Bound("a-posteriori" if delta > 0 else "nominal", lower)
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
-    more = rounding + relative_rounding(joint, sweep.rank) + loss
+    more = rounding + relative_rounding(joint, sweep.rank) + loss + lost
     return Bound("nominal", lower, float(min(max(0.0, above + more - lower) * (1 + 1e-12), 1.0 - lower)))
 
 
-def a_posteriori_bound(joint: JointModel, sweep: Sweep, undecided: float) -> Bound:
-    """Return ``V - Delta * Theta``; ``undecided`` is an upper bound on Theta."""
+def a_posteriori_bound(joint: JointModel, sweep: Sweep, lost: float, undecided: float) -> Bound:
+    """Return ``V - Delta * Theta``, less ``lost``; ``undecided`` is an upper bound on Theta."""
     delta = joint_delta([model.delta for model in joint.models])
     value = sweep.value * (1.0 - relative_rounding(joint, sweep.rank))
-    return Bound("a-posteriori", min(1.0, max(0.0, value - delta * undecided * CHARGE_INFLATION)))
+    return Bound("a-posteriori", min(1.0, max(0.0, value - lost - delta * undecided * CHARGE_INFLATION)))
 
 
-def robust_bound(joint: JointModel, sweep: Sweep) -> Bound:
-    """Return the bound of a value grown with ``robust_loss``."""
-    return Bound("robust tree", min(1.0, max(0.0, sweep.value * (1.0 - relative_rounding(joint, sweep.rank)))))
+def robust_bound(joint: JointModel, sweep: Sweep, lost: float) -> Bound:
+    """Return the bound of a value grown with ``robust_loss``, less ``lost``."""
+    return Bound("robust tree", min(1.0, max(0.0, sweep.value * (1.0 - relative_rounding(joint, sweep.rank)) - lost)))
 
 
 def undecided_steps(joint: JointModel, occupancies: Sequence[Occupancy]) -> float:

@@ -2,7 +2,7 @@
 
 from .agent_grids import CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
 from .grid import FloatArray, Grid, start_share
-from .grid_dynamics import in_grid_coordinates
+from .grid_dynamics import GridDynamics, in_grid_coordinates
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
 from .refusal import RelationRefused
@@ -12,6 +12,7 @@ __all__ = [
     "CellCounts",
     "CellLabels",
     "FloatArray",
+    "GridDynamics",
     "Grid",
     "RelationRefused",
     "agent_grid",

@@ -150,6 +150,9 @@ class Certificate:
         if correction > 0.0 and isinstance(value, Terms):
             value = with_early_acceptance(value, self.skeleton, self.guards, automaton, horizon, self.delta)
         start = self.start_target, self.start_mask
+        pairs = zip(self.problem.agents, self._relations, self.agents, strict=True)
+        per_step = sum(relation.execution_loss(agent, part.grid.edges) for agent, relation, part in pairs)
+        correction += per_step * horizon * (1 + 1e-9)
         return Claim(self.problem, self.agents, self._relations, *start, value, self.relative_rounding, correction)
 
     @property

@@ -48,7 +48,8 @@ class Claim:
     relative_rounding : float
         Relative reserve for floating point.
     correction : float
-        What lost relations may cost a run that is undecided to the end, ``Delta T``; 0 where nothing can be lost.
+        What lost relations may cost a run that is undecided to the end, ``Delta T`` (0 where nothing can be lost), and
+        what carrying the policies out in floating point may cost.
     """
 
     problem: Problem

@@ -39,9 +39,9 @@ from ..certificates import (
     significant_up,
 )
 from ..values import UNIT, Terms
+from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
-from .execution import execution_of, wrong_actions
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
@@ -215,9 +215,14 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
 
     Agents that share everything are verified once.
     """
-    failures, margins, loss = [], [], 0.0
+    failures: list[str] = []
+    margins: list[FloatArray | None] = []
+    loss = 0.0
     verified: dict[object, tuple[FloatArray | None, float]] = {}
-    controllers = certificate.controller.agents
+    try:
+        controllers = certificate.controller.agents
+    except ValueError as error:  # a relation that cannot be made from its numbers
+        return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
         arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
         arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]

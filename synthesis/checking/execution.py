@@ -63,8 +63,8 @@ class _Setting:
     """The agent in grid coordinates, with what computing them may be off by, and the sizes of everything.
 
     ``A``, ``B``, ``c``, each with ``*_off`` (same shape); ``x``, ``u`` largest states and inputs; ``read`` what the
-    coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what the
-    noise is away, in total variation, from one that is independent along the axes.
+    coordinates of a state are read off by; ``deviations``, ``narrow`` noise and narrowest cell per axis; ``law`` what
+    the noise is away, in total variation, from one that is independent along the axes.
     """
 
     A: FloatArray
@@ -233,6 +233,7 @@ def _wrong_memory(
     low, high = (np.array([edges[k] for edges in part.grid.edges])[:, None] for k in (0, -1))
     points = low + rng.random((len(low), EPISODES)) * (high - low)
     cells, error, sure = _placed(part, points, points)
+    mean = target = points
     memory, alive, lost = controller.begin((C @ points)[:, None]), np.ones(EPISODES, dtype=bool), ~sure
     for t in range(MOST_STEPS if len(part.policy) == 1 else min(MOST_STEPS, len(part.policy))):
         q, uniform = rng.integers(part.policy.shape[1], size=EPISODES), rng.random(EPISODES)

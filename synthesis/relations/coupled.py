@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...envs.agents import box_text, counted, tree_text
+from ...envs.agents import LinearAgent, box_text, counted, tree_text
 from ..cells import FloatArray
+from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
 from .rows import Row, product, rows_of, times
 
 FORGIVEN = 1e-12
@@ -125,6 +126,14 @@ class CoupledRelation:
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
         return product(rows_of(np.linalg.inv(self.coordinates)), states)
+
+    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+        """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
+        sizes = sizes_of(agent, self.coordinates)
+        off = error_rounding(sizes, self.feedback, self.coupling)
+        if self.is_cell:  # what is left of the error where both land in one cell
+            off = off + np.abs(self.A + self.B @ self.feedback - self.coupling) @ self.reach
+        return missed_cells(sizes, off, edges) + (COUPLING if np.any(self.coupling) else 0.0)
 
     def means(self, centres: FloatArray) -> FloatArray:
         """Return the means (S, A, d) of the abstract successors of each cell centre (S, d) under each input."""

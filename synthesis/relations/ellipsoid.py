@@ -26,7 +26,8 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation, coupling_failure
-from .tube import ENLARGEMENT, input_grid
+from .rounding import error_rounding, feedback_rounding, sizes_of
+from .tube import ENLARGEMENT, disturbance_of, input_grid, refuse_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,10 @@ def ellipsoid_relation(
     """
     moves = in_grid_coordinates(agent, coordinates)
     B, variances = moves.B, np.diag(moves.covariance).copy()
-    reserve = ellipsoid.support(ellipsoid.feedback)
+    sizes = sizes_of(agent, coordinates)
+    reserve = ellipsoid.support(ellipsoid.feedback) + feedback_rounding(sizes, ellipsoid.feedback)
+    rounding = error_rounding(sizes, ellipsoid.feedback, ellipsoid.coupling)
+    refuse_rounding(agent, disturbance_of(grid, snap), rounding)
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
         raise RelationRefused(

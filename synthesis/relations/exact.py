@@ -20,7 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from ...envs.agents import LinearAgent, counted
-from ..cells import FloatArray, RelationRefused, in_grid_coordinates
+from ..cells import FloatArray, RelationRefused
+from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
 
 INPUT_MARGIN = 1e-12
@@ -45,6 +46,8 @@ class ExactRelation:
         Input box.
     coordinates : (d, d) array
         Grid coordinates to state.
+    rounding : (m,) array
+        Upper bounds on the rounding of an input.
     """
 
     A: FloatArray
@@ -54,6 +57,7 @@ class ExactRelation:
     input_centre: FloatArray
     input_half_width: FloatArray
     coordinates: FloatArray
+    rounding: FloatArray
 
     kind = "exact"
     delta = 0.0
@@ -74,7 +78,12 @@ class ExactRelation:
         """
         need = half_widths @ np.abs(self.right_inverse @ self.A).T
         scale = np.abs(self.input_centre) + self.input_half_width
-        return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need)
+        return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need) - self.rounding
+
+    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+        """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
+        sizes = sizes_of(agent, self.coordinates)
+        return target_loss(sizes, edges, self.right_inverse, self.drift, self.input_centre)
 
     @cached_property
     def is_box(self) -> bool:
@@ -136,33 +145,36 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
     ValueError
         If ``B`` does not have full row rank: no input then reaches an arbitrary mean.
     """
-    if np.linalg.matrix_rank(agent.B) < agent.n_states:
+    sizes, box = sizes_of(agent, coordinates), agent.input_box
+    # Units do not matter: states are measured by the workspace, inputs by their box.
+    state_unit, input_unit = sizes.states, np.maximum(box.half_width, np.finfo(float).tiny)
+    scaled = sizes.moves.B * input_unit / state_unit[:, None]
+    rank = np.linalg.matrix_rank(scaled)
+    if rank < agent.n_states:
         raise RelationRefused(
             f"agent `{agent.name}`: the exact relation needs `B` with full row rank {agent.n_states}, "
-            f"got a {agent.B.shape[0]} x {agent.B.shape[1]} matrix of rank {np.linalg.matrix_rank(agent.B)}; "
+            f"got a {agent.B.shape[0]} x {agent.B.shape[1]} matrix of rank {rank}; "
             "give the agent as many independent inputs as states"
         )
-    moves = in_grid_coordinates(agent, coordinates)
-    A, B = moves.A, moves.B
-    box = agent.input_box
     # The smaller half of the box on either side of the rounded centre: never beyond the box.
     centre = 0.5 * (box.low + box.high)
     half = np.minimum(box.high - centre, centre - box.low)
+    right_inverse = _right_inverse(scaled) * input_unit[:, None] / state_unit
     return ExactRelation(
-        A=_clean(A),
-        B=_clean(B),
-        right_inverse=_clean(np.linalg.pinv(B)),
-        drift=moves.offset + B @ centre,
+        A=sizes.moves.A,
+        B=sizes.moves.B,
+        right_inverse=right_inverse,
+        drift=sizes.moves.offset + sizes.moves.B @ centre,
         input_centre=centre,
         input_half_width=half,
         coordinates=coordinates,
+        rounding=target_rounding(sizes, right_inverse, centre),
     )
 
 
-def _clean(matrix: FloatArray) -> FloatArray:
-    """Return the matrix with 0 for entries that are rounding noise next to its largest; they would blur its structure.
-
-    A scaled permutation is recognised by its zeros.
-    """
-    scale = np.max(np.abs(matrix), initial=0.0)
-    return np.where(np.abs(matrix) <= 1e-15 * scale, 0.0, matrix)
+def _right_inverse(matrix: FloatArray) -> FloatArray:
+    """Return a right inverse; that of a scaled permutation has its zeros, by which it is recognised."""
+    used = matrix != 0
+    if np.all(used.sum(axis=1) == 1) and np.all(used.sum(axis=0) <= 1):
+        return np.divide(1.0, matrix, out=np.zeros(matrix.shape), where=used).T
+    return np.linalg.pinv(matrix)

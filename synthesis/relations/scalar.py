@@ -18,9 +18,14 @@ import numpy as np
 from ...envs.agents import LinearAgent, checked_count
 from ..cells import FloatArray, RelationRefused
 from .coupled import CoupledRelation, coupling_failure
+from .rounding import error_rounding, feedback_rounding, sizes_of
+from .tube import refuse_rounding
 
 OUTWARDS = 1.0 + 1e-12
-"""Factor on widths and reserves, far above their rounding; restrictive wherever it stands."""
+"""Factor on the width of cells, far above its rounding."""
+
+WIDENED = 1.0 + 2e-9
+"""Factor on epsilon in labels, inputs and delta: room for the rounding of controllers; restrictive everywhere."""
 
 
 def paper_relation(
@@ -73,16 +78,21 @@ def paper_relation(
     # The feedback takes |K| epsilon of the inputs on both sides.
     a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
     closed = a + b * feedback
-    reserve = abs(feedback) * epsilon * OUTWARDS
+    sizes = sizes_of(agent, np.eye(1))
+    reserve = abs(feedback) * epsilon * WIDENED + float(feedback_rounding(sizes, np.array([[feedback]]))[0])
     low, high = float(agent.input_box.low[0]) + reserve, float(agent.input_box.high[0]) - reserve
     if low > high:
         raise RelationRefused(
             f"`feedback`: expected |K| epsilon within the inputs of agent `{agent.name}`, got K = {feedback!r}"
         )
+    if not is_cell:
+        refuse_rounding(agent, np.array([width]), error_rounding(sizes, np.array([[feedback]]), np.array([[closed]])))
     # The smallest |F| that keeps the interval invariant, rounded up; without noise no shift can be hidden.
     coupling = float(np.sign(closed)) * max(0.0, abs(closed) - 1.0 + width / (2 * epsilon) + 1e-15)
     least = (
-        coupling_failure(abs(coupling) * epsilon / float(np.sqrt(variance))) if variance > 0 else float(coupling != 0)
+        coupling_failure(abs(coupling) * epsilon * WIDENED / float(np.sqrt(variance)))
+        if variance > 0
+        else float(coupling != 0)
     )
     if delta is not None and not least <= delta <= 1:
         raise RelationRefused(f"`delta`: expected a number from {least:.7g} (the closed form) to 1, got {delta!r}")
@@ -96,7 +106,7 @@ def paper_relation(
         feedback=np.array([[feedback]], dtype=float),
         coupling=np.array([[coupling]]),
         reach=np.array([epsilon]),
-        state_reach=np.array([epsilon]),
+        state_reach=np.array([epsilon * WIDENED]),
         delta=least if delta is None else float(delta),
         inputs=grid[:, None],
         input_low=agent.input_box.low,

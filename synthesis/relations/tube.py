@@ -19,6 +19,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation
+from .rounding import error_rounding, feedback_rounding, sizes_of
 
 MOST_TUBE_TERMS = 400
 """Most terms of the zonotope: feedbacks whose errors take longer to die out make tubes too wide to be of use."""
@@ -76,7 +77,9 @@ def tube_relation(
         raise RelationRefused(f"agent `{agent.name}`: expected a feedback that stabilises `A`, got {feedback.tolist()}")
     # Bounding boxes of the zonotope and of its images under K and the coordinates: sums of absolute generators.
     reach = np.abs(generators).sum(axis=0) * ENLARGEMENT
-    reserve = np.abs(generators @ feedback.T).sum(axis=0) * ENLARGEMENT
+    sizes = sizes_of(agent, coordinates)
+    reserve = np.abs(generators @ feedback.T).sum(axis=0) * ENLARGEMENT + feedback_rounding(sizes, feedback)
+    refuse_rounding(agent, disturbance, error_rounding(sizes, feedback, np.zeros_like(A)))
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
         raise RelationRefused(
@@ -101,6 +104,15 @@ def tube_relation(
         coordinates=coordinates,
         snap=np.zeros(len(A)) if snap is None else snap,
     )
+
+
+def refuse_rounding(agent: LinearAgent, disturbance: FloatArray, rounding: FloatArray) -> None:
+    """Refuse agents whose errors are rounded by more than ``disturbance`` is enlarged by."""
+    if np.any(rounding > 0.5 * (ENLARGEMENT - 1.0) * disturbance):
+        raise RelationRefused(
+            f"agent `{agent.name}`: its states, inputs or offset are so large next to its cells that rounding would "
+            "count; measure states from a point nearby, or ask for fewer `cells`"
+        )
 
 
 def disturbance_of(grid: Grid, snap: FloatArray | None) -> FloatArray:

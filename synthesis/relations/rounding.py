@@ -1,0 +1,131 @@
+"""What floating point takes from a relation that is carried out (docs/theory/numerics.md, "Controllers").
+
+A controller computes its inputs from matrices of its own, in double precision, and a coupled one its abstract state
+from the states that it sees. Relations leave room for the rounding of inputs and errors, and bounds take off a
+probability for means and cells that are missed. All of it is a few units in the last place of the largest numbers on
+the way, whatever the units of states and inputs are; it is noticed only where a small noise stands beside large
+numbers.
+
+The check measures the same with code of its own (``checking.execution``). It counts fewer operations, and so finds
+less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray, GridDynamics, in_grid_coordinates
+
+DENSITY = 0.4
+"""Upper bound on the density of the standard normal law."""
+
+COUPLING = 2e-12
+"""Upper bound on what rounding changes in the law of noise that is drawn by a coupling, in total variation."""
+
+BEYOND = 5.0
+"""Standard deviations beyond what inputs reach within which all lattice points lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Largest numbers on the way from a state of the workspace to an input, in grid coordinates, and their rounding.
+
+    Parameters
+    ----------
+    moves : GridDynamics
+    spread : (d, d) array
+        By what factors computing grid coordinates may enlarge errors; the identity in state coordinates.
+    states, inputs, means : (d,), (m,), (d,) arrays
+        Largest states, inputs and means.
+    read : (d,) array
+        What grid coordinates of a state are computed off by.
+    unit : float
+        Relative rounding of the sums of products on the way.
+    """
+
+    moves: GridDynamics
+    spread: FloatArray
+    states: FloatArray
+    inputs: FloatArray
+    means: FloatArray
+    read: FloatArray
+    unit: float
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations (d,) of the noise along the grid axes."""
+        return np.asarray(np.sqrt(np.diag(self.moves.covariance)))
+
+
+def sizes_of(agent: LinearAgent, coordinates: FloatArray) -> Sizes:
+    """Return the largest numbers that controllers of an agent meet."""
+    d, m = agent.n_states, agent.n_inputs
+    moves, unit = in_grid_coordinates(agent, coordinates), (4.0 * (d + m) + 40.0) * 2.0**-53
+    plain = np.array_equal(coordinates, np.eye(d))
+    spread = np.eye(d) if plain else np.abs(moves.inverse) @ np.abs(coordinates)
+    states = np.abs(moves.inverse) @ np.maximum(np.abs(agent.workspace.low), np.abs(agent.workspace.high))
+    inputs = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))
+    means = np.abs(moves.A) @ states + np.abs(moves.B) @ inputs + np.abs(moves.offset)
+    means += states + BEYOND * np.sqrt(np.diag(moves.covariance))
+    read = np.zeros(d) if plain else 8.0 * unit * spread @ spread @ states
+    return Sizes(moves, spread, states, inputs, means, read, unit)
+
+
+def target_rounding(sizes: Sizes, right_inverse: FloatArray, middle: FloatArray) -> FloatArray:
+    """Return upper bounds (m,) on the rounding of inputs ``R (z - d - A x) + middle``."""
+    asked = np.abs(right_inverse) @ (3.0 * sizes.means) + np.abs(middle)
+    return np.asarray(sizes.unit * asked + np.abs(right_inverse) @ np.abs(sizes.moves.A) @ sizes.read)
+
+
+def feedback_rounding(sizes: Sizes, feedback: FloatArray) -> FloatArray:
+    """Return upper bounds (m,) on the rounding of inputs ``uhat + K e``; without feedback there is none."""
+    error = sizes.read + sizes.unit * sizes.states
+    return np.asarray(np.abs(feedback) @ error + sizes.unit * sizes.inputs * np.any(feedback, axis=1))
+
+
+def error_rounding(sizes: Sizes, feedback: FloatArray, coupling: FloatArray) -> FloatArray:
+    """Return upper bounds (d,) on what rounding adds per step to the error of a coupled relation."""
+    error = sizes.read + sizes.unit * sizes.states
+    landed = 4.0 * sizes.unit * sizes.spread @ sizes.spread @ (sizes.spread @ sizes.means + sizes.means)
+    return np.asarray(landed + (np.abs(sizes.moves.B) @ np.abs(feedback) + np.abs(coupling)) @ error)
+
+
+def target_loss(
+    sizes: Sizes, edges: Sequence[FloatArray], right_inverse: FloatArray, drift: FloatArray, middle: FloatArray
+) -> float:
+    """Return an upper bound on what carrying out targets costs per step: the mean is off, or a cell is misread.
+
+    The mean under ``u = R (z - d - A x) + middle`` is ``A x + B u + c``; it is to be z.
+    """
+    moves, z = sizes.moves, sizes.means
+    moved = moves.B @ right_inverse
+    asked = np.abs(right_inverse) @ (3.0 * z) + np.abs(middle)
+    off = np.abs(moves.A - moved @ moves.A) @ sizes.states + np.abs(moved - np.eye(len(z))) @ z
+    off += np.abs(moves.offset + moves.B @ middle - moved @ drift) + np.abs(moved) @ np.abs(moves.A) @ sizes.read
+    rounded = sizes.spread @ z + np.abs(moves.B) @ asked
+    off += 8.0 * sizes.unit * sizes.spread @ sizes.spread @ rounded
+    distance = float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
+    # For small distances the difference of tails would lose its digits.
+    mean = min(1.0, DENSITY * distance) if distance < 1e-3 else 1.0 - 2.0 * float(ndtr(-0.5 * distance))
+    return mean + missed_cells(sizes, sizes.read, edges)
+
+
+def missed_cells(sizes: Sizes, off: FloatArray, edges: Sequence[FloatArray]) -> float:
+    """Return an upper bound on what misreading states by ``off`` (d,) costs per step, and on what coordinates cost.
+
+    It is the mass of the noise within ``off`` of cell edges, and what the noise lacks, in total variation, to be
+    independent along the axes.
+    """
+    narrow = np.array([np.min(np.diff(axis)) for axis in edges])
+    covariance, spread = sizes.moves.covariance, sizes.spread
+    size = np.outer(sizes.deviations, sizes.deviations)
+    dependent = np.abs(covariance - np.diag(np.diag(covariance)))
+    if not np.array_equal(spread, np.eye(len(spread))):
+        dependent = dependent + 16.0 * sizes.unit * spread @ spread @ size @ spread.T @ spread.T
+    missed = float(np.sum(2.0 * off * (1.0 / narrow + DENSITY / sizes.deviations)))
+    return (missed + float(np.linalg.norm(dependent / size))) * (1 + 1e-9)
