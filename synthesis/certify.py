@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..envs.agents import LinearAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import Cells, FloatArray
+from .cells import CellCounts, FloatArray
 from .certificates import Synthesis
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
@@ -42,7 +42,7 @@ from .search import FINAL, Limits, Search, Sweep, sweep
 
 
 def certify(
-    problem: Any, policy: Policy, cells: Cells = None, *, relation: Relations = "auto", **settings: Any
+    problem: Any, policy: Policy, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
 ) -> Synthesis:
     """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
@@ -80,7 +80,7 @@ def certify(
 def improve(
     problem: Any,
     policy: Policy,
-    cells: Cells = None,
+    cells: CellCounts = None,
     *,
     relation: Relations = "auto",
     max_sweeps: int = 8,
@@ -204,7 +204,9 @@ class _Wrapped:
     policies: Policies
 
 
-def _wrapped(problem: Problem, policy: Policy, cells: Cells, relation: Relations, settings: dict[str, Any]) -> _Wrapped:
+def _wrapped(
+    problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
+) -> _Wrapped:
     """Put a policy on the cells of finite models."""
     given = decentralised(problem, policy)
     abstraction = abstract(problem, cells, relation=relation, **settings)

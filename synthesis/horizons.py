@@ -10,7 +10,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import Cells
+from .cells import CellCounts
 from .certificates import Synthesis
 from .synthesize import synthesize
 
@@ -21,7 +21,9 @@ LONGEST = 1000
 """Longest horizon that ``without_deadline`` tries."""
 
 
-def synthesize_horizons(problem: Any, horizons: Iterable[int], cells: Cells = None, **settings: Any) -> list[Synthesis]:
+def synthesize_horizons(
+    problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
+) -> list[Synthesis]:
     """Synthesize at every horizon, in increasing order, each from the policies of the one before.
 
     Parameters
@@ -44,7 +46,7 @@ def synthesize_horizons(problem: Any, horizons: Iterable[int], cells: Cells = No
 
 
 def each_horizon(
-    problem: Any, horizons: Iterable[int], cells: Cells = None, **settings: Any
+    problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
 ) -> Iterator[Synthesis]:  # fmt: skip
     """``synthesize_horizons`` one by one, in increasing order."""
     problem = as_problem(problem)
@@ -54,7 +56,7 @@ def each_horizon(
         yield last
 
 
-def _from(last: Synthesis | None, problem: Problem, cells: Cells, settings: dict[str, Any]) -> Synthesis:
+def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
     """Synthesis that begins with the last one, unless cells or relation are to be chosen anew."""
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
     if last is None or problem.groups or chosen_anew:
@@ -63,7 +65,7 @@ def _from(last: Synthesis | None, problem: Problem, cells: Cells, settings: dict
 
 
 def without_deadline(
-    problem: Any, cells: Cells = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
+    problem: Any, cells: CellCounts = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
 ) -> Synthesis:
     """Stationary policies for a co-safe task, and a lower bound on satisfying it at any time.
 

@@ -7,16 +7,18 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..envs.problem import Problem
-from .cells import Cells
+from .cells import CellCounts
 from .certificates import Synthesis, nameless, product_certificate, relations_tried
 from .models import Relations, check_names
 from .values import UNIT
 
-SynthesizeTask = Callable[[Problem, Cells, Relations], Synthesis]
+SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
 """Synthesis of one task, given its cells and relations."""
 
 
-def synthesize_parts(problem: Problem, cells: Cells, relation: Relations, synthesize_task: SynthesizeTask) -> Synthesis:
+def synthesize_parts(
+    problem: Problem, cells: CellCounts, relation: Relations, synthesize_task: SynthesizeTask
+) -> Synthesis:
     """Synthesize every independent task, those that differ in names alone once, and put the certificates together."""
     check_names("cells", cells, problem)
     found: dict[tuple[str, str], Synthesis] = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import Cells
+from .cells import CellCounts
 from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import Budget, Tries, groups_of, policies_from, refine
@@ -55,7 +55,7 @@ class Plan:
 # The door of the package: its options are flat, as users and the command line have them, and become records at once.
 def synthesize(
     problem: Any,
-    cells: Cells = None,
+    cells: CellCounts = None,
     *,
     relation: Relations = "auto",
     max_sweeps: int = 8,
@@ -137,7 +137,7 @@ def synthesize(
 
 
 def _of_task(
-    problem: Problem, cells: Cells, relation: Relations, plan: Plan, start: Certificate | None = None
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesis of one task, by the procedure that relations, budget and start ask for."""
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
@@ -156,7 +156,7 @@ def _of_task(
 
 
 def _plain(
-    problem: Problem, cells: Cells, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesis on given cells under one given relation per agent."""
     began = time.perf_counter()
@@ -167,7 +167,7 @@ def _plain(
     return replace(result, stats={**result.stats, "seconds": _seconds((began, abstracted))})
 
 
-def _continued(problem: Problem, cells: Cells, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
+def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
     """Synthesis that begins with the policies of a certificate; what is not asked for is as it is there."""
     theirs = [part.relation["kind"] for part in checked_certificate(start).agents]
     if cells is None and len(theirs) == problem.n_agents:
@@ -179,7 +179,7 @@ def _continued(problem: Problem, cells: Cells, kinds: list[str], plan: Plan, sta
 
 
 def _compared(
-    problem: Problem, cells: Cells, kinds: Sequence[str], plan: Plan, known: Synthesis | None = None
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, known: Synthesis | None = None
 ) -> Synthesis:
     """The synthesis with the largest bound among relations that apply; what was tried is kept with the certificate."""
     began = time.perf_counter()

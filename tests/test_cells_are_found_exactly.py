@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from certigym.synthesis.cells.grid import Grid, aligned_edges
-from certigym.synthesis.cells.lookup import FINEST, buckets, cell_finder
+from certigym.synthesis.cells.lookup import MOST_BUCKETS_PER_CELL, buckets, cell_finder
 
 AXES = {
     "uniform": np.linspace(-20.0, 5.0, 1001),
@@ -34,7 +34,7 @@ def test_cells_are_those_of_bisection(edges: np.ndarray) -> None:
 
 def test_axes_with_very_unequal_cells_are_bisected() -> None:
     edges = np.array([0.0, 1e-9, 2e-9, 1.0])
-    assert buckets(edges) is None and FINEST * 3 < 1e9
+    assert buckets(edges) is None and MOST_BUCKETS_PER_CELL * 3 < 1e9
     grid = Grid((edges,))
     np.testing.assert_array_equal(cell_finder(grid)(beside(edges)[None]), grid.cell_of(beside(edges)[None]))
 

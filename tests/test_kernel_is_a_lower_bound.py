@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from certigym.synthesis.models.kernel import LARGE, AxisTable, Kernel, gaussian_masses, gaussian_table
+from certigym.synthesis.models.kernel import MANY_PRODUCTS, AxisTable, Kernel, gaussian_masses, gaussian_table
 
 mpmath.mp.dps = 50
 
@@ -89,7 +89,7 @@ def test_masses_on_few_lattice_points_are_pushed_alike() -> None:
     rng = np.random.default_rng(3)
     masses = rng.random((3, 20, 1500)) * (rng.random(1500) < 0.2)
     masses[..., 300:700] = 0.0
-    assert masses.size // 1500 * sum(entries.size for *_, entries in banded.blocks) > LARGE
+    assert masses.size // 1500 * sum(entries.size for *_, entries in banded.blocks) > MANY_PRODUCTS
     expected = masses @ banded.toarray()
     np.testing.assert_allclose(banded.push(masses), expected, rtol=1e-12, atol=1e-300)
     np.testing.assert_allclose(banded.push(masses[0, :1]), expected[0, :1], rtol=1e-12, atol=1e-300)

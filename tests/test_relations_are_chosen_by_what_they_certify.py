@@ -108,7 +108,7 @@ def test_what_is_passed_over_would_not_have_been_better() -> None:
             pytest.importorskip(NEEDS_SOLVER)
         other = cg.synthesize(team(), {"car": 60, "cart_0": 40}, relation={"cart_0": kind})
         assert kinds_of(other.certificate) == ["exact", kind]
-        assert other.certificate.lower_bound <= found.certificate.lower_bound + relation_choice.WORTHWHILE
+        assert other.certificate.lower_bound <= found.certificate.lower_bound + relation_choice.LEAST_GAIN
         outcome = tried_of(found)[f"exact for car, {kind} for cart_0"]
         if isinstance(outcome, str) and outcome.startswith("at most"):
             assert other.certificate.lower_bound <= float(outcome.split()[2].rstrip(","))
@@ -229,10 +229,10 @@ def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.Monk
         return tries._passed_over(other, chosen, best)
 
     most, value = tries.most(other), tries.value(other)
-    assert 0.0 < value <= most and passed_over(0.9 * most - 2 * relation_choice.WORTHWHILE) is None
+    assert 0.0 < value <= most and passed_over(0.9 * most - 2 * relation_choice.LEAST_GAIN) is None
     assert str(passed_over(most)).startswith("at most ")
     monkeypatch.setattr(relation_choice, "PROMISING", 1.2)
-    assert str(passed_over(0.9 * most - 2 * relation_choice.WORTHWHILE)).endswith("after one sweep, not gone on with")
+    assert str(passed_over(0.9 * most - 2 * relation_choice.LEAST_GAIN)).endswith("after one sweep, not gone on with")
 
 
 def test_default_cells_are_doubled_where_no_relation_applies() -> None:

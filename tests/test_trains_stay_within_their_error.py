@@ -18,7 +18,7 @@ from certigym.synthesis.search import policy_search
 from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.policy_search import FINAL
 from certigym.synthesis.search.relaxation import relax, relaxed_policies, upper_bound
-from certigym.synthesis.search.train_ascent import sweep_trains
+from certigym.synthesis.search.train_ascent import TrainLimits, sweep_trains
 from certigym.synthesis.search.train_backward import evaluate
 from certigym.synthesis.values.tensor_train import Diagram, Train, added, diagram, rounded
 from certigym.synthesis.values.train_values import Rounding
@@ -251,8 +251,8 @@ def test_frozen_policies_keep_their_value_under_a_finer_rounding() -> None:
     problem = cyclic()
     joint = join(problem, abstract(problem, 48))
     start, policies = start_of(problem, joint), relaxed_policies(relax(problem, joint))
-    coarse = sweep_trains(joint, policies, start, 0.05, improve=False, share=0.0)
-    fine = sweep_trains(joint, policies, start, 1e-6, improve=False, share=0.0)
+    coarse = sweep_trains(joint, policies, start, TrainLimits(0.05, share=0.0), improve=False)
+    fine = sweep_trains(joint, policies, start, TrainLimits(1e-6, share=0.0), improve=False)
     assert abs(coarse.value - fine.value) <= coarse.terms.error + fine.terms.error
     assert coarse.rank <= fine.rank
 
@@ -274,7 +274,7 @@ def compare_gains(problem: cg.Problem, joint: JointModel, policies: Policies) ->
     start = start_of(problem, joint)
     on_trees, on_trains = [0.0], [0.0]
     sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: on_trees.append(stage.gain()))
-    sweep_trains(joint, policies, start, 1e-9, improve=False, share=0.0, watch=on_trains.append)
+    sweep_trains(joint, policies, start, TrainLimits(1e-9, share=0.0), improve=False, watch=on_trains.append)
     assert max(on_trains) == pytest.approx(max(on_trees), rel=1e-2, abs=1e-9)
     return max(on_trees)
 

@@ -1,13 +1,14 @@
-"""An upper bound on what given policies attain, as tensor trains: the other side of ``train_value``.
+"""An upper bound on what given policies attain, as tensor trains: the other side of ``train_backward``.
 
-The same recursion, but for what a lower bound counts as failed and the continuous system may survive: with A the
-visited cells (outside which the trains of the lower bound are 0), and v_i the cells in which agent i has a choice,
+The same recursion, and added to it what a lower bound counts as failed although the continuous system may survive. With
+A the visited cells (outside which the trains of the lower bound are 0), and v_i the cells in which agent i has a choice
+(docs/theory/bounds.md, "Upper bounds, and of what"),
 
     U_q,t+1 = (P_1^pi x .. x P_I^pi) (W_q 1[in A])  +  (prod_i P_i^pi 1[anywhere] - prod_i P_i^pi 1[in A])
               + (1 - prod_i v_i) ,          W_q = sum_q' 1[the letter leads q to q'] U_q',t .
 
 So U is the probability of succeeding, of leaving A inside the workspaces, or of meeting a cell without a choice, before
-failing; what it adds to a value are four columns per bond at most. It bounds the closed loop from above where nothing
+failing. What it adds to a value are four columns per bond at most. It bounds the closed loop from above where nothing
 is lost at region and workspace edges (``Abstraction.is_exact``).
 """
 
@@ -27,7 +28,10 @@ from ..values import Rounding, Train, Trains, counted_as_failed, routes
 def evaluate_above(
     joint: JointModel, policies: Policies, rounding: Rounding, each: Callable[[int, Trains], None] | None = None
 ) -> Trains:
-    """Function U of the module's text at time 0, rounded as the lower bound is; each read with its error added."""
+    """Return the function U of the module's text at time 0, an upper bound once its error is added.
+
+    It is rounded as the lower bound was. ``each(t, value)`` is called with U at every time.
+    """
 
     def beside(t: int, q: int) -> Train | None:
         points = [model.choices.points(policy[t, q]) for model, policy in zip(joint.models, policies, strict=True)]
@@ -40,4 +44,5 @@ def evaluate_above(
 
 
 def _frozen(policies: Policies, t: int, q: int, _: Train) -> list[NDArray[np.int32]]:
+    """Return the policies of a time and state as they are."""
     return [policy[t, q] for policy in policies]

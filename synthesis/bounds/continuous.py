@@ -1,6 +1,6 @@
 """An upper bound for *all* policies of the continuous system: nobody does better, with whatever controller.
 
-Every agent is relaxed as in ``relaxation``, with all that the finite model leaves open decided in its favour:
+Every agent is relaxed as in ``relaxation``, and everything that the finite model leaves open is decided in its favour:
 
 - the mean of the next state may be any that *some* point of the cell and *some* admissible input lead to, and any in
   the smallest box around these, in noise coordinates;
@@ -13,9 +13,9 @@ times that, axis after axis, so that
 
     sup over the box of g  <=  max over the lattice points around it of g  +  M sum_k (phi(1) / 4) (h_k / sigma_k)^2 .
 
-This is of second order in the spacing (a bound by total variation, THEORY section 7, is of first order). By the
-induction of ``relaxation`` the product of the agents' values bounds every joint policy, centralised ones with any
-memory included: ``continuous upper bound``.
+This is the lemma in docs/theory/bounds.md, "Upper bounds, and of what". It is of second order in the spacing, where a
+bound by total variation would be of first order. By the induction of ``relaxation`` the product of the agents' values
+bounds every joint policy, centralised ones with any memory included: ``continuous upper bound``.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from ..values import UNIT, Occupancy, to_host
 CURVATURE = 0.0604927
 """phi(1) / 4, rounded up."""
 
-FAR = 9.0
+FAR_DEVIATIONS = 9.0
 """Standard deviations beyond the grid at which a mean may as well be there: less than 1e-18 comes back."""
 
-LARGEST = 4_000_000
+MOST_LATTICE_POINTS = 4_000_000
 """Most lattice points of an agent; with more of them there is no bound."""
 
 
@@ -51,13 +51,14 @@ class Optimist:
     Parameters
     ----------
     kernel : Kernel
-        From the points of a lattice of its own to the cells.
+        From the points of its own lattice to the cells.
     first : (S,) int array
         Flat lattice point at which the window of each cell begins.
     width : tuple of int
         Lattice points per axis of a window, the same for all cells.
     excess : float
-        What the supremum over all means exceeds the maximum over a window by, per unit of the largest value.
+        Upper bound on what the supremum over all means exceeds the maximum over a window by, per unit of the largest
+        value.
     """
 
     kernel: Kernel
@@ -67,25 +68,28 @@ class Optimist:
 
     @classmethod
     def of(cls, agent: LinearAgent, model: AgentModel) -> Optimist | None:
-        """The optimistic model on the cells of ``model``; None if its lattice were too large."""
+        """Return the optimistic model on the cells of ``model``; None if its lattice would be too large."""
         grid, coordinates = model.grid, model.relation.coordinates
         deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
         low, high = _means(agent, grid.centres, grid.half_widths, coordinates)
         axes, firsts, widths = [], [], []
         for k, (edges, deviation) in enumerate(zip(grid.edges, deviations, strict=True)):
-            near = edges[0] - FAR * deviation, edges[-1] + FAR * deviation
+            # From farther out hardly any mass comes back: means there are taken to the end of the lattice.
+            near = edges[0] - FAR_DEVIATIONS * deviation, edges[-1] + FAR_DEVIATIONS * deviation
             a, b = np.clip(low[:, k], *near), np.clip(high[:, k], *near)
             spacing = (edges[-1] - edges[0]) / (len(edges) - 1)
             origin = float(a.min()) - spacing
             count = math.ceil((float(b.max()) - origin) / spacing) + 2
+            # The lattice points around the means of each cell, rounded outwards.
             begin = np.floor((a - origin) / spacing * (1 - 4 * UNIT)).astype(np.int64)
             end = np.ceil((b - origin) / spacing * (1 + 4 * UNIT)).astype(np.int64)
             axes.append(origin + spacing * np.arange(count))
             firsts.append(begin)
             widths.append(int((end - begin).max()) + 1)
         shape = tuple(len(axis) for axis in axes)
-        if math.prod(shape) > LARGEST:
+        if math.prod(shape) > MOST_LATTICE_POINTS:
             return None
+        # The kernel is a lower bound; what it misses is part of the excess.
         tables = [gaussian_table(z, e, float(s)) for z, e, s in zip(axes, grid.edges, deviations, strict=True)]
         spacings = np.array([axis[1] - axis[0] for axis in axes])
         kernel = Kernel(tuple(table for table, _ in tables), sum(loss for _, loss in tables))
@@ -93,54 +97,60 @@ class Optimist:
         return cls(kernel, np.ravel_multi_index(tuple(firsts), shape), tuple(widths), excess)
 
     def back(self, arriving: FloatArray) -> FloatArray:
-        """Upper bounds (S,) on what a step leads to, of upper bounds (S,) on what arriving is worth."""
+        """Return upper bounds (S,) on what a step leads to, from upper bounds (S,) on what arriving is worth."""
         best = self.kernel.smooth(arriving[None])[0].reshape(self.kernel.lattice_shape)
+        # The maximum over a window is one over each axis in turn; the filter's origin makes windows begin at their
+        # point instead of having it in their middle.
         for axis, width in enumerate(self.width):
-            if width > 1:  # windows begin at their point
+            if width > 1:
                 best = maximum_filter1d(best, width, axis=axis, mode="constant", cval=0.0, origin=-(width // 2))
         operations = sum(self.kernel.shape) + 8 * len(self.width)
         largest = float(arriving.max(initial=0.0))
-        found = best.ravel()[self.first] * (1 + 2 * operations * UNIT) + self.excess * largest
-        return np.asarray(np.minimum(found, largest))
+        bounds = best.ravel()[self.first] * (1 + 2 * operations * UNIT) + self.excess * largest
+        return np.asarray(np.minimum(bounds, largest))
 
 
 def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy) -> float | None:
-    """Upper bound on what any policy of the continuous system attains from the start (mean over a box).
+    """Return an upper bound on what any policy of the continuous system attains from the start (mean over a box).
 
     None if the lattice of an agent would be too large.
     """
     values: list[FloatArray] = []
     optimists: dict[object, Optimist | None] = {}
-    found: dict[object, FloatArray] = {}
+    computed: dict[object, FloatArray] = {}
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
+        # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        alike = (id(model), *(a.tobytes() for a in (agent.A, agent.B, agent.offset, agent.noise_covariance)),
-                 agent.input_low.tobytes(), agent.input_high.tobytes())  # fmt: skip
+        arrays = (agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_low, agent.input_high)
+        alike = (id(model), *(array.tobytes() for array in arrays))
         if alike not in optimists:
             optimists[alike] = Optimist.of(agent, model)
         optimist = optimists[alike]
         if optimist is None:
             return None
         key = (alike, possible.tobytes())
-        if key not in found:
-            found[key] = _values(joint, optimist, possible)
-        values.append(found[key])
+        if key not in computed:
+            computed[key] = _values(joint, optimist, possible)
+        values.append(computed[key])
+    # The product over agents bounds the joint value (Proposition 3); sum it over the mass at the start.
     total, mass = 0.0, 0.0
     for q, rows in enumerate(start.terms.index):
         for row in rows:
-            shares = [to_host(own)[k] for own, k in zip(start.terms.factors, row, strict=True)]
-            mass += math.prod(float(own.sum()) for own in shares)
-            total += math.prod(float(own @ value[q]) for own, value in zip(shares, values, strict=True))
-    unread = 0.0 if _is_point(problem) else max(0.0, 1.0 - mass)  # cells of a box whose letter is not certain
+            shares = [to_host(factors)[k] for factors, k in zip(start.terms.factors, row, strict=True)]
+            mass += math.prod(float(share.sum()) for share in shares)
+            total += math.prod(float(share @ value[q]) for share, value in zip(shares, values, strict=True))
+    # The occupancy leaves out cells of a box whose first letter is not certain: count them as 1.
+    unread = 0.0 if _is_point(problem) else max(0.0, 1.0 - mass)
     n = sum(joint.n_cells) + len(values)
     return min(1.0, total * (1.0 + 4.0 * n * UNIT) + unread + 1e-12)
 
 
 def _values(joint: JointModel, optimist: Optimist, possible: NDArray[np.bool_]) -> FloatArray:
-    """Upper bounds (Q, S) at time 0; ``possible[q, s, p]`` where a letter in cell s can lead from q to p."""
+    """Return upper bounds (Q, S) at time 0; ``possible[q, s, p]`` where a letter in cell s can lead from q to p."""
     value = np.repeat(joint.accepting.astype(float)[:, None], possible.shape[1], axis=1)
     settled = value.copy()
     for _ in range(joint.horizon):
+        # The best letter of each cell, inside the expectation.
         arriving = np.zeros_like(value)
         for p in range(joint.n_states):
             arriving = np.maximum(arriving, possible[:, :, p] * value[p])
@@ -150,16 +160,17 @@ def _values(joint: JointModel, optimist: Optimist, possible: NDArray[np.bool_]) 
 
 
 def _possible(model: AgentModel, follows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(Q, S, Q) successors by the letters of the points of each cell; all of them where a cell is not known."""
+    """Return successors (Q, S, Q) by the letters of the points of each cell; all of them where a cell is not known."""
     labels = model.start_labels
-    sets = np.concatenate([labels.sets, np.ones((1, labels.sets.shape[1]), dtype=bool)])  # -1 is the last one
+    # Cells with label -1 read the last set: every class.
+    sets = np.concatenate([labels.sets, np.ones((1, labels.sets.shape[1]), dtype=bool)])
     return np.asarray(np.einsum("nc,qcp->qnp", sets.astype(np.int64), follows.astype(np.int64)) > 0)[:, labels.number]
 
 
 def _means(
     agent: LinearAgent, centres: FloatArray, halves: FloatArray, coordinates: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Corners (S, d), in grid coordinates, of boxes around all means that the points of each cell can be led to."""
+    """Return corners (S, d), in grid coordinates, of boxes around all means that the points of each cell can reach."""
     moves = in_grid_coordinates(agent, coordinates)
     middle, reach = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
     centre = centres @ moves.A.T + moves.offset + moves.B @ middle
@@ -169,4 +180,5 @@ def _means(
 
 
 def _is_point(problem: Problem) -> bool:
+    """Return whether every agent starts at a point."""
     return all(np.array_equal(agent.initial.low, agent.initial.high) for agent in problem.agents)

@@ -1,9 +1,10 @@
 """Dense joint dynamic programming: the exact oracle for small problems.
 
-No guards, no terms, no sharing: one array over all joint cells per automaton state, the outcome of every joint cell
-looked up in the automaton letter by letter. ``dense_value`` evaluates given policies, also in exact rationals;
-``dense_optimum`` maximises over all policies of the same abstraction, centralised and history-dependent ones included
-(an optimum of the *abstraction*, not an upper bound for the continuous system, THEORY section 7).
+No guards, no terms, no sharing: one array over all joint cells per automaton state, and the outcome of every joint cell
+is looked up in the automaton letter by letter. ``dense_value`` evaluates given policies, also in exact rationals;
+``dense_optimum`` maximises over all policies of the same abstraction, centralised and history-dependent ones included.
+That is an optimum of the *abstraction*, no upper bound for the continuous system (docs/theory/bounds.md, "Upper bounds,
+and of what").
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from numpy.typing import NDArray
 from ...envs.problem import Problem
 from ..models import AgentModel, InputMenu, Policies, TargetWindows
 
-FAILED = -1
+UNCERTAIN = -1
+"""Entry of a joint cell whose successor is not certain: failure."""
+
 MAX_ENTRIES = 50_000_000
-"""Most entries of one dense array."""
+"""Most entries of one dense array, 400 MB."""
 
 
 def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Policies) -> NDArray:
-    """Value (Q, S_1, .., S_I) at time 0 of the abstraction under ``policies`` (exact for exact tables).
+    """Return the value (Q, S_1, .., S_I) at time 0 of the abstraction under ``policies`` (exact for exact tables).
 
     Raises
     ------
@@ -36,6 +39,7 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Polici
     for t in reversed(range(problem.horizon)):
         following = np.zeros_like(value)
         for q in range(len(value)):
+            # Read the letter, then take the expectation over one agent after the other: their noises are independent.
             expected = _read(problem, value, outcome[q])
             for i, table in enumerate(transitions):
                 policy = models[i].choices.points(policies[i][t, q])
@@ -47,7 +51,7 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Polici
 
 
 def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.float64]:
-    """Largest value (Q, S_1, .., S_I) at time 0 over all policies of the abstraction (abstract optimum).
+    """Return the largest value (Q, S_1, .., S_I) at time 0 over all policies of the abstraction (abstract optimum).
 
     Agents choose from a menu of inputs, or targets whose admissible ones are products of intervals (scaled permutation
     inputs).
@@ -59,8 +63,9 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     for _ in range(problem.horizon):
         following = np.zeros_like(value)
         for q in range(len(value)):
+            # All expectations first, then all maxima: nobody chooses knowing another agent's noise.
             expected = _read(problem, value, outcome[q])
-            for i, model in enumerate(models):  # all expectations first: nobody chooses knowing another's noise
+            for i, model in enumerate(models):
                 expected = np.moveaxis(_expected_along(model, np.moveaxis(expected, i, -1)), -1, i)
             for i, model in enumerate(models):
                 expected = np.moveaxis(_best_along(model, np.moveaxis(expected, i, -1)), -1, i)
@@ -70,28 +75,32 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
 
 
 def joint_outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:
-    """Successor (Q, S_1, .., S_I) of every automaton state in every joint cell; ``FAILED`` where it is not certain."""
+    """Return the successor (Q, S_1, .., S_I) of every automaton state in every joint cell, in the robust automaton.
+
+    It is ``UNCERTAIN`` where a cell may lead to several states, acceptance of co-safe tasks aside.
+    """
     shape = tuple(model.n_cells for model in models)
     if problem.automaton.n_states * float(np.prod(shape, dtype=float)) > MAX_ENTRIES:
         raise ValueError(
             f"`models`: expected at most {MAX_ENTRIES} joint entries, got cells {shape}; use fewer `cells`"
         )
     automaton, labeling = problem.automaton, problem.labeling
-    table = np.full((automaton.n_states, *(len(m.labels.sets) + 1 for m in models)), FAILED, dtype=np.int64)
+    # One row and column more per agent for failed cells, whose label -1 picks the last entry.
+    table = np.full((automaton.n_states, *(len(m.labels.sets) + 1 for m in models)), UNCERTAIN, dtype=np.int64)
     for sets in product(*(range(len(m.labels.sets)) for m in models)):
         classes = [labeling.classes[i][models[i].labels.sets[n]] for i, n in enumerate(sets)]
         letters = np.array([np.concatenate(rows) for rows in product(*classes)]).T
         for q in range(automaton.n_states):
             reached = {int(r) for r in automaton.next_state(np.full(letters.shape[1], q), letters)}
-            beside = {r for r in reached if not automaton.finished[r]}
-            if len(beside) <= 1:
-                table[(q, *sets)] = beside.pop() if beside else reached.pop()
-    labels = np.ix_(*(model.labels.number for model in models))  # -1 picks the last, failed entry
-    return np.stack([own[labels] for own in table])
+            unfinished = {r for r in reached if not automaton.finished[r]}
+            if len(unfinished) <= 1:
+                table[(q, *sets)] = unfinished.pop() if unfinished else reached.pop()
+    labels = np.ix_(*(model.labels.number for model in models))
+    return np.stack([successors[labels] for successors in table])
 
 
 def _terminal(problem: Problem, outcome: NDArray, models: Sequence[AgentModel]) -> NDArray:
-    """Value with no step to go."""
+    """Return the value with no step to go."""
     dtype = models[0].kernel.tables[0].blocks[0][-1].dtype
     value = np.zeros(outcome.shape, dtype=dtype)
     value[problem.automaton.accepting] = 1
@@ -99,13 +108,13 @@ def _terminal(problem: Problem, outcome: NDArray, models: Sequence[AgentModel]) 
 
 
 def _absorb(problem: Problem, value: NDArray) -> NDArray:
-    """Accepting states of co-safe tasks keep the value 1."""
+    """Return the value with 1 in accepting states of co-safe tasks, which keep it."""
     value[problem.automaton.finished] = 1
     return value
 
 
 def _read(problem: Problem, value: NDArray, outcome: NDArray) -> NDArray:
-    """Value of arriving in each joint cell, its letter read: 0 where that fails."""
+    """Return the value of arriving in each joint cell, its letter read: 0 where that fails."""
     arriving = np.zeros_like(value[0])
     for q in range(len(value)):
         arriving = np.where(outcome == q, value[q], arriving)
@@ -113,26 +122,27 @@ def _read(problem: Problem, value: NDArray, outcome: NDArray) -> NDArray:
 
 
 def _full_table(model: AgentModel) -> NDArray:
-    """Masses (Z, S) over all axes."""
-    table, *rest = (own.toarray() for own in model.kernel.tables)
-    for axis in rest:
+    """Return the masses (Z, S) over all axes."""
+    table, *others = (axis_table.toarray() for axis_table in model.kernel.tables)
+    for axis in others:
         table = np.einsum("as,bt->abst", table, axis).reshape(len(table) * len(axis), -1)
     return table
 
 
 def _expected_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values (.., S) of arriving in an agent's cells turned into expectations (.., Z) at its lattice points."""
+    """Return expectations (.., Z) at an agent's lattice points, of values (.., S) of arriving in its cells."""
     smoothed = model.kernel.smooth(np.ascontiguousarray(values).reshape(-1, model.n_cells))
     return smoothed.reshape(*values.shape[:-1], -1)
 
 
 def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Expectations (.., Z) at an agent's lattice points turned into the best over its admissible targets (.., S)."""
+    """Return the best (.., S) over an agent's admissible choices, of expectations (.., Z) at its lattice points."""
     lead = values.shape[:-1]
     windows = model.choices
     if isinstance(windows, InputMenu):
+        # One input after the other; a cell without any choice keeps 0, since values are not negative.
         best = np.zeros((*lead, model.n_cells))
-        for menu in windows.leads_to.T:  # one input after the other: values are not negative
+        for menu in windows.leads_to.T:
             best = np.maximum(best, np.where(menu >= 0, values[..., np.maximum(menu, 0)], 0.0))
         return best
     on_lattice = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
@@ -140,7 +150,7 @@ def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.fl
     tensor = on_lattice.reshape(-1, *windows.shape)
     for s in range(model.n_cells):
         window = tuple(slice(a, b) for a, b in zip(windows.low[s], windows.high[s], strict=True))
-        part = tensor[(slice(None), *window)].reshape(len(tensor), -1)
-        if part.shape[1]:
-            best[:, s] = part.max(axis=1)
+        offered = tensor[(slice(None), *window)].reshape(len(tensor), -1)
+        if offered.shape[1]:
+            best[:, s] = offered.max(axis=1)
     return best.reshape(*lead, model.n_cells)

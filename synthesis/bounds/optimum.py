@@ -1,9 +1,9 @@
 """How far from the best: an upper bound on what any policy attains on the same cells.
 
-Where joint cells are few, dense joint programming says it exactly (``oracle``); elsewhere the product of the agents'
-relaxations bounds it from above (``relaxation``). The policies it speaks of are all of them, centralised ones and those
-with any memory included, on the same abstraction: ``abstract optimum``. It is no bound for the continuous system, whose
-policies may do better than any on these cells.
+Where joint cells are few, dense joint programming gives the optimum itself (``dense``); elsewhere the product of the
+agents' relaxations bounds it from above (``relaxation``). It speaks of all policies on the same abstraction,
+centralised ones and those with any memory included: ``abstract optimum``. It is no bound for the continuous system,
+whose policies may do better than any on these cells (docs/theory/bounds.md, "Upper bounds, and of what").
 """
 
 from __future__ import annotations
@@ -18,45 +18,46 @@ from ..search import Relaxation, upper_bound
 from ..values import UNIT, Occupancy, to_host
 from .dense import dense_optimum
 
-WORK = 5e8
+MOST_MULTIPLICATIONS = 5e8
 """Multiplications that dense programming may take."""
 
-CLOSE = 1e-6
+CLOSE_ENOUGH = 1e-6
 """Relative distance of a bound from above at which a tighter one is not worth its time."""
 
 
 def abstract_bound(
     problem: Problem, joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...], value: float
 ) -> float:
-    """Upper bound on the abstract optimum from the start (mean over a box), of which ``value`` is attained."""
+    """Return an upper bound on the abstract optimum from the start (mean over a box); ``value`` is attained."""
     most = upper_bound(joint, start, relaxations)
-    if most - value <= CLOSE * most or not _is_small(joint):
+    if most - value <= CLOSE_ENOUGH * most or not _is_small(joint):
         return most
+    # Sum the dense optimum over the mass at the start, one agent's cells after the other.
     dense = dense_optimum(problem, joint.models)
     total = 0.0
     for q, rows in enumerate(start.terms.index):
         for row in rows:
-            rest = dense[q]
-            for own, k in zip(start.terms.factors, row, strict=True):
-                rest = np.tensordot(to_host(own)[k], rest, axes=1)
-            total += float(rest)
+            contracted = dense[q]
+            for factors, k in zip(start.terms.factors, row, strict=True):
+                contracted = np.tensordot(to_host(factors)[k], contracted, axes=1)
+            total += float(contracted)
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
     operations = joint.horizon * sum(s + 1 for s in joint.n_cells) + sum(joint.n_cells) + len(joint.models)
     return min(most, total * (1.0 + 4.0 * operations * UNIT) + loss)
 
 
 def _is_small(joint: JointModel) -> bool:
-    """Whether dense programming applies, and is quick."""
+    """Return whether dense programming applies, and is quick."""
     for model in joint.models:
         if isinstance(model.choices, TargetWindows) and not model.choices.relation.is_box:
             return False
     entries = joint.n_states * math.prod(float(n) for n in joint.n_cells)
     axes = sum(n + _choices(model.choices) for n, model in zip(joint.n_cells, joint.models, strict=True))
-    return joint.horizon * entries * axes <= WORK
+    return joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
 
 
 def _choices(choices: TargetWindows | InputMenu) -> int:
-    """What a maximum over the choices costs per cell."""
+    """Return what a maximum over the choices costs per cell."""
     if isinstance(choices, InputMenu):
         return int(choices.leads_to.shape[1])
     return int(np.prod(np.maximum(choices.high - choices.low, 0), axis=1).max(initial=0))

@@ -1,19 +1,21 @@
 """A workspace cut into cells along the edges of regions."""
 
-from .agent_grids import Cells, agent_grid, cells_of_agent, label_room, region_boundaries
+from .agent_grids import CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
 from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import in_grid_coordinates
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
 from .refusal import RelationRefused
+from .sizes import alike_text, shape_text
 
 __all__ = [
+    "CellCounts",
     "CellLabels",
-    "Cells",
     "FloatArray",
     "Grid",
     "RelationRefused",
     "agent_grid",
+    "alike_text",
     "axis_finder",
     "cell_finder",
     "cell_labels",
@@ -22,5 +24,6 @@ __all__ = [
     "in_grid_coordinates",
     "label_room",
     "region_boundaries",
+    "shape_text",
     "start_share",
 ]

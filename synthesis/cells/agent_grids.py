@@ -14,23 +14,32 @@ from .refusal import RelationRefused
 DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
-NEAREST = 0.1
-"""Share of the room in a region that a start near its face leaves at least, where feedbacks are chosen."""
+SINGULAR = 1e-12
+"""Share of the largest variance up to which the smallest eigenvalue of a covariance counts as 0."""
 
-Cells = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
+LEAST_ROOM_SHARE = 0.1
+"""Share of the room in a region that counts at least, however near its face the start lies.
+
+A start on the face itself would leave no room, and feedbacks are judged by the share of the room that they take.
+"""
+
+CellCounts = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
+"""Cells per axis as a caller gives them: one number, one per axis, or these by agent; None for the default."""
 
 
 def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, FloatArray]:
-    """Grid of agent i and its coordinates (d, d)."""
+    """Return the grid of agent i and its coordinates (d, d), state = coordinates @ grid coordinates."""
     agent = problem.agents[i]
     coordinates = _noise_coordinates(agent)
     if np.array_equal(coordinates, np.eye(agent.n_states)):
         low, high = agent.workspace.low, agent.workspace.high
     else:
+        # The smallest box in grid coordinates around the workspace, which is a parallelepiped there.
         inverse = np.linalg.inv(coordinates)
         centre = 0.5 * (agent.workspace.low + agent.workspace.high)
         middle, reach = inverse @ centre, np.abs(inverse) @ (0.5 * (agent.workspace.high - agent.workspace.low))
         low, high = middle - reach, middle + reach
+    # Axes that are state axes up to scale (rows with a single entry) have their edges on region boundaries.
     edges = []
     for k in range(agent.n_states):
         boundaries = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
@@ -39,10 +48,13 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
 
 
 def _noise_coordinates(agent: LinearAgent) -> FloatArray:
-    """Unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance."""
+    """Return the unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance.
+
+    Of all coordinates in which the noise is diagonal these keep the first axis aligned.
+    """
     covariance = agent.noise_covariance
     smallest = float(np.min(np.linalg.eigvalsh(covariance)))
-    if smallest <= 1e-12 * float(np.max(np.diag(covariance))):
+    if smallest <= SINGULAR * float(np.max(np.diag(covariance))):
         raise RelationRefused(
             f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
             f"eigenvalue {smallest:.3g}; give every state some noise"
@@ -54,22 +66,22 @@ def _noise_coordinates(agent: LinearAgent) -> FloatArray:
 
 
 def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
-    """Region boundaries of agent i that are hyperplanes of one state coordinate."""
+    """Return the region boundaries of agent i that are hyperplanes of one state coordinate."""
     agent = problem.agents[i]
-    found = []
+    boundaries = []
     for proposition in problem.propositions.values():
         if proposition.agent != agent.name:
             continue
         for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
             if np.count_nonzero(row) == 1 and row[axis] != 0:
-                found += [float(low / row[axis]), float(high / row[axis])]
-    return found
+                boundaries += [float(low / row[axis]), float(high / row[axis])]
+    return boundaries
 
 
 def label_room(problem: Problem, i: int) -> FloatArray:
-    """Half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
+    """Return the half width (d,), per state of agent i, of its narrowest region along that state, or of the workspace.
 
-    A start near a face of the workspace, or of a region that it lies in, counts as less room.
+    The room counts as less if the start lies near a face of the workspace, or of a region that it is in.
     """
     agent = problem.agents[i]
     room = 0.5 * (agent.workspace.high - agent.workspace.low)
@@ -85,13 +97,14 @@ def label_room(problem: Problem, i: int) -> FloatArray:
                 )
                 if inside[1] > inside[0]:
                     room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
-                    left = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
-                    near[k] = min(near[k], left) if left >= 0 else near[k]
-    return np.asarray(np.minimum(room, np.maximum(near, NEAREST * room)))
+                    # Negative if the start lies outside this region: its faces then do not matter.
+                    distance = min(agent.initial.low[k] - inside[0], inside[1] - agent.initial.high[k])
+                    near[k] = min(near[k], distance) if distance >= 0 else near[k]
+    return np.asarray(np.minimum(room, np.maximum(near, LEAST_ROOM_SHARE * room)))
 
 
-def cells_of_agent(agent: LinearAgent, cells: Cells) -> tuple[int, ...]:
-    """Cells per axis of one agent."""
+def cells_of_agent(agent: LinearAgent, cells: CellCounts) -> tuple[int, ...]:
+    """Return the cells per axis of one agent, or raise ValueError if they are no positive whole numbers."""
     wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
     if wanted is None:
         wanted = DEFAULT_CELLS.get(agent.n_states, 10)

@@ -1,8 +1,9 @@
 """Rectangular grids whose edges lie on the region boundaries.
 
 An agent's workspace is cut into boxes ("cells"), the product of one partition per axis. Cells are half-open,
-``[edge_k, edge_k+1)``, the last one of an axis closed, exactly as regions and workspace are; a region whose boundary
-lies on edges therefore holds in a cell either everywhere or nowhere (THEORY section 1).
+``[edge_k, edge_k+1)``, but for the last one of an axis, which is closed, exactly as regions and workspace are. A region
+whose boundary lies on edges therefore holds in a cell either everywhere or nowhere (docs/theory/relations.md, "The
+exact relation").
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import box_text, counted
 from .refusal import RelationRefused
+from .sizes import shape_text
 
 FloatArray = NDArray[Any]
 """Floating-point numbers (rationals in exact tests)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Grid:
     """Partition of a box into ``S = prod(shape)`` cells, numbered in C order.
 
@@ -38,6 +41,11 @@ class Grid:
             if axis.ndim != 1 or len(axis) < 2 or not np.all(np.diff(axis) > 0):
                 raise ValueError(f"`edges[{k}]`: expected at least two strictly increasing numbers, got {axis!r}")
             axis.setflags(write=False)
+
+    def __repr__(self) -> str:
+        box = box_text(np.array([axis[0] for axis in self.edges]), np.array([axis[-1] for axis in self.edges]))
+        number = counted(self.n_cells, "cell")
+        return f"Grid({number if len(self.shape) == 1 else f'{shape_text(self.shape)} = {number}'} on {box})"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -70,7 +78,7 @@ class Grid:
         return np.maximum(self.high - self.centres, self.centres - self.low) * (1 + 4e-16)
 
     def cell_of(self, points: FloatArray) -> NDArray[np.int64]:
-        """Cell that holds each point (exact); points outside are projected onto the grid first.
+        """Return the cell that holds each point (exact); points outside are projected onto the grid first.
 
         Parameters
         ----------
@@ -88,7 +96,7 @@ class Grid:
         return cells
 
     def overlap(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """Share (S,) of the box ``[low, high]`` (d,) that lies in each cell; a flat axis counts as its point."""
+        """Return the share (S,) of the box ``[low, high]`` (d,) that lies in each cell; a flat axis is a point."""
         share = np.ones(1)
         for edges, a, b in zip(self.edges, low, high, strict=True):
             if a == b:
@@ -101,12 +109,14 @@ class Grid:
 
 
 def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Share (S,) of a start box in each cell: of a point whatever the grid coordinates, of a box only in state ones.
+    """Return the share (S,) of a start box in each cell, up to rounding.
+
+    A point may be given in any grid coordinates, a box with an inside only where they are those of the state.
 
     Raises
     ------
     ValueError
-        For a box if the cells are no boxes in state space (correlated noise).
+        For such a box if the cells are no boxes in state space (correlated noise).
     """
     if np.array_equal(coordinates, np.eye(len(coordinates))):
         return grid.overlap(low, high)
@@ -123,7 +133,7 @@ def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: Floa
 
 
 def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[float] = ()) -> FloatArray:
-    """Edges of about ``cells`` intervals of ``[low, high]`` that contain every boundary inside it.
+    """Return the edges of about ``cells`` intervals of ``[low, high]``; every boundary inside is one of them.
 
     Segments between neighbouring boundaries are cut uniformly, in numbers proportional to their lengths (largest
     remainders, at least one cell each), so that a grid which is aligned already stays uniform.
@@ -141,20 +151,21 @@ def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[floa
             f"`cells`: expected at least {len(lengths)} on [{low:g}, {high:g}], whose region boundaries cut it into "
             f"that many parts, got {cells}; ask for more cells"
         )
+    # Every segment gets its share of the cells, rounded down; the cells that are left go to the largest remainders.
     share = lengths / lengths.sum() * cells
     counts = np.maximum(1, np.floor(share + 1e-9).astype(int))
     while counts.sum() < cells:
         counts[np.argmax(share - counts)] += 1
     while counts.sum() > cells:
         counts[np.argmin(np.where(counts > 1, share - counts, np.inf))] -= 1
-    parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(points[:-1], points[1:], counts, strict=True)]
-    edges = np.concatenate([*parts, points[-1:]])
-    # round the rest, so that grids which differ in their boundaries only share edges, and with them their kernel
+    segments = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(points[:-1], points[1:], counts, strict=True)]
+    edges = np.concatenate([*segments, points[-1:]])
+    # Round all other edges, so that grids which differ in their boundaries alone share edges, and with them a kernel.
     decimals = 12 - max(0, math.ceil(math.log10(max(abs(low), abs(high), 1e-12))))
     rounded = np.round(edges, decimals)
     return np.where(np.isin(edges, points) | (np.abs(rounded - edges) > 1e-6 * lengths.min() / cells), edges, rounded)
 
 
 def _product(axes: Sequence[FloatArray]) -> FloatArray:
-    """(prod n_k, d) Cartesian product in C order."""
+    """Return the Cartesian product (prod n_k, d) in C order."""
     return np.stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")], axis=-1)

@@ -19,7 +19,7 @@ class GridDynamics:
     A, B : (d, d), (d, m) arrays
     offset : (d,) array
     covariance : (d, d) array
-        Of the noise; diagonal up to rounding, where the coordinates were chosen for that.
+        Of the noise; diagonal up to rounding where the coordinates were chosen for that.
     inverse : (d, d) array
         From state to grid coordinates.
     """
@@ -32,7 +32,7 @@ class GridDynamics:
 
 
 def in_grid_coordinates(agent: LinearAgent, coordinates: FloatArray) -> GridDynamics:
-    """Dynamics of ``agent`` in grid coordinates (exact up to rounding)."""
+    """Return the dynamics of ``agent`` in grid coordinates (exact up to rounding)."""
     inverse = np.linalg.inv(coordinates)
     return GridDynamics(
         A=inverse @ agent.A @ coordinates,

@@ -6,5 +6,5 @@ from __future__ import annotations
 class RelationRefused(ValueError):
     """No relation of the kind that was asked for ties this agent to these cells; the text says what to try.
 
-    A search over relations or cells catches it and goes on; other errors are mistakes of the caller and end the search.
+    A search over relations or cells catches it and continues; other errors are mistakes of the caller and end it.
     """

@@ -1,7 +1,7 @@
 """Policies to begin with: those of a certificate for the same agents, read at another horizon.
 
-Policies of horizon T are read at another horizon in two ways: *by the time left* (the last steps are the same, the
-first one is repeated before them, or left out) and *by the time gone* (the first steps are the same, the last one is
+Policies of horizon T are read at another horizon in two ways: *by the time left* (the last steps are the same; the
+first one is repeated before them, or left out) and *by the time gone* (the first steps are the same; the last one is
 repeated). For a co-safe task the second is worth at least as much at a longer horizon as it was, so that bounds rise
 with the horizon, up to what is pruned.
 """
@@ -14,12 +14,12 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
-from ..certificates import Certificate, checked_certificate
-from ..models import Abstraction, InputMenu, Policies
+from ..certificates import AgentPart, Certificate, checked_certificate
+from ..models import Abstraction, AgentModel, InputMenu, Policies
 
 
 def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
-    """The policies of a certificate at the horizon of ``problem``, by what is kept of their times.
+    """Return the policies of a certificate at the horizon of ``problem``, by how their times are read.
 
     Raises
     ------
@@ -30,34 +30,39 @@ def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstr
     fits: bool = (
         len(agents) == problem.n_agents and certificate.problem.automaton.n_states == problem.automaton.n_states
     )
-    members = zip(certificate.problem.agents, problem.agents, strict=False)
-    for part, model, (given, asked) in zip(agents, abstraction.models, members, strict=False):
-        same = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
-        fits = fits and _moves(given) == _moves(asked)
-        fits = fits and part.policy.shape[-1] == model.n_cells and all(np.array_equal(a, b) for a, b in same)
-        if isinstance(model.choices, InputMenu):
-            fits = fits and part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
-        else:
-            fits = fits and part.menu is None
+    pairs = zip(certificate.problem.agents, problem.agents, strict=False)
+    for part, model, (certified, asked) in zip(agents, abstraction.models, pairs, strict=False):
+        fits = fits and _moves(certified) == _moves(asked) and _choices_fit(part, model)
     if not fits:
         raise ValueError(
             "`start`: expected a certificate of the same agents, task, cells and relation, got one of "
             f"{certificate.problem.name!r} with other ones; leave it out"
         )
     times = np.arange(problem.horizon)
-    kept = {}
+    by_name = {}
     for name, shift in (("time left", certificate.problem.horizon - problem.horizon), ("time gone", 0)):
         policies = [part.policy[np.clip(times + shift, 0, len(part.policy) - 1)] for part in agents]
-        kept[f"given start by {name}"] = tuple(_admissible(policy, m.choices.resting_choice) for policy, m in
-                                               zip(policies, abstraction.models, strict=True))  # fmt: skip
-    return kept if certificate.problem.horizon != problem.horizon else dict([kept.popitem()])
+        resting = [model.choices.resting_choice for model in abstraction.models]
+        by_name[f"given start by {name}"] = tuple(_admissible(*pair) for pair in zip(policies, resting, strict=True))
+    # At the same horizon the two are one.
+    return by_name if certificate.problem.horizon != problem.horizon else dict([by_name.popitem()])
 
 
 def _moves(agent: LinearAgent) -> dict[str, Any]:
-    """All of an agent but its name and its start: what its choices are admissible for."""
+    """Return all of an agent but its name and its start: what its choices are admissible for."""
     return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
 
 
+def _choices_fit(part: AgentPart, model: AgentModel) -> bool:
+    """Return whether the choices of a certificate's agent mean the same in a model: equal cells, lattice and menu."""
+    axes = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
+    if part.policy.shape[-1] != model.n_cells or not all(np.array_equal(a, b) for a, b in axes):
+        return False
+    if isinstance(model.choices, InputMenu):
+        return part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
+    return part.menu is None
+
+
 def _admissible(policy: Any, resting: Any) -> Any:
-    """The policy, with a choice wherever there is one."""
+    """Return the policy, with the resting choice where it has none and there is one."""
     return np.where((policy < 0) & (resting >= 0), resting, policy).astype(np.int32)

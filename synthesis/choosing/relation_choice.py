@@ -1,18 +1,19 @@
 """The relation that certifies most: what applies is tried, what cannot exceed the best is left out.
 
 Agents with the same dynamics, cells and wishes form a group and share a relation; groups may have different ones. Each
-group has finite models under every relation that applies to it. Of a combination of relations, one per group, a bound
+group has finite models under every relation that applies to it. For a combination of relations, one per group, a bound
 from above is known before any search: the product of what each agent could do if the team followed (``relaxation``).
 The search begins with the combination of the largest such bound, or (unless that is ``exact`` throughout) with another
 one that after a single sweep is ahead of it; then one group after the other is changed. Combinations whose bound from
 above is not worth a search are passed over, and so are those that after one sweep are far behind. So the number of
-searches grows with the number of groups, not of combinations; that no other combination is better is not claimed.
+searches grows with the number of groups, not of combinations; it is not claimed that no other combination is better
+(docs/theory/relations.md, "Which relation certifies most?").
 
 An agent for which ``exact`` applies is *settled*, and nothing else is looked at, if no cell is without a target and the
 reserve takes at most ``SETTLED`` of its inputs. No theorem says that it is then the best on the same cells: a tube
-around an open-loop stable agent needs no reserve, and its labels may lose nothing. Among 517 random problems of one
-agent with one or two states, none below half of ``SETTLED`` (163) and 2 of 135 above it had a tube with a bound larger
-by more than 1e-6.
+around an open-loop stable agent needs no reserve, and its labels may lose nothing. Among random problems of one agent
+with one or two states, none of 163 below half of ``SETTLED``, and 2 of 135 above it, had a tube with a bound larger by
+more than 1e-6.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...envs.problem import Problem
-from ..cells import Cells, RelationRefused, cells_of_agent
+from ..cells import CellCounts, RelationRefused, cells_of_agent
 from ..certificates import Synthesis, rounded_up
 from ..models import (
     Abstraction,
@@ -45,7 +46,7 @@ from ..search import MANY_TERMS, Limits, Relaxation, relax, relaxed_policies, sw
 SETTLED = 0.1
 """Share of the inputs, per cell, that the ``exact`` relation may keep in reserve where nothing else is tried."""
 
-WORTHWHILE = 1e-3
+LEAST_GAIN = 1e-3
 """Gains up to this are not worth a search."""
 
 PROMISING = 0.5
@@ -54,7 +55,7 @@ PROMISING = 0.5
 DOUBLINGS, MOST_CELLS = 2, 200_000
 """How often default cells are doubled where no relation applies to them, and to how many of one agent."""
 
-ALL = ("exact", "tube", "ellipsoid", "paper")
+ALL_RELATIONS = ("exact", "tube", "ellipsoid", "paper")
 """Relations in the order in which they are preferred among equals."""
 
 Combination = tuple[str, ...]
@@ -63,12 +64,12 @@ Combination = tuple[str, ...]
 Tried = dict[str, float | str]
 """By relation, the bound that it gave, or why there is none."""
 
-Run = Callable[[Abstraction, JointModel, tuple[Relaxation, ...]], Synthesis]
+RunOnModels = Callable[[Abstraction, JointModel, tuple[Relaxation, ...]], Synthesis]
 """Synthesis on finite models."""
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class AgentGroup:
     """Agents that are alike, and their finite models under each relation that they may have.
 
     Parameters
@@ -86,8 +87,8 @@ class Group:
     refused: dict[str, str]
 
 
-def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Settings) -> list[Group]:
-    """Groups of agents with their models; ``asked`` names a relation per agent, ``"auto"`` or ``"best"``.
+def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], settings: Settings) -> list[AgentGroup]:
+    """Return groups of agents with their models; ``asked`` names a relation per agent, ``"auto"`` or ``"best"``.
 
     Raises
     ------
@@ -95,6 +96,7 @@ def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Se
         If no relation applies to a group.
     """
     check_names("cells", cells, problem)
+    # Equal arrays, cells and wishes make equal models: compare once for all members.
     alike: dict[object, list[int]] = {}
     for i, agent in enumerate(problem.agents):
         key = (asked[i], cells_of_agent(agent, cells), *alike_arrays(agent))
@@ -102,36 +104,40 @@ def groups_of(problem: Problem, cells: Cells, asked: Sequence[str], settings: Se
     return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
 
 
-def _on_cells(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
-    """The group on the cells that are asked for; default ones are doubled where no relation applies to them."""
+def _on_cells(
+    problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings
+) -> AgentGroup:
+    """Return the group on the cells that are asked for; default ones are doubled where no relation applies to them."""
     first, names = problem.agents[members[0]], [problem.agents[i].name for i in members]
-    own = cells_of_agent(first, cells)
-    chosen = cells is not None and (not isinstance(cells, Mapping) or first.name in cells)
-    refused: list[RelationRefused] = []
-    for k in range(1 if chosen else 1 + DOUBLINGS):
-        finer = tuple(n << k for n in own)
-        if refused and math.prod(finer) > MOST_CELLS:
+    shape = cells_of_agent(first, cells)
+    is_given = cells is not None and (not isinstance(cells, Mapping) or first.name in cells)
+    refusals: list[RelationRefused] = []
+    for k in range(1 if is_given else 1 + DOUBLINGS):
+        finer = tuple(n << k for n in shape)
+        if refusals and math.prod(finer) > MOST_CELLS:
             break
         try:
             return _group(problem, dict.fromkeys(names, finer), asked, members, settings)
         except RelationRefused as error:
-            refused.append(error)
-    raise refused[0]
+            refusals.append(error)
+    raise refusals[0]
 
 
-def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...], settings: Settings) -> Group:
+def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, ...], settings: Settings) -> AgentGroup:
+    """Return the group with its models under all relations that are asked for and apply."""
     models: dict[str, dict[int, AgentModel]] = {}
     refused: dict[str, str] = {}
-    wanted = {"auto": ALL[:3] if has_full_rank(problem.agents[members[0]]) else ALL[1:3], "best": ALL}
+    automatic = ALL_RELATIONS[:3] if has_full_rank(problem.agents[members[0]]) else ALL_RELATIONS[1:3]
+    wanted = {"auto": automatic, "best": ALL_RELATIONS}
     for relation in wanted.get(asked, (asked,)):
         try:
-            found = models_of(problem, cells, dict.fromkeys(members, relation), settings)
+            member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)
         except RelationRefused as error:
             refused[relation] = " ".join(str(error).split())
             continue
-        kinds = {model.relation.kind for model in found.values()}
-        models["/".join(sorted(kinds)) if relation == "quick" else relation] = found
-        if asked == "auto" and settings.delta is None and all(map(is_settled, found.values())):
+        kinds = {model.relation.kind for model in member_models.values()}
+        models["/".join(sorted(kinds)) if relation == "quick" else relation] = member_models
+        if asked == "auto" and settings.delta is None and all(map(is_settled, member_models.values())):
             break
     if not models:
         reasons = dict.fromkeys(refused.values())
@@ -140,11 +146,11 @@ def _group(problem: Problem, cells: Cells, asked: str, members: tuple[int, ...],
         name = problem.agents[members[0]].name
         listed = "; ".join(f"{relation}: {reason}" for relation, reason in refused.items())
         raise RelationRefused(f"`relation`: expected one that applies to agent `{name}`, got none: {listed}")
-    return Group(members, models, refused)
+    return AgentGroup(members, models, refused)
 
 
 def is_settled(model: AgentModel) -> bool:
-    """Whether the relation is ``exact``, every cell has a target, and the reserve takes few of the inputs."""
+    """Return whether the relation is ``exact``, every cell has a target, and the reserve takes few of the inputs."""
     choices = model.choices
     if not isinstance(choices, TargetWindows) or np.any(choices.resting_choice < 0):
         return False
@@ -153,18 +159,18 @@ def is_settled(model: AgentModel) -> bool:
 
 @dataclass(eq=False)
 class Tries:
-    """Combinations of relations for a team, and what is known of them.
+    """Combinations of relations for a team, and what was computed of them.
 
     Parameters
     ----------
     problem : Problem
-    groups : list of Group
+    groups : list of AgentGroup
     settings : Settings
     device : str
     """
 
     problem: Problem
-    groups: list[Group]
+    groups: list[AgentGroup]
     settings: Settings
     device: str
 
@@ -174,7 +180,7 @@ class Tries:
         self._values: dict[Combination, float] = {}
 
     def name(self, combination: Combination) -> str:
-        """The relation, or the relation of each group where they differ."""
+        """Return the relation, or the relation of each group where they differ, in words."""
         if len({*combination}) == 1:
             return combination[0]
         words = []
@@ -184,7 +190,7 @@ class Tries:
         return ", ".join(words)
 
     def models(self, combination: Combination) -> tuple[Abstraction, JointModel] | str:
-        """The finite models of a combination, alone and joined; or why they cannot be joined."""
+        """Return the finite models of a combination, alone and joined; or why they cannot be joined."""
         if combination not in self._joined:
             pairs = zip(self.groups, combination, strict=True)
             models = dict(item for group, relation in pairs for item in group.models[relation].items())
@@ -197,7 +203,7 @@ class Tries:
         return self._joined[combination]
 
     def most(self, combination: Combination) -> float:
-        """Upper bound on what any policy attains on these models; -1 where they cannot be joined."""
+        """Return an upper bound on what any policy attains on these models; -1 where they cannot be joined."""
         models = self.models(combination)
         if isinstance(models, str):
             return -1.0
@@ -205,61 +211,71 @@ class Tries:
         return upper_bound(joint, start_of(self.problem, joint), self.relaxations(joint))
 
     def relaxations(self, joint: JointModel) -> tuple[Relaxation, ...]:
-        """Relaxations of a combination; models that several combinations share are solved once."""
+        """Return the relaxations of a combination; models that several combinations share are solved once."""
         return relax(self.problem, joint, self._relaxations)
 
     def value(self, combination: Combination) -> float:
-        """What one sweep attains, to compare combinations by; for one agent the bound from above says it."""
+        """Return what one sweep attains, to compare combinations by; with one agent the bound from above says it."""
         models = self.models(combination)
         if isinstance(models, str) or self.problem.n_agents == 1:
             return self.most(combination)
         if combination not in self._values:
             joint, limits = models[1], Limits(rank=MANY_TERMS)
             policies = relaxed_policies(self.relaxations(joint))
-            self._values[combination] = sweep(
-                joint, policies, start_of(self.problem, joint), limits, improve=True
-            ).value
+            outcome = sweep(joint, policies, start_of(self.problem, joint), limits, improve=True)
+            self._values[combination] = outcome.value
         return self._values[combination]
 
     def first(self) -> Combination:
-        """The combination to begin with: of the largest bounds from above, unless one sweep says otherwise."""
+        """Return the combination to begin with: of the largest bounds from above, unless one sweep says otherwise."""
         usual = tuple(next(iter(group.models)) for group in self.groups)
         if all(len(group.models) == 1 for group in self.groups):
             return usual
+        # For each group the first relation, in order of preference, whose bound from above is as good as any.
         chosen = usual
         for g, group in enumerate(self.groups):
-            options = {relation: self.most(_changed(usual, g, relation)) for relation in group.models}
-            enough = max(options.values()) - WORTHWHILE
-            chosen = _changed(chosen, g, next(own for own in group.models if options[own] >= enough))
+            bounds = {relation: self.most(_changed(usual, g, relation)) for relation in group.models}
+            enough = max(bounds.values()) - LEAST_GAIN
+            chosen = _changed(chosen, g, next(relation for relation in group.models if bounds[relation] >= enough))
         if {*chosen} == {"exact"}:
             return chosen  # what it certifies may well leave nothing worth a sweep over the others
         value = self.value(chosen)
         for g, relation in self._options():
             combination = _changed(chosen, g, relation)
-            if self.most(combination) > value + WORTHWHILE and self.value(combination) > value:
+            if self.most(combination) > value + LEAST_GAIN and self.value(combination) > value:
                 chosen, value = combination, self.value(combination)
         return chosen
 
-    def best(self, run: Run, known: Synthesis | None = None, every: bool = False) -> tuple[Synthesis, Tried]:
-        """The synthesis with the largest bound, and what was tried: its bound, or why it was not computed.
+    def best(self, run: RunOnModels, earlier: Synthesis | None = None, every: bool = False) -> tuple[Synthesis, Tried]:
+        """Return the synthesis with the largest bound, and what was tried: its bound, or why it was not computed.
 
-        ``known`` is one that has been made on the same cells; with ``every``, no combination is passed over.
+        Parameters
+        ----------
+        run : callable
+            Synthesis on finite models.
+        earlier : Synthesis, optional
+            One that was made on the same cells: it counts as tried.
+        every : bool
+            Whether no combination is passed over.
         """
-        chosen, best = self.first() if known is None else self._of(known), known
-        tried: Tried = {} if known is None else {self.name(chosen): float(known.certificate.lower_bound)}
+        chosen, best = self.first() if earlier is None else self._of(earlier), earlier
+        tried: Tried = {} if earlier is None else {self.name(chosen): float(earlier.certificate.lower_bound)}
+        # The first combination, then the best so far with one group changed at a time.
         for g, relation in ((0, chosen[0]), *self._options()):
             combination = _changed(chosen, g, relation)
             name, models = self.name(combination), self.models(combination)
             if name in tried:
                 continue
+            # Without a best there is nothing to compare with: the first combination that can be joined is run.
             passed = None if best is None or every else self._passed_over(combination, chosen, best)
             if isinstance(models, str) or passed is not None:
                 tried[name] = passed or str(models)
                 continue
-            found = run(*models, self.relaxations(models[1]))
-            tried[name] = float(found.certificate.lower_bound)
-            if best is None or found.certificate.lower_bound > best.certificate.lower_bound:
-                best, chosen = found, combination
+            result = run(*models, self.relaxations(models[1]))
+            tried[name] = float(result.certificate.lower_bound)
+            if best is None or result.certificate.lower_bound > best.certificate.lower_bound:
+                best, chosen = result, combination
+        # Relations that do not apply are part of the record, too.
         for group in self.groups:
             where = "" if len(self.groups) == 1 else f" for {self.problem.agents[group.members[0]].name}"
             tried |= {f"{relation}{where}": reason for relation, reason in group.refused.items()}
@@ -268,18 +284,19 @@ class Tries:
         return best, tried
 
     def _options(self) -> list[tuple[int, str]]:
-        """Every group with each of its relations."""
+        """Return every group with each of its relations."""
         return [(g, relation) for g, group in enumerate(self.groups) for relation in group.models]
 
-    def _of(self, known: Synthesis) -> Combination:
-        """The relations of a synthesis."""
-        kinds = [part.relation["kind"] for part in known.certificate.agents]
+    def _of(self, synthesis: Synthesis) -> Combination:
+        """Return the relations of a synthesis."""
+        kinds = [part.relation["kind"] for part in synthesis.certificate.agents]
         return tuple(kinds[group.members[0]] for group in self.groups)
 
     def _passed_over(self, combination: Combination, chosen: Combination, best: Synthesis) -> str | None:
-        """Why a combination is not worth a search next to the best so far, which is ``chosen``; None if it may be."""
+        """Return why a combination is not worth a search next to ``best``, which is ``chosen``; None if it may be."""
+        # What is certified is never more than the value of the finite models, and so than their bound from above.
         lower, most = best.certificate.lower_bound, self.most(combination)
-        if 0.0 <= most <= lower + WORTHWHILE:
+        if 0.0 <= most <= lower + LEAST_GAIN:
             return f"at most {rounded_up(most)}, not computed"
         these, others = self.models(combination), self.models(chosen)
         if not isinstance(these, str) and not isinstance(others, str) and _same_models(these[0], others[0]):
@@ -290,20 +307,23 @@ class Tries:
 
 
 def _changed(combination: Combination, g: int, relation: str) -> Combination:
-    """The combination with another relation of group g."""
+    """Return the combination with another relation of group g."""
     return (*combination[:g], relation, *combination[g + 1 :])
 
 
-def _same_models(some: Abstraction, others: Abstraction) -> bool:
-    """Whether two abstractions are the same up to rounding, though their relations are not."""
-    return all(one is other or _same_model(one, other) for one, other in zip(some.models, others.models, strict=True))
+def _same_models(first: Abstraction, second: Abstraction) -> bool:
+    """Return whether two abstractions are the same up to rounding, though their relations are not."""
+    pairs = zip(first.models, second.models, strict=True)
+    return all(model is counterpart or _same_model(model, counterpart) for model, counterpart in pairs)
 
 
-def _same_model(one: AgentModel, other: AgentModel) -> bool:
-    a, b = one.choices, other.choices
-    if not isinstance(a, InputMenu) or not isinstance(b, InputMenu) or one.delta != other.delta:
+def _same_model(first: AgentModel, second: AgentModel) -> bool:
+    """Return whether two models with menus have equal labels, menus and delta, and lattices up to rounding."""
+    a, b = first.choices, second.choices
+    if not isinstance(a, InputMenu) or not isinstance(b, InputMenu) or first.delta != second.delta:
         return False
-    if one.labels.key != other.labels.key or [len(x) for x in one.lattice] != [len(x) for x in other.lattice]:
+    if first.labels.key != second.labels.key or [len(x) for x in first.lattice] != [len(x) for x in second.lattice]:
         return False
-    close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in zip(one.lattice, other.lattice, strict=True))
+    axes = zip(first.lattice, second.lattice, strict=True)
+    close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in axes)
     return close and np.array_equal(a.leads_to, b.leads_to)

@@ -1,9 +1,10 @@
-"""What coupled agents remember: the abstract state xhat, moved along with the continuous one (THEORY section 6).
+"""What coupled agents remember: the abstract state xhat, moved along with the continuous one.
 
-From the next state an agent recovers the noise ``w``, draws the abstract noise from the coupling, ``what = w + F e``
-with probability ``min(1, phi(what)/phi(w))`` and its mirror image otherwise (always ``what = w`` where F = 0, and
-nothing is drawn), and moves xhat as the finite model does. When ``x - xhat`` leaves the relation the certificate claims
-nothing any more; the agent starts again from the cell of its state.
+From the next state an agent recovers the noise ``w``. It draws the abstract noise from the coupling, ``what = w + F e``
+with probability ``min(1, phi(what)/phi(w))`` and its mirror image otherwise (docs/theory/relations.md, "Maximal
+coupling"); if F = 0, always ``what = w``, and nothing is drawn. Then it moves xhat as the finite model does. When
+``x - xhat`` leaves the relation the certificate claims nothing any more, and the agent starts again from the cell of
+its state.
 """
 
 from __future__ import annotations
@@ -45,16 +46,17 @@ class Memory:
     means: FloatArray | None = None
 
     def selected(self, which: NDArray[Any]) -> Memory:
-        """Memory of the worlds ``which`` alone, whole numbers in increasing order."""
+        """Return the memory of the worlds ``which`` alone, whole numbers in increasing order."""
         arrays = (self.cells, self.error, self.lost, self.states, self.inputs, self.means)
-        return Memory(*(None if own is None else own.take(which, axis=-1) for own in arrays))  # type: ignore[arg-type]
+        selected = (None if array is None else array.take(which, axis=-1) for array in arrays)
+        return Memory(*selected)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
     """Moves the abstract states of agents that share a relation and a grid.
 
-    All work is done axis by axis on arrays (n, M), and in one order whatever worlds are beside.
+    All work is done axis by axis on arrays (n, M), in an order that does not depend on the number of worlds.
 
     Parameters
     ----------
@@ -66,35 +68,37 @@ class Tracker:
     grid: Grid
 
     def points(self, states: FloatArray) -> FloatArray:
-        """Grid coordinates (d, n, M) of states (d, n, M), which may be the same array."""
+        """Return the grid coordinates (d, n, M) of states (d, n, M); they may be the same array."""
         return states if self._inverse is None else product(self._inverse, states)
 
     def begin(self, points: FloatArray) -> Memory:
-        """Memory at time 0 at grid coordinates ``points`` (d, n, M): the cells of the states; outside it is lost."""
+        """Return the memory at time 0 at grid coordinates (d, n, M): the cells of the states; outside it is lost."""
         cells, error, inside = self.cells_of(points, points)
         return Memory(cells, np.nan_to_num(error, copy=False), ~inside)
 
     def follow(self, memory: Memory, points: FloatArray, uniform: FloatArray | None) -> Memory:
-        """Memory once the agents are at grid coordinates ``points`` (d, n, M), after the first step.
+        """Return the memory once the agents are at grid coordinates ``points`` (d, n, M), after the first step.
 
         ``uniform`` (n, M) are auxiliary draws, used where there is a coupling F.
         """
         assert memory.means is not None
+        # xhat' = Pi(z + what); agents far outside may overflow, and count as lost then.
         with np.errstate(over="ignore", invalid="ignore"):
             landed = self._noise(memory, points)
             if self.is_coupled:
                 assert uniform is not None
                 landed = self._coupled(landed, memory.error, uniform)
             landed += memory.means
-            cells, error, kept = self.cells_of(landed, points)
-            kept &= self.relation.related(error)
-        lost, gone = memory.lost, np.flatnonzero(~kept)
-        if len(gone):  # few, as a rule
-            there = points.reshape(len(points), -1).take(gone, axis=1)
+            cells, error, is_related = self.cells_of(landed, points)
+            is_related &= self.relation.related(error)
+        # Where the relation is lost, few worlds as a rule, begin again from the cell of the state.
+        lost, restarted = memory.lost, np.flatnonzero(~is_related)
+        if len(restarted):
+            there = points.reshape(len(points), -1).take(restarted, axis=1)
             again = self.begin(there)
-            cells.reshape(-1)[gone] = again.cells
-            error.reshape(len(points), -1)[:, gone] = again.error
-            lost = lost | ~kept
+            cells.reshape(-1)[restarted] = again.cells
+            error.reshape(len(points), -1)[:, restarted] = again.error
+            lost = lost | ~is_related
         return Memory(cells, error, lost, memory.states, memory.inputs, memory.means)
 
     @cached_property
@@ -103,19 +107,19 @@ class Tracker:
         return bool(np.any(self.relation.coupling))
 
     def _noise(self, memory: Memory, points: FloatArray) -> FloatArray:
-        """The noise (d, n, M) of the last step: what the next state is off its mean."""
+        """Return the noise (d, n, M) of the last step, ``w = x' - (A x + B u + c)``."""
         assert memory.states is not None and memory.inputs is not None
         noise = np.empty(points.shape)
-        for own, x, a, b, c in zip(noise, points, self._A, self._B, self.relation.drift.tolist(), strict=True):
-            times(a, memory.states, own)
-            own += times(b, memory.inputs)
+        for component, x, a, b, c in zip(noise, points, self._A, self._B, self.relation.drift.tolist(), strict=True):
+            times(a, memory.states, component)
+            component += times(b, memory.inputs)
             if c != 0.0:
-                own += c
-            np.subtract(x, own, out=own)
+                component += c
+            np.subtract(x, component, out=component)
         return noise
 
     def _coupled(self, noise: FloatArray, error: FloatArray, uniform: FloatArray) -> FloatArray:
-        """Noise (d, n, M) of the abstract system, drawn from the coupling."""
+        """Return the noise (d, n, M) of the abstract system, drawn from the coupling; ``noise`` is overwritten."""
         deviation = np.sqrt(self.relation.covariance).reshape(-1, *[1] * (noise.ndim - 1))
         noise *= 1.0 / deviation
         result = couple(noise, product(self._F, error), uniform)
@@ -125,12 +129,12 @@ class Tracker:
     def cells_of(
         self, landed: FloatArray, points: FloatArray
     ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
-        """Where abstract states land at grid coordinates (d, ...) while the agents are at ``points`` (d, ...).
+        """Return where abstract states land at grid coordinates (d, ...) while the agents are at ``points`` (d, ...).
 
         Returns
         -------
         cells : (...) int array
-            Those outside count as in the nearest cell, NaN at the low edge.
+            What lands outside counts as in the nearest cell, NaN as at the low edge.
         error : (d, ...) array
             The points less the centres of the cells.
         inside : (...) bool array
@@ -138,12 +142,13 @@ class Tracker:
         """
         error, inside, cells = np.empty(points.shape), np.ones(points.shape[1:], dtype=bool), None
         held, axes = np.empty(points.shape[1:]), zip(self.grid.edges, self._finders, self._centres, strict=True)
-        for own, x, to, (edges, find, middle) in zip(landed, points, error, axes, strict=True):
-            np.fmax(own, edges[0], out=held)  # fmax passes over NaN
+        for coordinate, x, component, (edges, find, middle) in zip(landed, points, error, axes, strict=True):
+            # Move what is outside onto the nearest edge; fmax passes over NaN.
+            np.fmax(coordinate, edges[0], out=held)
             np.fmin(held, edges[-1], out=held)
-            inside &= held == own
+            inside &= held == coordinate
             place = find(held)
-            np.subtract(x, middle.take(place), out=to)
+            np.subtract(x, middle.take(place), out=component)
             if cells is None:
                 cells = place
             else:
@@ -154,7 +159,7 @@ class Tracker:
 
     @cached_property
     def _inverse(self) -> tuple[Row, ...] | None:
-        """State to grid coordinates; None where they are the same."""
+        """Rows of the matrix from state to grid coordinates; None if these are the same."""
         return None if self.relation.has_state_coordinates else rows_of(np.linalg.inv(self.relation.coordinates))
 
     @cached_property
@@ -167,7 +172,7 @@ class Tracker:
 
     @cached_property
     def _F(self) -> tuple[Row, ...]:
-        """F, for noise of variance 1."""
+        """Rows of F, for noise of variance 1."""
         return rows_of(self.relation.coupling / np.sqrt(self.relation.covariance)[:, None])
 
     @cached_property
@@ -181,9 +186,9 @@ class Tracker:
 
 
 def moved_into(grid: Grid, points: FloatArray) -> FloatArray:
-    """Points moved into the grid; NaN goes to the low edge."""
+    """Return points (d, ...) moved into the grid if they are outside; NaN goes to the low edge."""
     inside = np.empty(points.shape)
-    for own, moved, edges in zip(points, inside, grid.edges, strict=True):
-        np.fmax(own, float(edges[0]), out=moved)  # fmax passes over NaN
+    for coordinate, moved, edges in zip(points, inside, grid.edges, strict=True):
+        np.fmax(coordinate, float(edges[0]), out=moved)  # fmax passes over NaN
         np.fmin(moved, float(edges[-1]), out=moved)
     return inside

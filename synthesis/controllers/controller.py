@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import counted, tree_text
 from ...envs.dynamics import Draws, Dynamics, Worlds
 from ...envs.problem import Problem
-from ..cells import FloatArray
+from ..cells import FloatArray, alike_text, shape_text
 from .abstract_state import Memory
 from .agent_controller import AgentController
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Controller:
     """Controllers of all agents of a problem, usable in a PettingZoo loop and in batched rollouts.
 
@@ -34,6 +35,17 @@ class Controller:
     problem: Problem
     agents: tuple[AgentController, ...]
     _episode: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def __repr__(self) -> str:
+        times, states = self.agents[0].policy.shape[:2]
+        rows = [
+            ("agents", counted(len(self.agents), "agent")),
+            ("relation", alike_text(agent.relation.kind for agent in self.agents)),
+            ("cells", alike_text(shape_text(agent.grid.shape) for agent in self.agents)),
+            ("policies", f"{counted(times, 'time')}, {counted(states, 'automaton state')}"),
+            ("memory", counted(sum(agent.is_coupled for agent in self.agents), "abstract state")),
+        ]
+        return tree_text(f"Controller of {self.problem.name!r}", rows)
 
     @cached_property
     def _by_name(self) -> dict[str, AgentController]:
@@ -62,10 +74,10 @@ class Controller:
         self._episode["memory"] = {}
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
-        """Action of every agent observed: name -> (m,) float64.
+        """Return the action of every agent observed: name -> (m,) float64.
 
         The state is read from the observation, or from ``infos[agent]`` (keys ``state``, ``automaton_state``, ``time``)
-        where that is given: it survives wrappers that round or rescale observations.
+        if that is given: it survives wrappers that round or rescale observations.
         """
         actions = {}
         for name, observation in observations.items():
@@ -84,7 +96,7 @@ class Controller:
         return actions
 
     def _act_one(self, agent: AgentController, state: FloatArray, q: int, time: int) -> FloatArray:
-        """Action of one agent, its memory kept between calls of one episode."""
+        """Return the action of one agent; its memory is kept between the calls of an episode."""
         if not agent.is_coupled:
             return np.ascontiguousarray(agent.act(state, np.array([q]), time, None)[0][:, 0, 0])
         memories, rng = self._episode.setdefault("memory", {}), self._episode.setdefault("rng", np.random.default_rng())
@@ -95,7 +107,7 @@ class Controller:
         return np.ascontiguousarray(inputs[:, 0, 0])
 
     def _read(self, agent: AgentController, observation: FloatArray) -> tuple[FloatArray, int, int]:
-        """State, automaton state and time in an observation (own state, one-hot automaton state, fraction left)."""
+        """Return state, automaton state and time of an observation (own state, one-hot automaton state, time left)."""
         d, n_q = len(agent.grid.edges), self.problem.automaton.n_states
         if observation.shape != (d + n_q + 1,):
             raise ValueError(
@@ -106,12 +118,12 @@ class Controller:
         return observation[:d], q, round((1.0 - float(observation[-1])) * self.problem.horizon)
 
     def batch(self, dynamics: Dynamics) -> BatchController:
-        """The same controllers for batched rollouts of ``dynamics``."""
+        """Return the same controllers for batched rollouts of ``dynamics``."""
         return BatchController.of(self.agents, dynamics)
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class ControllerGroup:
     """Agents of one block that share grid and relation: their places in the block, and their common controller."""
 
     members: NDArray[np.int64]
@@ -120,7 +132,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class BatchMemory:
-    """Memory of a batch: one entry per group of each block, and the generator of auxiliary draws."""
+    """Memory of a batch: one entry per group of each block, and the generator of the auxiliary draws."""
 
     groups: tuple[tuple[Memory | None, ...], ...]
     rng: Draws
@@ -136,12 +148,12 @@ class BatchMemory:
 class BatchController:
     """Controllers arranged for batches: agents with the same grid and relation act in one call."""
 
-    blocks: tuple[tuple[Group, ...], ...]
+    blocks: tuple[tuple[ControllerGroup, ...], ...]
     shapes: tuple[tuple[int, int], ...]
 
     @classmethod
     def of(cls, agents: Sequence[AgentController], dynamics: Dynamics) -> BatchController:
-        """Group the agents of each block of ``dynamics``."""
+        """Return the controllers of ``agents``, grouped within each block of ``dynamics``."""
         blocks, shapes = [], []
         for block in dynamics.blocks:
             groups: dict[object, list[int]] = {}
@@ -152,51 +164,55 @@ class BatchController:
         return cls(tuple(blocks), tuple(shapes))
 
     def begin(self, worlds: Worlds, rng: Draws) -> BatchMemory:
-        """Memory at time 0; agents with a coupling F take one auxiliary draw per step and world from ``rng``."""
+        """Return the memory at time 0; agents with a coupling F take one draw per step and world from ``rng``."""
         pairs = zip(self.blocks, worlds.states, strict=True)
         memory = tuple(tuple(g.controller.begin(states[:, g.members]) for g in groups) for groups, states in pairs)
         return BatchMemory(memory, rng)
 
     def selected(self, memory: BatchMemory, which: NDArray[Any]) -> BatchMemory:
-        """Memory of the worlds ``which`` alone, whole numbers in increasing order."""
-        groups = (tuple(own and own.selected(which) for own in block) for block in memory.groups)
+        """Return the memory of the worlds ``which`` alone, whole numbers in increasing order."""
+        groups = (tuple(entry and entry.selected(which) for entry in block) for block in memory.groups)
         return BatchMemory(tuple(groups), memory.rng)
 
     def act(self, worlds: Worlds, memory: BatchMemory) -> tuple[tuple[FloatArray, ...], BatchMemory]:
-        """Inputs (m, n, M) per block, and the memory for the next step."""
-        result, remembered = [], []
+        """Return inputs (m, n, M) per block, and the memory for the next step."""
+        result, next_memory = [], []
         for groups, memories, (m, n), states in zip(
             self.blocks, memory.groups, self.shapes, worlds.states, strict=True
         ):
-            inputs, kept = [], []
-            for group, own in zip(groups, memories, strict=True):
+            inputs, remembered = [], []
+            # The order of groups is that of the draws: it is part of what a seed means.
+            for group, before in zip(groups, memories, strict=True):
                 uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if group.controller.draws else None
                 here = states if len(groups) == 1 else states.take(group.members, axis=1)
-                chosen, own = group.controller.act(here, worlds.q, worlds.time, own, uniform)
+                chosen, after = group.controller.act(here, worlds.q, worlds.time, before, uniform)
                 inputs.append(chosen)
-                kept.append(own)
+                remembered.append(after)
             result.append(inputs[0] if len(groups) == 1 else _placed(groups, inputs, (m, n, worlds.n_worlds)))
-            remembered.append(tuple(kept))
-        return tuple(result), BatchMemory(tuple(remembered), memory.rng)
+            next_memory.append(tuple(remembered))
+        return tuple(result), BatchMemory(tuple(next_memory), memory.rng)
 
 
-def _placed(groups: Sequence[Group], parts: Sequence[FloatArray], shape: tuple[int, int, int]) -> FloatArray:
-    """Inputs (m, n, M) of a block from those of its groups."""
+def _placed(
+    groups: Sequence[ControllerGroup], group_inputs: Sequence[FloatArray], shape: tuple[int, int, int]
+) -> FloatArray:
+    """Return the inputs (m, n, M) of a block, put together from those of its groups."""
     inputs = np.empty(shape)
-    for group, part in zip(groups, parts, strict=True):
-        inputs[:, group.members] = part
+    for group, members_inputs in zip(groups, group_inputs, strict=True):
+        inputs[:, group.members] = members_inputs
     return inputs
 
 
 def _signature(agent: AgentController) -> object:
-    """What agents that act in one call have in common: all but their names and what their policies hold."""
+    """Return what agents that act in one call have in common: all but their names and what their policies hold."""
     arrays = (*agent.grid.edges, *agent.lattice, *agent.relation.arrays)
     menu = b"" if agent.menu is None else sha256(agent.menu.tobytes()).digest()
     return (agent.relation.kind, len(agent.policy), menu, *(a.tobytes() for a in arrays))
 
 
-def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> Group:
+def _group(agents: Sequence[AgentController], block: NDArray[Any], members: list[int]) -> ControllerGroup:
+    """Return a group of some ``members`` of a block, with one controller that holds the policies of all."""
     first = agents[block[members[0]]]
     policy = np.stack([agents[block[k]].policy for k in members])
     shared = AgentController("", first.grid, first.lattice, first.relation, policy, first.menu)
-    return Group(np.array(members), shared)
+    return ControllerGroup(np.array(members), shared)

@@ -9,28 +9,33 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.agents import tree_text
 from ...envs.dynamics import Dynamics
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .controller import Controller
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProductController:
-    """Controllers of all agents of a problem that falls apart.
+    """Controllers of all agents of a problem that decomposes into independent tasks.
 
     Every agent sees its own state, the automaton state of its own group, and the time.
 
     Parameters
     ----------
     problem : Problem
-        The whole.
+        The whole problem.
     parts : tuple of Controller
         One for each of ``problem.tasks``, in order.
     """
 
     problem: Problem
     parts: tuple[Controller, ...]
+
+    def __repr__(self) -> str:
+        rows = [("agents", len(self._part_of)), ("tasks", len(self.parts))]
+        return tree_text(f"ProductController of {self.problem.name!r}", rows)
 
     @cached_property
     def _part_of(self) -> dict[str, int]:
@@ -53,11 +58,11 @@ class ProductController:
                 f"{', '.join(strangers[:5])}; reset the controller of this environment's own problem"
             )
         seeds = np.random.SeedSequence(seed).generate_state(len(self.parts), np.uint64)
-        for part, own, drawn in zip(self.parts, self._shared(observations), seeds, strict=True):
-            part.reset(own, None, int(drawn) if seed is not None else None)
+        for part, observed, drawn in zip(self.parts, self._by_part(observations), seeds, strict=True):
+            part.reset(observed, None, int(drawn) if seed is not None else None)
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
-        """Action of every agent observed: name -> (m,) float64; see ``Controller.act``."""
+        """Return the action of every agent observed: name -> (m,) float64; see ``Controller.act``."""
         strangers = sorted(set(observations) - set(self._part_of))
         if strangers:
             raise ValueError(
@@ -65,19 +70,19 @@ class ProductController:
                 "own environment"
             )
         actions: dict[str, FloatArray] = {}
-        for part, own in zip(self.parts, self._shared(observations), strict=True):
-            actions |= part.act(own, infos)
+        for part, observed in zip(self.parts, self._by_part(observations), strict=True):
+            actions |= part.act(observed, infos)
         return {name: actions[name] for name in observations}
 
     def batch(self, dynamics: Dynamics) -> Any:
-        """Refused: batches are simulated part by part (``validation.loop.Loop``)."""
+        """Raise ValueError: batches are simulated task by task (``validation.simulation.Loop``)."""
         raise ValueError(
-            f"`dynamics`: expected none, got those of {dynamics.problem.name!r}; tasks that fall apart are simulated "
-            "part by part: take the controllers of `.parts`"
+            f"`dynamics`: expected none, got those of {dynamics.problem.name!r}; independent tasks are simulated one "
+            "by one: take the controllers of `.parts`"
         )
 
-    def _shared(self, observations: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Observations by part."""
+    def _by_part(self, observations: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the observations of each part."""
         result: list[dict[str, Any]] = [{} for _ in self.parts]
         for name, observation in observations.items():
             result[self._part_of[name]][name] = observation

@@ -14,24 +14,24 @@ from .abstraction import (
     models_of,
     relations_of,
 )
-from .agent_models import FINE
+from .agent_models import SNAPPED_POINTS
 from .choices import BAND_BYTES, Choices, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
-from .kernel import BLOCK, REACH, Kernel, gaussian_table
+from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table
 
 __all__ = [
     "Abstraction",
     "AgentModel",
     "BAND_BYTES",
-    "BLOCK",
     "Choices",
-    "FINE",
     "InputMenu",
     "JointModel",
     "Kernel",
+    "LATTICE_BLOCK",
     "Policies",
-    "REACH",
+    "REACH_DEVIATIONS",
     "Relations",
+    "SNAPPED_POINTS",
     "Settings",
     "StepPolicy",
     "TargetWindows",

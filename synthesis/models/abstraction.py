@@ -1,12 +1,12 @@
 """Finite model of every agent: grid, relation, kernel, choices and labels of the cells.
 
 ``abstract`` turns a problem into one ``AgentModel`` per agent. Agents with the same dynamics and the same grid share
-kernel and choices, and with the same labels the model object itself.
+kernel and choices; those with the same labels, too, share the model object itself.
 
 Grid coordinates: the kernel is separable when the noise covariance is diagonal. An agent with a full covariance is
 gridded in coordinates ``x = L x_grid`` with ``Sigma = L D L'`` (L unit lower triangular), where the noise is diagonal;
 its cells are then parallelepipeds, labels and workspace are judged on their bounding boxes, and the result is a lower
-bound instead of an exact value (THEORY section 1).
+bound instead of an exact value (docs/theory/relations.md, "The exact relation").
 """
 
 from __future__ import annotations
@@ -18,33 +18,38 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
+    CellCounts,
     CellLabels,
-    Cells,
     FloatArray,
     Grid,
     agent_grid,
+    alike_text,
     cell_labels,
     cells_of_agent,
     error_labels,
     label_room,
+    shape_text,
 )
 from ..relations import CoupledRelation, ExactRelation, Relation
 from ..values import Residents
-from .agent_models import Bare, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
+from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
 from .choices import Choices
 from .kernel import Kernel
 
 Relations = str | Mapping[str, str]
-FOR_KINDS = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
-"""Settings that only these relations have; refused with all others."""
+"""Relation of all agents, or of each by its name."""
 
 RELATIONS = ("auto", "exact", "ellipsoid", "paper", "quick", "tube")
+"""Relations that can be asked for."""
+
+KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
+"""Settings that only these relations have; refused with all others."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AgentModel:
     """Finite model of one agent: S cells, Z lattice points (means), a kernel between them.
 
@@ -77,6 +82,16 @@ class AgentModel:
     start_labels: CellLabels
     residents: Residents = field(default_factory=Residents, repr=False)
 
+    def __repr__(self) -> str:
+        rows = [
+            ("grid", self.grid),
+            ("delta", f"at most {self.delta:.3g} per step"),
+            ("kernel", self.kernel),
+            ("choices", self.choices),
+            ("labels", self.labels),
+        ]
+        return tree_text(f"AgentModel: {self.relation.kind} relation", rows)
+
     @property
     def n_cells(self) -> int:
         """Number of cells S."""
@@ -89,20 +104,33 @@ class AgentModel:
 
     @property
     def is_exact(self) -> bool:
-        """Whether nothing at all is lost: exact relation, one certain class per cell."""
+        """Whether nothing is lost: exact relation, and one certain class per cell."""
         return isinstance(self.relation, ExactRelation) and self.labels.is_certain
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Abstraction:
     """Finite models of all agents of a problem, in the order of its agents, and the settings they were made with."""
 
     models: tuple[AgentModel, ...]
     settings: Mapping[str, object]
 
+    def __repr__(self) -> str:
+        different = {id(model): model for model in self.models}
+        exact = all(model.is_exact for model in different.values())
+        rows: list[tuple[str, object]] = [
+            ("relation", alike_text(model.relation.kind for model in self.models)),
+            ("cells", alike_text(shape_text(model.grid.shape) for model in self.models)),
+            ("lattice", alike_text(shape_text(model.kernel.lattice_shape) for model in self.models)),
+            ("delta", f"at most {max(model.delta for model in self.models):.3g} per step and agent"),
+            ("values", "exact" if exact else "lower bounds"),
+            ("distinct", counted(len(different), "model")),
+        ]
+        return tree_text(f"Abstraction: {counted(len(self.models), 'agent')}", rows)
+
     @property
     def is_exact(self) -> bool:
-        """Whether values of this abstraction are probabilities of the continuous system, not just lower bounds."""
+        """Whether values of this abstraction are probabilities of the continuous system, not only lower bounds."""
         return all(model.is_exact for model in self.models)
 
 
@@ -113,13 +141,13 @@ class Settings:
     Parameters
     ----------
     targets_per_cell : int, optional
-        ``exact``: lattice points per cell and axis; more of them lose less of the admissible inputs to rounding.
+        ``exact``: lattice points per cell and axis; with more of them rounding wastes fewer of the admissible inputs.
         Default: 2 for scalar agents, 1 for others.
     epsilon, feedback, inputs
         ``paper``: half width of the relation, K of the interface, number of abstract inputs.
     delta : float, optional
-        ``paper``: a failure probability to be used instead of the (smaller) closed form. ``ellipsoid``: the largest
-        failure probability per step and agent, in [0, 1), default 0; more of it makes labels and inputs lose less.
+        ``paper``: a failure probability to be used in place of the (smaller) closed form. ``ellipsoid``: the largest
+        failure probability per step and agent, in [0, 1), default 0; a larger one makes labels and inputs lose less.
     share : float, optional
         ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
 
@@ -137,9 +165,8 @@ class Settings:
     share: float | None = None
 
     def __post_init__(self) -> None:
-        number = 1 if self.targets_per_cell is None else self.targets_per_cell
-        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-            raise ValueError(f"`targets_per_cell`: expected a positive whole number, got {self.targets_per_cell!r}")
+        if self.targets_per_cell is not None:
+            object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
         for name in ("delta", "share"):
             value = getattr(self, name)
             if value is not None and (
@@ -149,16 +176,16 @@ class Settings:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of the settings that only some relations have and that were given."""
-        return tuple(name for name in FOR_KINDS if getattr(self, name) is not None)
+        """Names of the given settings that only some relations have."""
+        return tuple(name for name in KINDS_WITH if getattr(self, name) is not None)
 
     def of_kinds(self, kinds: Sequence[str]) -> Settings:
-        """The settings without those that no relation of these kinds has."""
-        unused: dict[str, Any] = {name: None for name in self.given if not FOR_KINDS[name] & {*kinds}}
+        """Return the settings without those that no relation of these kinds has."""
+        unused: dict[str, Any] = {name: None for name in self.given if not KINDS_WITH[name] & {*kinds}}
         return replace(self, **unused)
 
     def used_by(self, models: Sequence[AgentModel]) -> dict[str, object]:
-        """Relations and cells of the models, and the settings that some of them depend on."""
+        """Return relations and cells of the models, and the settings that some of them depend on, as plain values."""
         kinds = sorted({model.relation.kind for model in models})
         used: dict[str, object] = {"relation": "/".join(kinds), "cells": [list(model.grid.shape) for model in models]}
         names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
@@ -167,8 +194,10 @@ class Settings:
         return used
 
 
-def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "auto", **settings: Any) -> Abstraction:
-    """Finite models of the agents of ``problem``.
+def abstract(
+    problem: Problem, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
+) -> Abstraction:
+    """Return finite models of the agents of ``problem``.
 
     Parameters
     ----------
@@ -177,12 +206,12 @@ def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "au
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str, or mapping from agent name to str
         ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"ellipsoid"``: any
-        agent that some ellipsoid can be found for, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents,
-        delta >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it applies and the inputs are strong
-        enough for the cells, else ``tube``; so are agents that a mapping leaves out. ``"auto"`` is the same here: which
-        relation certifies most only a synthesis can tell (see ``synthesize``).
+        agent for which an ellipsoid is found, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents, delta
+        >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it applies and the inputs are strong enough for
+        the cells, else ``tube``; agents that a mapping leaves out get this, too. ``"auto"`` is the same here: only a
+        synthesis can tell which relation certifies most (see ``synthesize``).
     **settings
-        Of the relations, see ``Settings``.
+        Settings of the relations, see ``Settings``.
 
     Raises
     ------
@@ -195,8 +224,8 @@ def abstract(problem: Problem, cells: Cells = None, *, relation: Relations = "au
     return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))
 
 
-def abstraction_of(problem: Problem, cells: Cells, kinds: Sequence[str], settings: Settings) -> Abstraction:
-    """Finite models under one kind of relation per agent; settings that no agent has a use for are refused."""
+def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
+    """Return finite models under one kind of relation per agent; settings that no agent uses are refused."""
     foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
     for name in sorted(foreign):
         asked, value = "/".join(sorted({*kinds})), getattr(settings, name)
@@ -207,7 +236,7 @@ def abstraction_of(problem: Problem, cells: Cells, kinds: Sequence[str], setting
 
 
 def relations_of(problem: Problem, relation: Relations) -> list[str]:
-    """What is asked for of each agent; ``"auto"`` where a mapping leaves one out.
+    """Return the relation that is asked for of each agent; ``"auto"`` where a mapping leaves one out.
 
     Raises
     ------
@@ -223,41 +252,44 @@ def relations_of(problem: Problem, relation: Relations) -> list[str]:
 
 
 def models_of(
-    problem: Problem, cells: Cells, kinds: Mapping[int, str], settings: Settings
-) -> dict[int, AgentModel]:  # fmt: skip
-    """Finite models of some agents, by their number, each under the relation that ``kinds`` asks for."""
-    bare: dict[object, Bare] = {}
-    shared: dict[object, Bare] = {}
-    whole: dict[object, AgentModel] = {}
+    problem: Problem, cells: CellCounts, kinds: Mapping[int, str], settings: Settings
+) -> dict[int, AgentModel]:
+    """Return finite models of some agents, by their number, each under the relation that ``kinds`` asks for."""
+    by_wish: dict[object, SharedModel] = {}
+    by_relation: dict[object, SharedModel] = {}
+    by_labels: dict[object, AgentModel] = {}
     models = {}
     for i, kind in kinds.items():
         agent = problem.agents[i]
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
         room = label_room(problem, i)
+        # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
+        # feedback is chosen by it.
         alike = (kind, *alike_arrays(agent), *(e.tobytes() for e in grid.edges))
-        minds_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
-        same = (*alike, room.tobytes() if minds_room else b"")
-        if same not in bare:
-            found = _bare(agent, kind, grid, coordinates, room, settings)
-            numbers = (*alike, *(a.tobytes() for a in found[0].arrays))
-            bare[same] = shared.setdefault(numbers, found)  # rooms that differ often lead to the same relation
+        depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
+        wish = (*alike, room.tobytes() if depends_on_room else b"")
+        if wish not in by_wish:
+            model = _shared_model(agent, kind, grid, coordinates, room, settings)
+            numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
+            by_wish[wish] = by_relation.setdefault(numbers, model)  # different rooms often lead to the same relation
+        relation, lattice, kernel, choices = by_wish[wish]
+        # Arriving in a cell an agent may be anywhere within E of its centre; at the start it is in the cell itself.
         start_labels = cell_labels(problem, i, grid, coordinates)
         labels = start_labels
-        follows = bare[same][0]
-        if isinstance(follows, CoupledRelation) and not follows.is_cell:
-            labels = error_labels(problem, i, grid, coordinates, follows.state_reach)
-        key = (id(bare[same]), labels.key, start_labels.key)
-        if key not in whole:
-            _, lattice, kernel, choices = bare[same]
-            whole[key] = AgentModel(grid, lattice, follows, kernel, choices, labels, start_labels)
-        models[i] = whole[key]
+        if isinstance(relation, CoupledRelation) and not relation.is_cell:
+            labels = error_labels(problem, i, grid, coordinates, relation.state_reach)
+        # With equal labels, too, agents share the whole model: searches recognise it by its identity.
+        key = (id(by_wish[wish]), labels.key, start_labels.key)
+        if key not in by_labels:
+            by_labels[key] = AgentModel(grid, lattice, relation, kernel, choices, labels, start_labels)
+        models[i] = by_labels[key]
     return models
 
 
-def _bare(
+def _shared_model(
     agent: LinearAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
-) -> Bare:  # fmt: skip
-    """Relation, lattice, kernel and choices of one agent."""
+) -> SharedModel:
+    """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or (2 if agent.n_states == 1 else 1)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
@@ -272,16 +304,16 @@ def _bare(
     return cheapest_model(agent, grid, coordinates, per_cell, room)
 
 
-def check_names(argument: str, given: object, problem: Problem) -> None:
-    """Refuse keys of a mapping that are no agents; agents that are left out get the default."""
-    for name in given if isinstance(given, Mapping) else ():
+def check_names(argument: str, value: object, problem: Problem) -> None:
+    """Raise ValueError if a mapping has keys that are no agents; agents that are left out get the default."""
+    for name in value if isinstance(value, Mapping) else ():
         if name not in problem.agent_names:
             known = ", ".join(problem.agent_names[:8])
             raise ValueError(f"`{argument}`: expected names of agents among {known}, got {name!r}; correct the name")
 
 
 def check_settings(settings: Mapping[str, object]) -> None:
-    """Refuse settings of a relation that ``abstract`` does not have, with the nearest one that it has."""
+    """Raise ValueError at a setting that ``abstract`` does not have, and name the nearest one that it has."""
     known = ["relation", *(field.name for field in fields(Settings))]
     for name in settings:
         if name not in known:
@@ -291,12 +323,12 @@ def check_settings(settings: Mapping[str, object]) -> None:
 
 
 def alike_arrays(agent: LinearAgent) -> tuple[bytes, ...]:
-    """Arrays that determine the model of an agent apart from its relation, grid and labels, as bytes."""
+    """Return the arrays that determine the model of an agent apart from its relation, grid and labels, as bytes."""
     box, inputs = agent.workspace, agent.input_box
-    found = (agent.A, agent.B, agent.offset, agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
-    return tuple(array.tobytes() for array in found)
+    arrays = (agent.A, agent.B, agent.offset, agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
+    return tuple(array.tobytes() for array in arrays)
 
 
 def has_full_rank(agent: LinearAgent) -> bool:
-    """Whether B has full row rank: every mean can be commanded."""
+    """Return whether B has full row rank: every mean can be commanded."""
     return bool(np.linalg.matrix_rank(agent.B) == agent.n_states)

@@ -1,7 +1,7 @@
 """Relation, lattice, kernel and choices of a single agent under each kind of relation.
 
-What ``abstract`` puts together with labels: the part of a finite model that agents with the same dynamics and the same
-grid share.
+This is the part of a finite model that does not depend on labels; agents with equal dynamics and grid share it.
+``abstract`` puts it together with the labels.
 """
 
 from __future__ import annotations
@@ -25,30 +25,39 @@ from .choices import Choices, InputMenu, target_windows
 from .ellipsoid_search import find_ellipsoid
 from .kernel import Kernel, gaussian_table
 
-Bare = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
+SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
+"""Relation, lattice axes, kernel and choices: what agents share whose labels may differ."""
 
-FINE = 8
-"""Distinct means per cell and axis up to which every mean is a lattice point; beyond, means are snapped."""
+SNAPPED_POINTS = 8
+"""Distinct means per cell and axis up to which every mean is a lattice point; beyond, means are snapped to as many."""
 
-ROUNDING = 1e-11
+EQUAL_MEANS = 1e-11
 """Share of a cell by which rounding moves means; E is enlarged by far more."""
 
-NEAR = 1e-7
+NEAR_MEANS = 1e-7
 """Share of a cell up to which means count as one where that spares lattice points; E allows for it."""
 
-SPARED = 0.8
-"""Share of the lattice points of an axis that must be left for means to be taken together."""
+SPARED_POINTS = 0.8
+"""Share of the lattice points of an axis that may be left for near means to be taken together."""
 
-STRANDED = 0.02
+STRANDED_CELLS = 0.02
 """Share of cells without an admissible target up to which the ``exact`` relation is preferred to a tube."""
 
+BEYOND_GRID = 3.0
+"""Standard deviations that target means may lie outside the grid: from farther away hardly any mass comes back."""
 
-def cheapest_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_cell: int, room: FloatArray) -> Bare:
-    """The ``exact`` relation where it applies, unless weak inputs leave many cells without a target; else a tube."""
+
+def cheapest_model(
+    agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_cell: int, room: FloatArray
+) -> SharedModel:
+    """Return the model under ``exact`` where it applies, unless weak inputs leave many cells without a target.
+
+    Otherwise the model under a tube is returned.
+    """
     if np.linalg.matrix_rank(agent.B) < agent.n_states:
         return tube_model(agent, grid, coordinates, room)
     exact = exact_model(agent, grid, coordinates, per_cell)
-    if np.mean(exact[3].resting_choice < 0) <= STRANDED:
+    if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
         return exact
     try:
         return tube_model(agent, grid, coordinates, room)
@@ -56,8 +65,8 @@ def cheapest_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_
         return exact
 
 
-def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> Bare:
-    """Relation, lattice, kernel and choices under the ``exact`` relation."""
+def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> SharedModel:
+    """Return relation, lattice, kernel and choices under the ``exact`` relation."""
     relation = exact_relation(agent, coordinates)
     reach = np.abs(relation.B) @ relation.input_half_width
     means = relation.means(grid.centres)
@@ -65,7 +74,7 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
         lowest, highest = means[:, k].min() - reach[k], means[:, k].max() + reach[k]
-        axis = _lattice_axis(edges, targets_per_cell, lowest, highest, 3.0 * deviations[k])
+        axis = _lattice_axis(edges, targets_per_cell, lowest, highest, BEYOND_GRID * deviations[k])
         table, missing = gaussian_table(axis, edges, float(deviations[k]))
         lattice.append(axis)
         tables.append(table)
@@ -74,14 +83,14 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
     return relation, points, Kernel(tuple(tables), loss), target_windows(relation, grid, points)
 
 
-def paper_model(agent: LinearAgent, grid: Grid, settings: Mapping[str, object]) -> Bare:
-    """Relation, lattice, kernel and choices under the ``paper`` relation; every mean is a lattice point of its own."""
+def paper_model(agent: LinearAgent, grid: Grid, settings: Mapping[str, object]) -> SharedModel:
+    """Return relation, lattice, kernel and choices under the ``paper`` relation; every mean is a lattice point."""
     relation = paper_relation(agent, grid.edges[0], **settings)  # type: ignore[arg-type]
     return _with_menu(relation, grid, (None,))
 
 
-def tube_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room: FloatArray) -> Bare:
-    """Relation, lattice, kernel and choices under the ``tube`` relation; ``room`` (d,) is that of the labels."""
+def tube_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room: FloatArray) -> SharedModel:
+    """Return relation, lattice, kernel and choices under the ``tube`` relation; ``room`` (d,) is that of labels."""
     feedback = best_feedback(agent, grid, coordinates, room)
     return _snapped(lambda snap: tube_relation(agent, grid, coordinates, feedback, snap=snap), grid)
 
@@ -93,40 +102,47 @@ def ellipsoid_model(
     room: FloatArray,
     delta: float = 0.0,
     share: float | None = None,
-) -> Bare:
-    """Relation, lattice, kernel and choices under the ``ellipsoid`` relation; ``room`` (d,) is that of the labels."""
+) -> SharedModel:
+    """Return relation, lattice, kernel and choices under the ``ellipsoid`` relation; ``room`` (d,) is that of labels.
+
+    ``delta`` and ``share`` are as for ``find_ellipsoid``.
+    """
 
     def relation(snap: FloatArray | None) -> CoupledRelation:
-        found = find_ellipsoid(agent, grid, coordinates, room, delta, snap, share)
-        return ellipsoid_relation(agent, grid, coordinates, found, snap=snap)
+        ellipsoid = find_ellipsoid(agent, grid, coordinates, room, delta, snap, share)
+        return ellipsoid_relation(agent, grid, coordinates, ellipsoid, snap=snap)
 
     return _snapped(relation, grid)
 
 
-def _snapped(relation_for: Callable[[FloatArray | None], CoupledRelation], grid: Grid) -> Bare:
-    """Model of a relation that allows for means rounded by half a lattice spacing (d,).
+def _snapped(relation_for: Callable[[FloatArray | None], CoupledRelation], grid: Grid) -> SharedModel:
+    """Return the model of a relation that allows for means rounded by half a lattice spacing (d,).
 
-    Where the means fall on few distinct coordinates of an axis these are its lattice, those that differ by rounding of
-    the cell edges being taken together; otherwise the axis gets a lattice of ``FINE`` points per cell. What means are
+    Where the means fall on few distinct coordinates of an axis, these are its lattice; those that differ by rounding of
+    the cell edges are taken together. Otherwise the axis gets a lattice of ``SNAPPED_POINTS`` per cell. What means are
     rounded by widens the set of errors.
     """
+    # First without rounding, to see where the means fall; then again with what rounding is needed.
     relation = relation_for(None)
     widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
     means = relation.means(grid.centres)
     snap, spacing = np.zeros(len(widths)), list[float | None]()
     for k, width in enumerate(widths):
         values = np.unique(means[..., k])
-        distinct, together = len(_distinct(values, width, 0.0)), len(_distinct(values, width, NEAR))
-        if together <= SPARED * distinct:
-            snap[k], distinct = NEAR * width, together
-        if distinct > FINE * grid.shape[k]:
-            snap[k] = width / FINE / 2
-        spacing.append(width / FINE if distinct > FINE * grid.shape[k] else None)
+        distinct, together = len(_distinct(values, width, 0.0)), len(_distinct(values, width, NEAR_MEANS))
+        if together <= SPARED_POINTS * distinct:
+            snap[k], distinct = NEAR_MEANS * width, together
+        if distinct > SNAPPED_POINTS * grid.shape[k]:
+            snap[k] = width / SNAPPED_POINTS / 2
+        spacing.append(width / SNAPPED_POINTS if distinct > SNAPPED_POINTS * grid.shape[k] else None)
     return _with_menu(relation_for(snap) if snap.any() else relation, grid, tuple(spacing))
 
 
-def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | None, ...]) -> Bare:
-    """Lattice (all distinct means of an axis, or multiples of its ``spacing``), kernel and menu."""
+def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | None, ...]) -> SharedModel:
+    """Return a model with a menu of inputs.
+
+    The lattice of an axis is all its distinct means, or the multiples of its ``spacing`` if that is not None.
+    """
     means = relation.means(grid.centres)
     lattice, index, tables, loss = [], [], [], 0.0
     snaps = np.broadcast_to(relation.snap, len(grid.edges))
@@ -134,12 +150,13 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
         values, width = means[..., k], float(np.max(np.diff(edges)))
         step = spacing[k]
         axis = _distinct(np.unique(values), width, snaps[k] / width) if step is None else _multiples(values, step)
+        # Round every mean to the nearest point; the relation allows for no more than `snap`.
         if len(axis) == 1:
             nearest = np.zeros(values.shape, dtype=np.int64)
         else:
             nearest = np.clip(np.searchsorted(axis, values), 1, len(axis) - 1)
             nearest -= (values - axis[nearest - 1]) < (axis[nearest] - values)
-        assert np.max(np.abs(axis[nearest] - values)) <= snaps[k] * (1 + 1e-9) + 10 * ROUNDING * width
+        assert np.max(np.abs(axis[nearest] - values)) <= snaps[k] * (1 + 1e-9) + 10 * EQUAL_MEANS * width
         table, missing = gaussian_table(axis, edges, float(np.sqrt(relation.covariance[k])))
         lattice.append(axis)
         index.append(nearest)
@@ -152,32 +169,37 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
 
 
 def _distinct(ordered: FloatArray, width: float, near: float) -> FloatArray:
-    """Increasing values but for those within ``near`` cells of the one kept before.
+    """Return increasing values, but for those within ``near`` cells of the one before.
 
     Rounding noise, far below what E is enlarged by, never makes two values of one.
     """
-    gap = np.maximum(near, ROUNDING) * width
-    kept = ordered[np.concatenate([[True], np.diff(ordered) > gap])]
-    last = ordered[np.append(np.searchsorted(ordered, kept[1:]) - 1, len(ordered) - 1)]
-    if np.all(last - kept <= gap) or near <= ROUNDING:
-        return kept
-    return _distinct(ordered, width, 0.0)  # values that creep along have no gaps to be told apart by
+    gap = np.maximum(near, EQUAL_MEANS) * width
+    firsts = ordered[np.concatenate([[True], np.diff(ordered) > gap])]
+    lasts = ordered[np.append(np.searchsorted(ordered, firsts[1:]) - 1, len(ordered) - 1)]
+    if np.all(lasts - firsts <= gap) or near <= EQUAL_MEANS:
+        return firsts
+    # Values that creep along have no gaps to be told apart by: a run of them would be taken for one.
+    return _distinct(ordered, width, 0.0)
 
 
 def _multiples(values: FloatArray, step: float) -> FloatArray:
-    """Multiples of ``step`` from the smallest to the largest value."""
+    """Return the multiples of ``step`` from the smallest to the largest value."""
     return step * np.arange(np.floor(values.min() / step), np.ceil(values.max() / step) + 1)
 
 
 def _lattice_axis(edges: FloatArray, per_cell: int, lowest: float, highest: float, beyond: float) -> FloatArray:
-    """Target means of one axis: ``per_cell`` per cell, continued outside the grid as far as means can get (3 sigma)."""
+    """Return the target means of one axis: ``per_cell`` per cell, and as many outside as can matter.
+
+    They go on outside the grid as far as means get, from ``lowest`` to ``highest``, but at most ``beyond``.
+    """
     widths = np.diff(edges)
     offsets = (np.arange(per_cell) + 0.5) / per_cell
     inside = (edges[:-1, None] + widths[:, None] * offsets).ravel()
     first, last = widths[0] / per_cell, widths[-1] / per_cell
     usual = (edges[-1] - edges[0]) / (len(widths) * per_cell)
-    inside = inside[np.concatenate([[True], np.diff(inside) > 1e-9 * usual])]  # points in slivers are one point
-    first, last = max(first, usual), max(last, usual)  # a sliver at the edge is no measure
+    # Slivers between two boundaries hold points that are nearly one, and are no measure for the spacing outside.
+    inside = inside[np.concatenate([[True], np.diff(inside) > 1e-9 * usual])]
+    first, last = max(first, usual), max(last, usual)
     below = int(np.ceil(max(0.0, min(edges[0] - lowest, beyond)) / first))
     above = int(np.ceil(max(0.0, min(highest - edges[-1], beyond)) / last))
     before, after = inside[0] - first * np.arange(below, 0, -1), inside[-1] + last * np.arange(1, above + 1)

@@ -3,8 +3,8 @@
 A policy for one step, (S,), gives one choice per cell; -1 where there is none. ``points`` turns it into the lattice
 points (means) that the kernel table is read at: the distribution of the next state depends on the point alone.
 
-``TargetWindows``  the choice is the lattice point itself (``exact`` relation: every mean can be commanded); admissible
-                   are the points of a window around each cell.
+``TargetWindows``  the choice is the lattice point itself (``exact`` relation: every mean can be commanded); the
+                   admissible points lie in a window around each cell.
 ``InputMenu``      the choice is one of A abstract inputs, each of which leads to a lattice point.
 """
 
@@ -19,22 +19,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid
+from ...envs.agents import counted
+from ..cells import FloatArray, Grid, shape_text
 from ..relations import ExactRelation
 from ..values import Array, Residents, beside
 
 StepPolicy = NDArray[np.int32]
+"""(S,) choice of each cell for one step; -1 for none."""
+
+Policies = tuple[NDArray[np.int32], ...]
+"""Per agent (T, Q, S_i): choice of each cell by time and automaton state; -1 where none is admissible."""
 
 BAND_BYTES = 200_000_000
 """Memory for remembered bands of admissible targets, per agent model."""
 
-
 Band = tuple[NDArray[np.int64], NDArray[np.bool_]]
-"""Lattice points (N,) that some of a block of cells can choose, and which each of them can, (cells, N)."""
+"""Lattice points (N,) that some of a block of cells can choose, and which of them each cell can, (cells, N)."""
 
 
 class WindowMemory:
-    """What has been computed of windows, for the next sweep; it changes no result, only how long one takes."""
+    """What was computed of windows, for the next sweep; it changes no result, only how long one takes."""
 
     def __init__(self) -> None:
         self.bands: dict[bytes, Band] = {}
@@ -44,19 +48,19 @@ class WindowMemory:
         self.residents = Residents()
 
     def remember(self, key: bytes, band: Band) -> None:
-        """Keep a band, as long as all bands together stay below ``BAND_BYTES``."""
+        """Keep a band as long as all bands together stay below ``BAND_BYTES``."""
         if self.size + band[1].nbytes <= BAND_BYTES:
             self.bands[key] = band
             self.size += band[1].nbytes
             self.kept.add(id(band[1]))
 
     def beside(self, allowed: NDArray[np.bool_], reference: Array) -> Array:
-        """Which points are allowed, on the device of another array; bands that are kept are copied once."""
-        known = id(allowed) in self.kept
-        return self.residents.beside(allowed, reference) if known else beside(allowed, reference)
+        """Return which points are allowed, on the device of another array; remembered bands are copied once."""
+        is_remembered = id(allowed) in self.kept
+        return self.residents.beside(allowed, reference) if is_remembered else beside(allowed, reference)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TargetWindows:
     """Target means inside a window around each cell.
 
@@ -69,7 +73,7 @@ class TargetWindows:
     low, high : (S, d) int32 arrays
         Bounding box ``low <= index < high`` of the admissible targets of each cell.
     memory : WindowMemory
-        What has been computed of them.
+        What was computed of them.
     """
 
     grid: Grid
@@ -78,6 +82,12 @@ class TargetWindows:
     low: NDArray[np.int32]
     high: NDArray[np.int32]
     memory: WindowMemory = field(default_factory=WindowMemory, repr=False)
+
+    def __repr__(self) -> str:
+        sizes = np.prod(np.maximum(self.high - self.low, 0), axis=1)
+        box = "" if self.relation.is_box else ", less the corners"
+        windows = f"{int(sizes.min())} to {int(sizes.max())} targets per cell{box}"
+        return f"TargetWindows({self.grid.n_cells} cells, {windows}, of {shape_text(self.shape)} lattice points)"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -95,26 +105,26 @@ class TargetWindows:
         return self.relation.means(self.grid.centres)
 
     def points(self, policy: StepPolicy) -> NDArray[Any]:
-        """Lattice points of a policy: the policy itself."""
+        """Return the lattice points of a policy: the policy itself."""
         return policy
 
     def admissible(self, cells: NDArray[Any], policy: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether flat lattice point ``policy`` is an admissible target of ``cells``; the two broadcast."""
+        """Return whether flat lattice points ``policy`` are admissible targets of ``cells``; the two broadcast."""
         indices = np.unravel_index(policy, self.shape)
         targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
         wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
         return np.all(wanted <= self.reserve[cells], axis=-1)
 
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
-        """All cells, in bricks of about ``size`` of them: their windows have more in common than those of a line."""
+        """Return all cells, in bricks of about ``size``: their windows have more in common than those of a line."""
         if size not in self.memory.bricks:
             self.memory.bricks[size] = _bricks(self.grid.shape, size)
         return self.memory.bricks[size]
 
-    def band(self, block: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Lattice points (N,) that some of a block of cells can choose, increasing, and which each can (cells, N).
+    def band(self, block: NDArray[np.int64]) -> Band:
+        """Return the lattice points (N,) that some of a block of cells can choose, and which each can, (cells, N).
 
-        Kept for the next call as long as all bands together stay below ``BAND_BYTES``.
+        The points are increasing. The band is remembered as long as all bands together stay below ``BAND_BYTES``.
         """
         key, count = block.tobytes(), len(block)
         if key in self.memory.bands:
@@ -122,8 +132,9 @@ class TargetWindows:
         low, high = self.low[block], self.high[block]
         nonempty = np.all(low < high, axis=1)
         if not nonempty.any():
-            found = np.zeros(0, dtype=np.int64), np.zeros((count, 0), dtype=bool)
+            band = np.zeros(0, dtype=np.int64), np.zeros((count, 0), dtype=bool)
         else:
+            # All points of the box around the windows, and which of them lie in the window of each cell.
             bounds = zip(low[nonempty].min(axis=0), high[nonempty].max(axis=0), strict=True)
             axes = [np.arange(a, b) for a, b in bounds]
             flat = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), self.shape).ravel()
@@ -132,19 +143,20 @@ class TargetWindows:
                 inside = (axis >= low[:, k, None]) & (axis < high[:, k, None])
                 allowed &= inside.reshape(count, *(-1 if j == k else 1 for j in range(len(axes))))
             allowed = allowed.reshape(count, -1)
+            # Windows are boxes around the admissible targets; unless these are boxes themselves, ask one by one.
             if not self.relation.is_box:
                 allowed &= self.admissible(block[:, None], flat[None, :])
             used = allowed.any(axis=0)
-            found = flat[used], allowed[:, used]
-        self.memory.remember(key, found)
-        return found
+            band = flat[used], allowed[:, used]
+        self.memory.remember(key, band)
+        return band
 
     @cached_property
     def axis_windows(self) -> tuple[tuple[NDArray[np.int32], NDArray[np.int32]], ...] | None:
         """Per axis the window (S_k,), (S_k,) of each of its cells, if windows are products of such; None otherwise."""
         if not self.relation.is_box:
             return None
-        found = []
+        windows = []
         for k in range(len(self.lattice)):
             sides = []
             for side in (self.low, self.high):
@@ -152,8 +164,8 @@ class TargetWindows:
                 if np.any(table != table[:, :1]):
                     return None
                 sides.append(table[:, 0])
-            found.append((sides[0], sides[1]))
-        return tuple(found)
+            windows.append((sides[0], sides[1]))
+        return tuple(windows)
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
@@ -171,7 +183,7 @@ class TargetWindows:
         return np.where(admissible, flat, -1).astype(np.int32)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class InputMenu:
     """A abstract inputs per cell, each with the lattice point it leads to.
 
@@ -186,12 +198,15 @@ class InputMenu:
     leads_to: NDArray[np.int32]
     resting_choice: StepPolicy
 
+    def __repr__(self) -> str:
+        return f"InputMenu({self.leads_to.shape[0]} cells, {counted(self.leads_to.shape[1], 'input')} each)"
+
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
-        """All cells, in runs of ``size`` of them."""
+        """Return all cells, in runs of ``size``."""
         return _bricks((len(self.leads_to),), size)
 
     def points(self, policy: StepPolicy) -> NDArray[Any]:
-        """Lattice points of a policy."""
+        """Return the lattice points of a policy; -1 where it has no choice."""
         chosen = np.take_along_axis(self.leads_to, np.maximum(policy, 0)[:, None], axis=1)[:, 0]
         return np.where(policy < 0, -1, chosen)
 
@@ -200,7 +215,7 @@ Choices = TargetWindows | InputMenu
 
 
 def _bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:
-    """Cells of a grid, increasing, in cubes of at most ``size`` of them.
+    """Return the cells of a grid, increasing, in cubes of at most ``size``.
 
     Examples
     --------
@@ -214,7 +229,7 @@ def _bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:
 
 
 def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
-    """Admissible targets of the ``exact`` relation; windows are empty where the input reserve is used up.
+    """Return the admissible targets of the ``exact`` relation; windows are empty where the reserve uses up the inputs.
 
     ``z - mean = B v`` with ``|v|_j <= reserve_j`` bounds each axis; for a scaled permutation the box is the window.
     """
@@ -224,7 +239,8 @@ def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArra
     for k, axis in enumerate(lattice):
         low[:, k] = np.searchsorted(axis, means[:, k] - reach[:, k], side="left")
         high[:, k] = np.searchsorted(axis, means[:, k] + reach[:, k], side="right")
-        if relation.is_box:  # the comparison above rounds; admissible is decided by one inequality everywhere
+        # The search above rounds. Move its ends by one where the inequality that decides everywhere refuses them.
+        if relation.is_box:
             j = int(np.flatnonzero(relation.right_inverse[:, k])[0])
             gain = abs(relation.right_inverse[j, k])
             for index, step in ((low, 1), (high, -1)):
@@ -232,7 +248,3 @@ def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArra
                 index[:, k] += step * (np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j])
     high = np.where(np.any(reserve < 0, axis=1)[:, None], low, high)
     return TargetWindows(grid, lattice, relation, low, high)
-
-
-Policies = tuple[NDArray[np.int32], ...]
-"""Per agent (T, Q, S_i): target of each cell by time and automaton state; -1 where none is admissible."""

@@ -1,16 +1,16 @@
 """Search for the ellipsoid, the feedback and the coupling of an ``ellipsoid`` relation.
 
 A semidefinite program (``ellipsoid_program``) answers for given lambdas of its vertices, and for a given share of the
-inputs or given limits on what labels lose; the lambdas are found by a coarse grid and a pattern search.
+inputs or given limits on what labels lose. A coarse grid and a pattern search find the lambdas.
 
 Unless the caller gives the share, limits are tried one after the other. Labels are judged at cell centres: a region
-loses whole cells, as many as have their centre within the reach of E from its edge, so only limits of an odd number of
-half cells are worth trying. Among them the answer is the one with the least sum of what labels lose, as a share of
-their room, and ``PRICE`` times the input share: what labels lose is lost once, what the feedback takes from the inputs
-is missing at every step.
+loses whole cells, as many as have their centre within the reach of E from its edge, so that only limits of an odd
+number of half cells are worth trying. Among them the answer has the least sum of what labels lose, as a share of their
+room, and ``INPUT_SHARE_PRICE`` times the input share: what labels lose is lost once, what the feedback takes from the
+inputs is missing at every step.
 
-The solver is not trusted: of the multiples of its answer the smallest is taken that the verifier
-(``verify_ellipsoid``) proves invariant.
+The solver is not trusted: the smallest multiple of its answer is taken that ``ellipsoid_is_invariant`` proves
+invariant.
 """
 
 from __future__ import annotations
@@ -24,15 +24,21 @@ from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from ..relations import Ellipsoid, disturbance_of, ellipsoid_failure, ellipsoid_is_invariant
 from .ellipsoid_program import Answer, EllipsoidProgram
 
-PRICE = 2.0
+INPUT_SHARE_PRICE = 2.0
 """Weight of the input share next to the label share."""
 
-LEVELS = (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.17, 0.14, 0.12,
-          0.1, 0.08, 0.06, 0.05, 0.04)  # fmt: skip
+LABEL_SHARES = (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.17, 0.14,
+                0.12, 0.1, 0.08, 0.06, 0.05, 0.04)  # fmt: skip
 """Shares of the room of labels that the ellipsoid may take, tried in turn; from 1 on, narrow regions are given up."""
 
-MULTIPLIERS = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
-"""Values of lambda tried first."""
+FIRST_MULTIPLIERS = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
+"""Values of lambda tried first, the same for all vertices: the whole range from 0 to 1, closer together near 1."""
+
+FIRST_STEP, LAST_STEP = 0.05, 2e-3
+"""Steps of the pattern search over lambdas, halved from the first to the last."""
+
+LARGEST_FACTOR, FACTOR_PRECISION = 1.001, 1e-9
+"""Largest multiple of the solver's answer that is tried for a proof, and how closely the smallest one is found."""
 
 
 def find_ellipsoid(
@@ -44,7 +50,7 @@ def find_ellipsoid(
     snap: FloatArray | None = None,
     share: float | None = None,
 ) -> Ellipsoid:
-    """A proved ellipsoid whose coupling fails with probability at most ``delta``, in grid coordinates.
+    """Return a proved ellipsoid whose coupling fails with probability at most ``delta``, in grid coordinates.
 
     Parameters
     ----------
@@ -81,7 +87,8 @@ def find_ellipsoid(
     if share is None:
         best = _best(program, grid, coordinates, room_for_labels)
     else:
-        limits = np.full(len(half), LEVELS[0])
+        # The widest limits: with the share given, what labels lose is minimised.
+        limits = np.full(len(half), LABEL_SHARES[0])
         best = _refined(program, float(share), limits, _coarse(program, float(share), limits))
     if best is None:
         raise RelationRefused(
@@ -93,31 +100,34 @@ def find_ellipsoid(
 
 
 def _best(program: EllipsoidProgram, grid: Grid, coordinates: FloatArray, room: FloatArray) -> Answer | None:
-    """The answer of least cost over all limits worth trying, its lambdas refined."""
-    seen: dict[bytes, FloatArray] = {}
-    for level in LEVELS:
+    """Return the answer of least cost over all limits worth trying, its lambdas refined; None if there is no answer."""
+    distinct_limits: dict[bytes, FloatArray] = {}
+    for level in LABEL_SHARES:
         limits = _whole_cells(level, grid, coordinates, room)
-        seen.setdefault(limits.tobytes(), limits)
+        distinct_limits.setdefault(limits.tobytes(), limits)
 
     def cost(answer: Answer | None, limits: FloatArray) -> float:
-        return np.inf if answer is None else PRICE * answer.input_share + float(np.max(limits))
+        return np.inf if answer is None else INPUT_SHARE_PRICE * answer.input_share + float(np.max(limits))
 
-    found = []
-    for limits in seen.values():
+    # Limits become tighter: after the first without an answer no other one has any.
+    answers = []
+    for limits in distinct_limits.values():
         begin = _coarse(program, None, limits)
-        if begin[0] is None:  # tighter limits have none either
+        if begin[0] is None:
             break
-        found.append((begin, limits))
-    found = sorted(found, key=lambda pair: cost(pair[0][0], pair[1]))[:2]
-    refined = [(_refined(program, None, limits, begin), limits) for begin, limits in found]
+        answers.append((begin, limits))
+    # Refine the lambdas of the two cheapest only: each refinement solves dozens of programs.
+    answers = sorted(answers, key=lambda pair: cost(pair[0][0], pair[1]))[:2]
+    refined = [(_refined(program, None, limits, begin), limits) for begin, limits in answers]
     return min(refined, key=lambda pair: cost(*pair))[0] if refined else None
 
 
 def _whole_cells(level: float, grid: Grid, coordinates: FloatArray, room: FloatArray) -> FloatArray:
-    """Limits (d,), as shares of ``room``: what is below ``level`` by the next odd number of half cells."""
+    """Return limits (d,), as shares of ``room``: the largest odd number of half cells up to ``level``, at least one."""
     limits = np.full(len(room), level)
     for k, edges in enumerate(grid.edges):
         if np.count_nonzero(coordinates[k]) == 1:
+            # Slivers between two boundaries are no measure for the cells of an axis.
             widths = np.diff(edges) * abs(coordinates[k, k])
             half = 0.5 * float(np.min(widths[widths > 0.5 * np.max(widths)])) / room[k]
             limits[k] = max(1.0, 2.0 * np.floor(0.5 * (level / half - 1.0)) + 1.0) * half
@@ -125,14 +135,14 @@ def _whole_cells(level: float, grid: Grid, coordinates: FloatArray, room: FloatA
 
 
 def _coarse(program: EllipsoidProgram, share: float | None, limits: FloatArray) -> tuple[Answer | None, float]:
-    """The best answer with one lambda for all vertices, and that lambda."""
+    """Return the best answer with one lambda for all vertices, and that lambda."""
     n = len(program.vertices)
-    tried = [(program.solve(share, limits, [x] * n), x) for x in MULTIPLIERS]
-    return min(tried, key=lambda pair: _asked(pair[0], share))
+    tried = [(program.solve(share, limits, [x] * n), x) for x in FIRST_MULTIPLIERS]
+    return min(tried, key=lambda pair: _objective(pair[0], share))
 
 
-def _asked(answer: Answer | None, share: float | None) -> float:
-    """What is minimised."""
+def _objective(answer: Answer | None, share: float | None) -> float:
+    """Return what is minimised: the input share, or with that given the label share; infinite without an answer."""
     if answer is None:
         return np.inf
     return answer.input_share if share is None else answer.label_share
@@ -141,17 +151,18 @@ def _asked(answer: Answer | None, share: float | None) -> float:
 def _refined(
     program: EllipsoidProgram, share: float | None, limits: FloatArray, begin: tuple[Answer | None, float]
 ) -> Answer | None:
-    """The best answer of a pattern search over one lambda per vertex, moved together and one by one."""
+    """Return the best answer of a pattern search over one lambda per vertex, moved together and one by one."""
     best, multiplier = begin
     if best is None:
         return None
-    point, size = np.full(len(program.vertices), multiplier), 0.05
+    point, size = np.full(len(program.vertices), multiplier), FIRST_STEP
     moves = np.unique(np.concatenate([np.ones((1, len(point))), np.eye(len(point))]), axis=0)
-    while size > 2e-3:
+    while size > LAST_STEP:
         around = [p for p in (point + s * size * move for move in moves for s in (1, -1)) if np.all((0 < p) & (p < 1))]
         tried = [(program.solve(share, limits, p.tolist()), p) for p in around]
-        answer, following = min(tried, key=lambda pair: _asked(pair[0], share), default=(None, point))
-        if answer is not None and _asked(answer, share) < _asked(best, share) * (1 - 1e-6):
+        answer, following = min(tried, key=lambda pair: _objective(pair[0], share), default=(None, point))
+        # Go to the best neighbour while it is better, else look closer.
+        if answer is not None and _objective(answer, share) < _objective(best, share) * (1 - 1e-6):
             best, point = answer, following
         else:
             size *= 0.5
@@ -166,16 +177,16 @@ def _proved(
     answer: Answer,
     delta: float,
 ) -> Ellipsoid:
-    """The smallest multiple of an answer that is proved invariant, with D scaled to the distance of outputs."""
+    """Return the smallest multiple of an answer that is proved invariant, with D scaled to the distance of outputs."""
     X, feedback, coupling = answer.X, answer.feedback, answer.coupling
     moves = in_grid_coordinates(agent, coordinates)
     closed = moves.A + moves.B @ feedback - coupling
+    # X = epsilon^2 D^-1: scale D such that epsilon is the largest distance of related outputs.
     outputs = agent.output_matrix @ coordinates
     farthest = float(np.sqrt(np.max(np.linalg.eigvalsh(outputs @ X @ outputs.T))))
     shape = np.linalg.inv(X) * farthest**2
     shape = 0.5 * (shape + shape.T)
-    found = Ellipsoid(shape, farthest, feedback, coupling)
-    smallest = _smallest(found, closed, half)
+    smallest = _smallest(Ellipsoid(shape, farthest, feedback, coupling), closed, half)
     if smallest is not None and ellipsoid_failure(shape, smallest.epsilon, coupling, noise) <= delta:
         return smallest
     raise RelationRefused(
@@ -184,19 +195,20 @@ def _proved(
     )
 
 
-def _smallest(found: Ellipsoid, closed: FloatArray, half: FloatArray) -> Ellipsoid | None:
-    """The least epsilon, to 1e-9 of it and at most 1e-3 above the solver's, at which invariance is proved.
+def _smallest(ellipsoid: Ellipsoid, closed: FloatArray, half: FloatArray) -> Ellipsoid | None:
+    """Return the ellipsoid with the least epsilon at which invariance is proved; None if there is no proof.
 
-    Larger multiples of an invariant set are invariant too.
+    Epsilon is found to a share of ``FACTOR_PRECISION``, and is at most ``LARGEST_FACTOR`` times the solver's. Larger
+    multiples of an invariant set are invariant too, so that bisection applies.
     """
 
     def holds(factor: float) -> bool:
-        return ellipsoid_is_invariant(found.shape, found.epsilon * factor, closed, half)
+        return ellipsoid_is_invariant(ellipsoid.shape, ellipsoid.epsilon * factor, closed, half)
 
-    low, high = 0.5, 1.001
+    low, high = 0.5, LARGEST_FACTOR
     if not holds(high):
         return None
-    while high - low > 1e-9:
+    while high - low > FACTOR_PRECISION:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if holds(middle) else (middle, high)
-    return replace(found, epsilon=found.epsilon * high)
+    return replace(ellipsoid, epsilon=ellipsoid.epsilon * high)

@@ -1,7 +1,7 @@
 """What dynamic programming needs of a problem: agent models, guards, masks and start, compiled once.
 
 The start is an occupancy like any other: the point or box of initial states as a product over agents, after the letter
-of time 0 has been read (``qbar_0 = next_state(q_0, l_0)``, THEORY section 0).
+of time 0 was read, ``qbar_0 = next_state(q_0, l_0)`` (docs/theory/setting.md, "Letters and words").
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import counted, tree_text
 from ...envs.problem import Problem
-from ..cells import CellLabels, FloatArray, start_share
+from ..cells import CellLabels, FloatArray, alike_text, shape_text, start_share
 from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
 from .guards import compile_guards
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class JointModel:
     """Agent models joined by the robust automaton.
 
@@ -30,16 +31,16 @@ class JointModel:
     guards : Guards
         Disjoint guards between automaton states.
     masks : tuple of (K_i, S_i) arrays
-        Guards' factors on the cells of each agent.
+        Factors of the guards on the cells of each agent.
     start_guards, start_masks
-        The same for reading the letter of time 0, where the state is known to be in the cell itself.
+        The same for reading the letter of time 0, when the state is known to be in the cell itself.
     accepting : (Q,) bool array
     absorbing : (Q,) bool array
         States in which nothing is left to decide: accepting ones of co-safe tasks, and dead ones.
     horizon : int
         Control steps T.
     device : str
-        Where sweeps over the value tree compute (see ``arrays``); everything held here is held by numpy.
+        Where sweeps over the value tree compute (see ``devices``); all arrays of this record are numpy's.
     """
 
     models: tuple[AgentModel, ...]
@@ -51,6 +52,17 @@ class JointModel:
     absorbing: NDArray[np.bool_]
     horizon: int
     device: str = HOST
+
+    def __repr__(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("cells", alike_text(shape_text(model.grid.shape) for model in self.models)),
+            ("guards", f"{len(self.guards.source)} out of {counted(len({*self.guards.source.tolist()}), 'state')}"),
+            ("start guards", len(self.start_guards.source)),
+            ("horizon", counted(self.horizon, "control step")),
+            ("device", self.device),
+        ]
+        sizes = f"{counted(len(self.models), 'agent')}, {counted(self.n_states, 'automaton state')}"
+        return tree_text(f"JointModel: {sizes}", rows)
 
     @cached_property
     def put(self) -> Callable[[NDArray], Array]:
@@ -69,8 +81,8 @@ class JointModel:
 
 
 def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> JointModel:
-    """Compile the guards of ``problem`` over the cells of ``abstraction``, for sweeps on ``device``."""
-    device_put(device)  # refuses what is not there before any work is done
+    """Return the models of ``abstraction`` joined by the guards of ``problem``, for sweeps on ``device``."""
+    device_put(device)  # refuses a missing device before any work is done
     automaton = problem.automaton
     models = abstraction.models
     guards = compile_guards(problem, [model.labels.sets for model in models])
@@ -89,7 +101,7 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
 
 
 def start_of(problem: Problem, joint: JointModel) -> Occupancy:
-    """Occupancy at time 0 for the problem's initial states: points, or a uniform distribution over boxes.
+    """Return the occupancy at time 0 for the problem's initial states: points, or uniform distributions over boxes.
 
     The mass of a box is spread over the cells it overlaps; starts outside the workspace carry none.
     """
@@ -102,7 +114,7 @@ def start_of(problem: Problem, joint: JointModel) -> Occupancy:
 
 
 def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray]) -> Occupancy:
-    """Occupancy at time 0 for one joint state, a sequence of (d_i,) vectors; its true letter is read."""
+    """Return the occupancy at time 0 for one joint state, a sequence of (d_i,) vectors; its true letter is read."""
     automaton = problem.automaton
     q = int(automaton.next_state(np.asarray(automaton.initial), problem.labeling.letter(states)))
     factors = []
@@ -118,18 +130,20 @@ def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray
 
 
 def _cell(model: AgentModel, state: FloatArray) -> int:
-    """Cell of one state (d,)."""
+    """Return the cell of one state (d,)."""
     return int(model.grid.cell_of(model.relation.to_grid(state)[:, None])[0])
 
 
 def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:
-    """Distribute a product over agents by the guards out of the automaton's initial state."""
+    """Return the occupancy of a product over agents once the guards out of the initial state have read it."""
     initial = problem.automaton.initial
     n_agents = len(factors)
+    # An initial state that nothing leaves has no guards: all mass stays in it, or none is alive.
     if joint.absorbing[initial]:
         alive = bool(joint.accepting[initial])
         per_state = [np.zeros((int(alive and q == initial), n_agents), dtype=np.int64) for q in range(joint.n_states)]
         return Occupancy(Terms(tuple(f[None] for f in factors), tuple(per_state)), 0.0)
+    # Each guard keeps the mass that its masks let through; products with an empty factor are left out.
     masked = tuple(mask * factor for mask, factor in zip(joint.start_masks, factors, strict=True))
     guards = joint.start_guards
     index = []
@@ -137,14 +151,14 @@ def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[Fl
         chosen = np.flatnonzero((guards.source == initial) & (guards.target == q))
         rows = guards.mask[chosen].astype(np.int64)
         alive_rows = np.ones(len(rows), dtype=bool)
-        for i, own in enumerate(masked):
-            alive_rows &= np.any(own != 0, axis=1)[rows[:, i]]
+        for i, agent_factors in enumerate(masked):
+            alive_rows &= np.any(agent_factors != 0, axis=1)[rows[:, i]]
         index.append(rows[alive_rows])
     return Occupancy(Terms(masked, tuple(index)), 0.0)
 
 
 def cell_masks(guards: Guards, cells: Sequence[CellLabels]) -> tuple[NDArray, ...]:
-    """Per agent (K_i, S_i) indicator of each mask on the cells; cells that may be outside the workspace are 0."""
+    """Return, per agent, the indicator (K_i, S_i) of each mask on the cells; 0 at cells that may be outside."""
     masks = []
     for sets, labels in zip(guards.masks, cells, strict=True):
         on_cells = np.zeros((len(sets), len(labels.number)), dtype=bool)

@@ -1,11 +1,11 @@
 """Gaussian masses of grid cells, from below.
 
 The abstract agent moves from a mean ``z`` on a lattice to the cell that holds ``z + w`` with ``w ~ N(0, Sigma)``. With
-diagonal ``Sigma`` the mass of a cell is a product over axes, so one table ``(Z_k, S_k)`` per axis is the whole kernel;
-it depends on the mean alone and serves all cells and inputs: a backup smooths once and gathers afterwards.
+diagonal ``Sigma`` the mass of a cell is a product over axes, so that one table ``(Z_k, S_k)`` per axis is the whole
+kernel. It depends on the mean alone and serves all cells and inputs: a backup smooths once and gathers afterwards.
 
-Every entry is a **lower bound** on the true mass (THEORY section 9): the difference is taken between the tails that
-are small, the error of the special function and of its argument is subtracted, negative results become 0.
+Every entry is a **lower bound** on the true mass (docs/theory/numerics.md): the difference is taken between the tails
+that are small, the errors of the special function and of its argument are subtracted, and negative results become 0.
 """
 
 from __future__ import annotations
@@ -18,15 +18,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ..cells import FloatArray
+from ..cells import FloatArray, shape_text
 from ..values import UNIT, Residents, add_rows, empty, multiply_into, namespace
 
-SMALLEST = 1e-60
+SMALLEST_MASS = 1e-60
 """Masses below this are set to 0: a lower bound still, and no denormal numbers in the products."""
+
+REACH_DEVIATIONS = 9.0
+"""Standard deviations beyond which masses count as 0; both tails together hold less than ``BEYOND_REACH``."""
+
+BEYOND_REACH = 3e-19
+"""Upper bound on the mass of a normal distribution beyond 9 standard deviations, 2.3e-19."""
+
+LATTICE_BLOCK = 128
+"""Lattice points per block of a table: enough rows for a fast product, few enough that the band stays narrow."""
+
+SUPPORT_STEP = 64
+"""Ranges of nonzero cells are rounded outwards to multiples of this, so that rows fall into few groups."""
+
+MANY_PRODUCTS = 4_000_000
+"""Products from which it pays to look for the lattice points that carry mass before pushing it."""
+
+FEW_MASSES = 4
+"""Rows up to which ``bincount`` adds up masses faster than a sparse product."""
 
 
 def gaussian_masses(means: FloatArray, edges: FloatArray, std: float) -> tuple[FloatArray, float]:
-    """Lower bounds on ``P(edges[s] <= z + w < edges[s+1])`` for ``w ~ N(0, std**2)``.
+    """Return lower bounds on ``P(edges[s] <= z + w < edges[s+1])`` for ``w ~ N(0, std**2)``.
 
     Parameters
     ----------
@@ -50,21 +68,25 @@ def gaussian_masses(means: FloatArray, edges: FloatArray, std: float) -> tuple[F
     digits in the tests). Subtraction, division and the square root inside ``std`` give ``x`` a relative error of at
     most 3 units, which moves ``F`` by at most ``3 |x| phi(x) <= 3 (1 + x*x) F`` units.
     """
+    # The tail on the side of each edge that does not hold the mean is small, and has all its digits.
     x = (edges[None, :] - means[:, None]) / std
     tail = ndtr(-np.abs(x))
     error = UNIT * (20.0 + 8.0 * (1.0 + x * x)) * tail
+    # A cell on one side of the mean is a difference of two small tails; a cell around it is what both tails leave.
     left, right = x[:, :-1] < 0, x[:, 1:] > 0
     straddles = left & right
     lower, upper = tail[:, :-1], tail[:, 1:]
     mass = np.where(straddles, 1.0 - lower - upper, np.abs(upper - lower))
+    # Take off the errors of both tails and of the subtractions.
     slack = error[:, :-1] + error[:, 1:] + 4.0 * UNIT * mass + 4.0 * UNIT * straddles
     masses = mass - slack
-    masses[masses < SMALLEST] = 0.0
-    loss = float(np.max(np.sum(2.0 * slack, axis=1))) + SMALLEST * masses.shape[1]
+    masses[masses < SMALLEST_MASS] = 0.0
+    # True masses exceed the entries by the slack once for the errors and once for having taken it off.
+    loss = float(np.max(np.sum(2.0 * slack, axis=1))) + SMALLEST_MASS * masses.shape[1]
     return masses, loss
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AxisTable:
     """Masses (Z, S) of one axis, stored where they are not 0: blocks of lattice points, each with a range of cells.
 
@@ -82,25 +104,31 @@ class AxisTable:
     blocks: tuple[tuple[int, int, int, int, NDArray], ...]
     residents: Residents = field(default_factory=Residents, repr=False)
 
+    def __repr__(self) -> str:
+        stored = sum(entries.size for *_, entries in self.blocks)
+        share = 100.0 * stored / max(1, self.shape[0] * self.shape[1])
+        return f"AxisTable({self.shape[0]} lattice points x {self.shape[1]} cells, {share:.3g} % of it stored)"
+
     @classmethod
     def dense(cls, table: NDArray) -> AxisTable:
-        """All entries in one block; any numeric dtype (``fractions.Fraction`` objects in exact tests)."""
+        """Return a table with all entries in one block; any numeric dtype (``Fraction`` objects in exact tests)."""
         return cls(table.shape, ((0, table.shape[0], 0, table.shape[1], table),))
 
     def toarray(self) -> NDArray:
-        """The table as one (Z, S) array."""
+        """Return the table as one (Z, S) array."""
         table = np.zeros(self.shape, dtype=self.blocks[0][-1].dtype)
         for z0, z1, s0, s1, entries in self.blocks:
             table[z0:z1, s0:s1] = entries
         return table
 
     def smooth(self, values: NDArray) -> NDArray:
-        """``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
+        """Return ``sum_s table[z, s] v[.., s]``: (.., S) -> (.., Z)."""
         if len(self.blocks) == 1:
             _, _, s0, s1, entries = self.blocks[0]
             return values[..., s0:s1] @ self.residents.beside(entries, values).T
         if values.ndim > 2:
             return self.smooth(values.reshape(-1, values.shape[-1])).reshape(*values.shape[:-1], self.shape[0])
+        # Masked factors are 0 outside a region: rows of the same support share products over that range alone.
         groups = _by_support(values) if isinstance(values, np.ndarray) else [(slice(None), 0, self.shape[1])]
         if len(groups) == 1:
             return self._smooth_range(values, *groups[0][1:])
@@ -115,69 +143,57 @@ class AxisTable:
         for z0, z1, s0, s1, entries in self.blocks:
             a, b = max(s0, first), min(s1, last)
             if a < b:
-                own = self.residents.beside(entries, values)[:, a - s0 : b - s0]
-                multiply_into(values[:, a:b], own.T, smoothed[:, z0:z1])
+                overlap = self.residents.beside(entries, values)[:, a - s0 : b - s0]
+                multiply_into(values[:, a:b], overlap.T, smoothed[:, z0:z1])
             else:
                 smoothed[:, z0:z1] = 0.0
         return smoothed
 
     def push(self, masses: NDArray) -> NDArray:
-        """``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
+        """Return ``sum_z m[.., z] table[z, s]``: (.., Z) -> (.., S)."""
         pushed = empty((*masses.shape[:-1], self.shape[1]), masses)
         pushed[...] = 0.0
         products = math.prod(masses.shape[:-1]) * sum(entries.size for *_, entries in self.blocks)
-        if products < LARGE or not isinstance(masses, np.ndarray):
+        if products < MANY_PRODUCTS or not isinstance(masses, np.ndarray):
             for z0, z1, s0, s1, entries in self.blocks:
                 pushed[..., s0:s1] += masses[..., z0:z1] @ self.residents.beside(entries, masses)
             return pushed
-        used = np.flatnonzero(
-            (masses != 0).any(axis=tuple(range(masses.ndim - 1)))
-        )  # policies choose few of the points
+        # Policies choose few of the points: multiply only the rows of those that carry mass, block by block.
+        used = np.flatnonzero((masses != 0).any(axis=tuple(range(masses.ndim - 1))))
         ends = np.searchsorted(used, [z1 for _, z1, *_ in self.blocks])
-        for own, (z0, _, s0, s1, entries) in zip(np.split(used, ends[:-1]), self.blocks, strict=True):
-            if len(own):
-                pushed[..., s0:s1] += masses[..., own] @ entries[own - z0]
+        for points, (z0, _, s0, s1, entries) in zip(np.split(used, ends[:-1]), self.blocks, strict=True):
+            if len(points):
+                pushed[..., s0:s1] += masses[..., points] @ entries[points - z0]
         return pushed
 
 
 def _by_support(values: NDArray) -> list[tuple[NDArray[np.int64], int, int]]:
-    """Rows (n, S) in groups with about the same range of cells where they are not 0: (rows, first, last + 1)."""
+    """Return rows (n, S) in groups with about the same range of nonzero cells: (rows, first, last + 1)."""
     n_cells = values.shape[-1]
     present = values != 0
-    first = present.argmax(axis=1) // SUPPORT * SUPPORT
-    last = np.minimum(n_cells, -(-(n_cells - present[:, ::-1].argmax(axis=1)) // SUPPORT) * SUPPORT)
+    # First and last nonzero cell of each row, rounded outwards; a row of zeros gets the whole axis.
+    first = present.argmax(axis=1) // SUPPORT_STEP * SUPPORT_STEP
+    last = np.minimum(n_cells, -(-(n_cells - present[:, ::-1].argmax(axis=1)) // SUPPORT_STEP) * SUPPORT_STEP)
     key = first * (n_cells + 1) + last
     return [(np.flatnonzero(key == k), int(k // (n_cells + 1)), int(k % (n_cells + 1))) for k in np.unique(key)]
 
 
-SUPPORT = 64
-"""Ranges of nonzero cells are rounded outwards to multiples of this."""
-
-LARGE = 4_000_000
-"""Products from which it pays to look for the lattice points that carry mass before pushing it."""
-
-REACH = 9.0
-"""Standard deviations beyond which masses count as 0; both tails together hold less than 3e-19."""
-
-BLOCK = 128
-"""Lattice points per block of a table."""
-
-
 def gaussian_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[AxisTable, float]:
-    """Lower bounds on the cell masses around increasing ``means``, banded; else like ``gaussian_masses``."""
+    """Return lower bounds on the cell masses around increasing ``means``, banded; else like ``gaussian_masses``."""
     blocks, loss = [], 0.0
-    for z0 in range(0, len(means), BLOCK):
-        own = means[z0 : z0 + BLOCK]
-        s0 = max(0, int(np.searchsorted(edges, own[0] - REACH * std)) - 1)
-        s1 = min(len(edges) - 1, int(np.searchsorted(edges, own[-1] + REACH * std)))
+    for z0 in range(0, len(means), LATTICE_BLOCK):
+        block_means = means[z0 : z0 + LATTICE_BLOCK]
+        # Cells within reach of any mean of the block; at least one, also for means far outside the grid.
+        s0 = max(0, int(np.searchsorted(edges, block_means[0] - REACH_DEVIATIONS * std)) - 1)
+        s1 = min(len(edges) - 1, int(np.searchsorted(edges, block_means[-1] + REACH_DEVIATIONS * std)))
         s0, s1 = min(s0, len(edges) - 2), max(s1, 1)
-        masses, missing = gaussian_masses(own, edges[s0 : s1 + 1], std)
-        blocks.append((z0, z0 + len(own), s0, s1, masses))
+        masses, missing = gaussian_masses(block_means, edges[s0 : s1 + 1], std)
+        blocks.append((z0, z0 + len(block_means), s0, s1, masses))
         loss = max(loss, missing)
-    return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss + 3e-19
+    return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss + BEYOND_REACH
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Kernel:
     """Separable kernel from lattice points to cells, as one table per axis.
 
@@ -192,6 +208,10 @@ class Kernel:
     tables: tuple[AxisTable, ...]
     loss: float = 0.0
 
+    def __repr__(self) -> str:
+        points, cells = shape_text(self.lattice_shape), shape_text(self.shape)
+        return f"Kernel({points} lattice points to {cells} cells, loses {self.loss:.2g} per step at most)"
+
     @property
     def shape(self) -> tuple[int, ...]:
         """Cells per axis."""
@@ -203,17 +223,18 @@ class Kernel:
         return tuple(table.shape[0] for table in self.tables)
 
     def smooth(self, factors: NDArray) -> NDArray:
-        """``sum_s P(s | z) v[s]`` for every lattice point z: (n, S) -> (n, Z)."""
+        """Return ``sum_s P(s | z) v[s]`` for every lattice point z, a lower bound for v >= 0: (n, S) -> (n, Z)."""
         return _along_axes(factors, self.shape, [table.smooth for table in self.tables])
 
     def push(self, masses: FloatArray, policy: NDArray[np.integer]) -> FloatArray:
-        """Distribution after one step: (n, S) masses under the lattice points ``policy`` (S,) -> (n, S).
+        """Return the distribution after one step, from below: (n, S) masses under ``policy`` (S,) -> (n, S).
 
-        Cells with ``policy = -1`` (no admissible input) lose their mass.
+        ``policy`` gives the lattice point of each cell. Cells with -1 (no admissible input) lose their mass.
         """
         n_lattice = math.prod(self.lattice_shape)
-        slot = np.where(policy < 0, n_lattice, policy)  # one more point, thrown away
-        if len(masses) <= 4 and isinstance(masses, np.ndarray):
+        # Cells without a choice send their mass to one more point, which is thrown away.
+        slot = np.where(policy < 0, n_lattice, policy)
+        if len(masses) <= FEW_MASSES and isinstance(masses, np.ndarray):
             on_lattice = np.stack([np.bincount(slot, weights=row, minlength=n_lattice + 1) for row in masses])
         else:
             on_lattice = add_rows(masses.T, slot, n_lattice + 1).T
@@ -221,7 +242,7 @@ class Kernel:
 
 
 def _along_axes(values: NDArray, shape: tuple[int, ...], maps: list[Callable[[NDArray], NDArray]]) -> NDArray:
-    """Apply a linear map of the last axis to each axis of (n, prod(shape)) values in turn; returns (n, prod(out))."""
+    """Apply a linear map of the last axis to each axis of values (n, prod(shape)) in turn; return (n, prod(out))."""
     if len(maps) == 1:
         return maps[0](values)
     tensor = values.reshape(len(values), *shape)

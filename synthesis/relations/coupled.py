@@ -4,9 +4,9 @@ Error ``e = x - xhat`` in grid coordinates, interface ``u = uhat + K e``, noise 
 
     e' = (A + B K - F) e + beta,      |beta| <= half a cell (+ half a lattice spacing where means are snapped).
 
-A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E``; what bounds it, why it is
-invariant, and how likely the coupling fails is the business of ``relation_paper``, ``relation_tube`` and
-``relation_ellipsoid``.
+A set E with ``(A + B K - F) E + beta inside E`` gives the relation ``x - xhat in E`` (docs/theory/relations.md,
+"Errors"). The files ``scalar``, ``tube`` and ``ellipsoid`` say what bounds E, why it is invariant, and how likely the
+coupling fails.
 """
 
 from __future__ import annotations
@@ -20,11 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ...envs.agents import box_text, counted, tree_text
 from ..cells import FloatArray
 from .rows import Row, product, rows_of, times
 
+FORGIVEN = 1e-12
+"""Share of the set of errors by which a computed error may lie outside: rounding.
 
-@dataclass(frozen=True, eq=False)
+Labels and inputs allow for a set larger by ``1e-9``.
+"""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class CoupledRelation:
     """Interface and coupling between an agent and its finite model, in grid coordinates.
 
@@ -56,9 +63,9 @@ class CoupledRelation:
     snap : (d,) array
         Half lattice spacings that means may be rounded by.
     shape : (d, d) array or None
-        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None where E is judged by the box around it.
+        D of an ellipsoid ``E = {e'D e <= epsilon^2}``; None if E is judged by the box around it.
     epsilon : float
-        Radius of the ellipsoid; 0 where there is none.
+        Radius of the ellipsoid; 0 if there is none.
     """
 
     kind: str
@@ -80,6 +87,15 @@ class CoupledRelation:
     shape: FloatArray | None = None
     epsilon: float = 0.0
 
+    def __repr__(self) -> str:
+        d, m = self.B.shape
+        rows = [
+            ("errors", f"within {box_text(-self.state_reach, self.state_reach)} of a cell's centre"),
+            ("inputs", f"{len(self.inputs)} of {box_text(self.inputs.min(axis=0), self.inputs.max(axis=0))}"),
+            ("delta", f"at most {self.delta:.3g} per step"),
+        ]
+        return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
+
     @property
     def has_state_coordinates(self) -> bool:
         """Whether grid coordinates are the state itself."""
@@ -88,45 +104,59 @@ class CoupledRelation:
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All numbers, for comparing relations."""
-        return (self.A, self.B, self.drift, self.covariance, self.feedback, self.coupling, self.reach, self.inputs,
-                self.input_low, self.input_high, self.coordinates, np.array([self.delta, self.epsilon]),
-                np.zeros((0, 0)) if self.shape is None else self.shape)  # fmt: skip
+        return (
+            self.A,
+            self.B,
+            self.drift,
+            self.covariance,
+            self.feedback,
+            self.coupling,
+            self.reach,
+            self.inputs,
+            self.input_low,
+            self.input_high,
+            self.coordinates,
+            np.array([self.delta, self.epsilon]),
+            np.zeros((0, 0)) if self.shape is None else self.shape,
+        )
 
     def to_grid(self, states: FloatArray) -> FloatArray:
-        """Grid coordinates (d, ...) of states (d, ...), a new array."""
+        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
         return product(rows_of(np.linalg.inv(self.coordinates)), states)
 
     def means(self, centres: FloatArray) -> FloatArray:
-        """(S, A, d) mean of the abstract successor of each cell centre (S, d) under each input."""
+        """Return the means (S, A, d) of the abstract successors of each cell centre (S, d) under each input."""
         return (centres @ self.A.T + self.drift)[:, None, :] + (self.inputs @ self.B.T)[None]
 
     def related(self, error: FloatArray) -> NDArray[np.bool_]:
-        """Whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
+        """Return whether errors (d, ...) lie in the ellipsoid, or in the box around E, which is E for scalar agents.
 
-        The last digits are forgiven: labels and inputs allow for a set larger by ``1e-9``.
+        The last digits are forgiven (``FORGIVEN``).
         """
+        # e'D e, row by row: the same bits in a batch and for one world.
         if self.shape is not None:
             size = error[0] * times(self._shape_rows[0], error)
-            for own, row in zip(error[1:], self._shape_rows[1:], strict=True):
-                size += own * times(row, error)
-            return np.asarray(size <= self.epsilon**2 * (1 + 1e-12))
+            for component, row in zip(error[1:], self._shape_rows[1:], strict=True):
+                size += component * times(row, error)
+            return np.asarray(size <= self.epsilon**2 * (1 + FORGIVEN))
         result = np.ones(error.shape[1:], dtype=bool)
-        for own, reach in zip(error, (self.reach * (1 + 1e-12)).tolist(), strict=True):
-            result &= np.abs(own) <= reach
+        for component, reach in zip(error, (self.reach * (1 + FORGIVEN)).tolist(), strict=True):
+            result &= np.abs(component) <= reach
         return result
 
     @cached_property
     def _shape_rows(self) -> tuple[Row, ...]:
+        """Rows of D as plain numbers."""
         assert self.shape is not None
         return rows_of(self.shape)
 
 
 def coupling_failure(distance: float) -> float:
-    """Upper bound on the total variation distance of two standard normals whose means are ``distance`` apart.
+    """Return an upper bound on the total variation distance of two standard normals with means ``distance`` apart.
 
-    ``2 Phi(distance / 2) - 1``, rounded up.
+    It is ``2 Phi(distance / 2) - 1``, rounded up.
 
     Examples
     --------
@@ -139,27 +169,33 @@ def coupling_failure(distance: float) -> float:
 
 
 def couple(whitened: FloatArray, move: FloatArray, uniform: FloatArray) -> FloatArray:
-    """Standard normal noise (d, ...) of the abstract system, equal to ``whitened + move`` as often as can be.
+    """Return standard normal noise (d, ...) of the abstract system, equal to ``whitened + move`` as often as possible.
 
     Maximal coupling by reflection: ``whitened + move`` is accepted with probability ``min(1, phi(whitened + move) /
-    phi(whitened))``, otherwise the noise is mirrored at 0 along ``move``.
+    phi(whitened))``, otherwise the noise is mirrored at 0 along ``move`` (docs/theory/relations.md, "Maximal
+    coupling").
     """
+    # log(phi(w + v) / phi(w)) = -(w'v + v'v / 2), summed component by component.
     along, length = whitened[0] * move[0], move[0] * move[0]
-    for own, by in zip(whitened[1:], move[1:], strict=True):
-        along += own * by
-        length += by * by
+    for noise_component, move_component in zip(whitened[1:], move[1:], strict=True):
+        along += noise_component * move_component
+        length += move_component * move_component
     length *= 0.5
     result, rejected = whitened + move, np.flatnonzero(~(uniform <= np.exp(-(along + length))))
-    if len(rejected):  # few, as a rule
-        noise, by = (own.reshape(len(own), -1).take(rejected, axis=1) for own in (whitened, move))
-        whole = 2.0 * length.take(rejected)
-        share = along.take(rejected) / np.where(whole > 0, whole, 1.0)
+    # Reflect the rejected ones, few as a rule: w - 2 v (v'w) / (v'v).
+    if len(rejected):
+        noise, by = (array.reshape(len(array), -1).take(rejected, axis=1) for array in (whitened, move))
+        squared = 2.0 * length.take(rejected)
+        share = along.take(rejected) / np.where(squared > 0, squared, 1.0)
         result.reshape(len(result), -1)[:, rejected] = noise - 2.0 * by * share
     return result
 
 
 def joint_delta(deltas: Sequence[float]) -> float:
-    """Upper bound on the probability, per step, that any agent's relation is lost.
+    """Return an upper bound on the probability, per step, that any agent's relation is lost.
+
+    It is ``1 - prod(1 - delta_i)``, computed without cancellation and rounded up (docs/theory/relations.md, "Many
+    agents").
 
     Examples
     --------

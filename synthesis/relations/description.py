@@ -2,7 +2,7 @@
 
 ``{"kind": "exact"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind": "tube", "feedback",
 "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling", "inputs", "snap",
-"delta"}``; matrices are nested lists in grid coordinates. They come from files and are trusted in nothing.
+"delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .tube import tube_relation
 Relation = ExactRelation | CoupledRelation
 """What ties one agent to its cells."""
 
-NUMBERS = {
+NUMBER_ENTRIES = {
     "exact": (),
     "paper": ("epsilon", "feedback", "inputs", "delta"),
     "tube": (),
@@ -31,7 +31,7 @@ NUMBERS = {
 }
 """Entries that are numbers, by kind."""
 
-ARRAYS = {
+ARRAY_ENTRIES = {
     "exact": (),
     "paper": (),
     "tube": ("feedback", "inputs", "snap"),
@@ -41,18 +41,24 @@ ARRAYS = {
 
 
 def describe_relation(relation: Relation) -> dict[str, Any]:
-    """Description of a relation; ``relation_from`` gives the same relation again."""
+    """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
     if not isinstance(relation, CoupledRelation):
         return {"kind": "exact"}
     if relation.kind == "paper":
-        return {"kind": "paper", "epsilon": float(relation.reach[0]), "feedback": float(relation.feedback[0, 0]),
-                "inputs": len(relation.inputs), "delta": relation.delta}  # fmt: skip
-    found = {"kind": relation.kind, **{name: getattr(relation, name).tolist() for name in ARRAYS[relation.kind]}}
-    return {**found, **{name: getattr(relation, name) for name in NUMBERS[relation.kind]}}
+        return {
+            "kind": "paper",
+            "epsilon": float(relation.reach[0]),
+            "feedback": float(relation.feedback[0, 0]),
+            "inputs": len(relation.inputs),
+            "delta": relation.delta,
+        }
+    arrays = {name: getattr(relation, name).tolist() for name in ARRAY_ENTRIES[relation.kind]}
+    numbers = {name: getattr(relation, name) for name in NUMBER_ENTRIES[relation.kind]}
+    return {"kind": relation.kind, **arrays, **numbers}
 
 
 def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> Relation:
-    """The relation of ``agent`` that is described, its margins and delta computed anew.
+    """Return the relation of ``agent`` that is described, its margins and delta computed anew (upper bounds).
 
     Raises
     ------
@@ -65,31 +71,34 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
     if kind == "paper":
         if not np.array_equal(coordinates, np.eye(len(coordinates))):
             raise ValueError("the `paper` relation is for grids in state coordinates")
-        return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBERS["paper"]})
-    given = {name: np.array(description[name], dtype=float) for name in ARRAYS[kind]}
+        return paper_relation(agent, grid.edges[0], **{name: description[name] for name in NUMBER_ENTRIES["paper"]})
+    arrays = {name: np.array(description[name], dtype=float) for name in ARRAY_ENTRIES[kind]}
     if kind == "tube":
-        return tube_relation(agent, grid, coordinates, given["feedback"], given["inputs"], given["snap"])
-    found = Ellipsoid(given["shape"], description["epsilon"], given["feedback"], given["coupling"])
-    return ellipsoid_relation(agent, grid, coordinates, found, given["inputs"], given["snap"], description["delta"])
+        return tube_relation(agent, grid, coordinates, arrays["feedback"], arrays["inputs"], arrays["snap"])
+    ellipsoid = Ellipsoid(arrays["shape"], description["epsilon"], arrays["feedback"], arrays["coupling"])
+    return ellipsoid_relation(
+        agent, grid, coordinates, ellipsoid, arrays["inputs"], arrays["snap"], description["delta"]
+    )
 
 
 def check_description(description: Any, agent: LinearAgent) -> None:
-    """Refuse what is no description of a relation of ``agent``.
+    """Raise ValueError unless a value describes a relation of ``agent``.
 
     Raises
     ------
     ValueError
-        If the kind is unknown, or its numbers and arrays are not all there, finite and of the right shape.
+        If the kind is unknown, or if its numbers and arrays are not all there, finite and of the right shape.
     """
-    if not isinstance(description, dict) or description.get("kind") not in NUMBERS:
+    if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
         raise ValueError("it has a relation of an unknown kind")
-    numbers = [description[name] for name in NUMBERS[description["kind"]]]
+    numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
-        raise ValueError("a relation has settings that are no numbers")
+        raise ValueError("a relation has settings that are not numbers")
     d, m = agent.n_states, agent.n_inputs
+    # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
-    for name in ARRAYS[description["kind"]]:
+    for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if array.shape != expected or not array.size or not np.all(np.isfinite(array)):
-            raise ValueError(f"a relation has settings that are no matrices: `{name}` has shape {array.shape}")
+            raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")

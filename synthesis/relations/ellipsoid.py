@@ -1,4 +1,4 @@
-"""Ellipsoid relation: a fixed part of the error may be paid for in probability (THEORY section 1, row ``ellipsoid``).
+"""Ellipsoid relation: a fixed part of the error may be paid for in probability.
 
 Error ``e = x - xhat``, interface ``u = uhat + K e``, noise coupling ``what = w + F e``, everything in grid coordinates:
 
@@ -6,14 +6,15 @@ Error ``e = x - xhat``, interface ``u = uhat + K e``, noise coupling ``what = w 
     E = {e : e'D e <= epsilon^2},   (A + B K - F) E + W  inside  E,
     delta = sup over E of 2 Phi(|Sigma^(-1/2) F e| / 2) - 1  =  2 Phi(r / 2) - 1,
 
-with r^2 = epsilon^2 times the largest generalised eigenvalue of ``F' Sigma^-1 F`` against D. F = 0 gives delta = 0. The
-price: abstract inputs lie in U less K E (support ``epsilon sqrt(K_j D^-1 K_j')`` of input j), labels and workspace
-shrink by the box around E. That box serves margins only; it need not be invariant.
+with r^2 = epsilon^2 times the largest generalised eigenvalue of ``F' Sigma^-1 F`` against D (docs/theory/relations.md,
+"Ellipsoids"). F = 0 gives delta = 0. The price: abstract inputs lie in U less K E (support ``epsilon sqrt(K_j D^-1
+K_j')`` of input j), and labels and workspace shrink by the box around E. That box serves margins only; it need not be
+invariant.
 
-D, K and F come from ``ellipsoid_search`` (a solver of linear matrix inequalities); nothing here, and nothing that reads
-or checks a certificate, needs a solver. Source: van Huijgevoort and Haesaert, "Similarity quantification for linear
-stochastic systems: a coupling compensator approach", Automatica 144, 2022 (arXiv 2007.09052), with its compensator F;
-feedback K on the error is added here.
+D, K and F come from ``ellipsoid_search`` (a solver of linear matrix inequalities). Nothing here needs a solver, nor
+does anything that reads or checks a certificate. Source: van Huijgevoort and Haesaert, "Similarity quantification for
+linear stochastic systems: a coupling compensator approach", Automatica 144, 2022 (arXiv 2007.09052), with its
+compensator F; feedback K on the error is added here.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation, coupling_failure
-from .tube import INFLATE, input_grid
+from .tube import ENLARGEMENT, input_grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +49,9 @@ class Ellipsoid:
     coupling: FloatArray
 
     def support(self, rows: FloatArray) -> FloatArray:
-        """Upper bounds (n,) on ``rows @ e`` over the set, rows (n, d)."""
+        """Return upper bounds (n,) on ``rows @ e`` over the set, rows (n, d)."""
         spread = rows @ np.linalg.solve(self.shape, rows.T)
-        return np.asarray(self.epsilon * np.sqrt(np.maximum(np.diag(spread), 0.0)) * INFLATE)
+        return np.asarray(self.epsilon * np.sqrt(np.maximum(np.diag(spread), 0.0)) * ENLARGEMENT)
 
 
 def ellipsoid_relation(
@@ -62,7 +63,9 @@ def ellipsoid_relation(
     snap: FloatArray | None = None,
     delta: float | None = None,
 ) -> CoupledRelation:
-    """Relation of an agent and its finite model for a given ellipsoid; whether it is invariant is not decided here.
+    """Return the relation of an agent and its finite model for a given ellipsoid; its margins are upper bounds.
+
+    Whether the ellipsoid is invariant is not decided here (see ``ellipsoid_is_invariant``).
 
     Parameters
     ----------
@@ -77,7 +80,7 @@ def ellipsoid_relation(
     snap : (d,) array, optional
         Half lattice spacings that means are rounded by; default 0.
     delta : float, optional
-        A larger failure probability than that of the ellipsoid, to be used instead of it.
+        A failure probability above that of the ellipsoid, to be used in its place.
 
     Returns
     -------
@@ -98,6 +101,7 @@ def ellipsoid_relation(
             f"agent `{agent.name}`: expected an ellipsoid whose input reserve fits into `input_low`, `input_high`, got "
             f"a reserve of {reserve.tolist()}; ask for more `cells` or a larger `delta`"
         )
+    # A claim below what F costs would be false; one above it is sound.
     least = _failure(agent, ellipsoid, variances)
     if delta is not None and not least <= delta <= 1:
         raise RelationRefused(f"`delta`: expected a number from {least:.7g} (what F costs) to 1, got {delta!r}")
@@ -124,7 +128,7 @@ def ellipsoid_relation(
 
 
 def _failure(agent: LinearAgent, ellipsoid: Ellipsoid, variances: FloatArray) -> float:
-    """Upper bound on delta: the longest whitened shift of the noise is an eigenvalue of F D^-1 F'."""
+    """Return an upper bound on delta: the longest whitened shift of the noise is an eigenvalue of F D^-1 F'."""
     if not np.any(ellipsoid.coupling):
         return 0.0
     if np.any(variances <= 0):
@@ -134,4 +138,4 @@ def _failure(agent: LinearAgent, ellipsoid: Ellipsoid, variances: FloatArray) ->
         )
     scaled = ellipsoid.coupling / np.sqrt(variances)[:, None]
     largest = float(np.max(np.linalg.eigvalsh(scaled @ np.linalg.solve(ellipsoid.shape, scaled.T))))
-    return coupling_failure(ellipsoid.epsilon * float(np.sqrt(max(largest, 0.0))) * INFLATE)
+    return coupling_failure(ellipsoid.epsilon * float(np.sqrt(max(largest, 0.0))) * ENLARGEMENT)

@@ -1,12 +1,12 @@
-"""Stochastic simulation relations between an agent and its finite model, and their verification.
+"""The exact relation: every mean can be commanded, and the cell process is a Markov chain.
 
-The ``exact`` relation (THEORY section 1): when ``B`` has full row rank, every mean can be commanded, so the abstract
-input is the *target mean* z. From any x of a cell the controller applies
+When ``B`` has full row rank, the abstract input is the *target mean* z. From any x of a cell the controller applies
 
     u = u_mid + B^+ (z - A x - c - B u_mid),        so that        x' = z + w,
 
-whatever x was: the cell process is a Markov chain and delta = 0. The price is the input reserve: u must be admissible
-for every x of the cell, which shrinks the admissible targets of a cell with centre m and half widths h to
+whatever x was: the cell process is a Markov chain and delta = 0 (docs/theory/relations.md, "The exact relation"). The
+price is the input reserve. The input must be admissible for every x of the cell, which leaves to a cell with centre m
+and half widths h the targets with
 
     | B^+ (z - A m - c - B u_mid) |_j  <=  (half-width of U)_j - (|B^+ A| h)_j .
 """
@@ -19,15 +19,15 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, in_grid_coordinates
 from .rows import Row, product, rows_of, times
 
-MARGIN = 1e-12
+INPUT_MARGIN = 1e-12
 """Relative reserve on inputs that keeps a computed input inside its box in spite of rounding; always restrictive."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ExactRelation:
     """Target-mean interface of an agent with full-row-rank ``B`` (exact relation: delta = 0, epsilon = half a cell).
 
@@ -58,15 +58,23 @@ class ExactRelation:
     kind = "exact"
     delta = 0.0
 
+    def __repr__(self) -> str:
+        d, m = self.B.shape
+        rotated = "" if self.has_state_coordinates else ", coordinates of its noise"
+        return f"ExactRelation({counted(d, 'state')}, {counted(m, 'input')}, delta 0{rotated})"
+
     def means(self, cells: FloatArray) -> FloatArray:
-        """Means (S, d) reached from the (S, d) points under the central input."""
+        """Return the means (S, d) reached from the points (S, d) under the central input, up to rounding."""
         return cells @ self.A.T + self.drift
 
     def reserve(self, half_widths: FloatArray) -> FloatArray:
-        """Input half widths (S, m) left for the target once every x of a cell is catered for; may be negative."""
+        """Return lower bounds (S, m) on the input half widths left for the target; negative if nothing is left.
+
+        What is taken off lets the input cancel ``A x`` for every x of a cell with ``half_widths`` (S, d).
+        """
         need = half_widths @ np.abs(self.right_inverse @ self.A).T
         scale = np.abs(self.input_centre) + self.input_half_width
-        return self.input_half_width - need * (1 + MARGIN) - MARGIN * (scale + need)
+        return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need)
 
     @cached_property
     def is_box(self) -> bool:
@@ -75,7 +83,7 @@ class ExactRelation:
         return bool(np.all(used.sum(axis=1) <= 1) and np.all(used.sum(axis=0) == 1))
 
     def to_grid(self, states: FloatArray) -> FloatArray:
-        """Grid coordinates (d, ...) of states (d, ...), a new array."""
+        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
         if self.has_state_coordinates:
             return np.array(states, dtype=float)
         return product(rows_of(np.linalg.inv(self.coordinates)), states)
@@ -99,11 +107,11 @@ class ExactRelation:
         )
 
     def aims(self, targets: FloatArray) -> FloatArray:
-        """Target means (d, ...) less the drift, as ``inputs`` takes them."""
+        """Return target means (d, ...) less the drift, as ``inputs`` takes them."""
         return np.asarray(targets - self.drift.reshape(-1, *[1] * (targets.ndim - 1)))
 
     def inputs(self, aims: Sequence[FloatArray] | FloatArray, states: FloatArray) -> FloatArray:
-        """Inputs (m, ...) that put the mean of the next grid state on target means, from ``states`` (d, ...).
+        """Return the inputs (m, ...) that put the mean of the next grid state on targets, from ``states`` (d, ...).
 
         They are ``B^+ (aims - A x) + u_mid``.
         """
@@ -116,17 +124,17 @@ class ExactRelation:
 
     @cached_property
     def _rows(self) -> tuple[tuple[Row, ...], tuple[Row, ...], list[float]]:
-        """A, B^+ and u_mid as plain numbers, which arrays are multiplied by sooner than by numpy's."""
+        """A, B^+ and u_mid as plain numbers: arrays are multiplied by these faster than by numbers of numpy."""
         return rows_of(self.A), rows_of(self.right_inverse), self.input_centre.tolist()
 
 
 def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation:
-    """Exact relation of an agent in the given grid coordinates.
+    """Return the exact relation of an agent in the given grid coordinates.
 
     Raises
     ------
     ValueError
-        If ``B`` has not full row rank: no input then reaches an arbitrary mean.
+        If ``B`` does not have full row rank: no input then reaches an arbitrary mean.
     """
     if np.linalg.matrix_rank(agent.B) < agent.n_states:
         raise RelationRefused(
@@ -137,6 +145,7 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
     moves = in_grid_coordinates(agent, coordinates)
     A, B = moves.A, moves.B
     box = agent.input_box
+    # The smaller half of the box on either side of the rounded centre: never beyond the box.
     centre = 0.5 * (box.low + box.high)
     half = np.minimum(box.high - centre, centre - box.low)
     return ExactRelation(
@@ -151,6 +160,9 @@ def exact_relation(agent: LinearAgent, coordinates: FloatArray) -> ExactRelation
 
 
 def _clean(matrix: FloatArray) -> FloatArray:
-    """Set entries to 0 that are rounding noise next to the largest of the matrix (they only blur structure)."""
+    """Return the matrix with 0 for entries that are rounding noise next to its largest; they would blur its structure.
+
+    A scaled permutation is recognised by its zeros.
+    """
     scale = np.max(np.abs(matrix), initial=0.0)
     return np.where(np.abs(matrix) <= 1e-15 * scale, 0.0, matrix)

@@ -1,4 +1,4 @@
-"""Rows of matrices times vectors of arrays, term by term, so that the result does not depend on the batch.
+"""Rows of matrices times vectors of arrays, entry by entry: the same bits in a batch and for one point.
 
 Entries that are 0 cost nothing, and no array is made that is not needed.
 """
@@ -16,7 +16,7 @@ Row = tuple[tuple[int, float], ...]
 
 
 def rows_of(matrix: FloatArray) -> tuple[Row, ...]:
-    """The rows of a matrix (n, d).
+    """Return the rows of a matrix (n, d), without their zeros (exact).
 
     Examples
     --------
@@ -27,7 +27,7 @@ def rows_of(matrix: FloatArray) -> tuple[Row, ...]:
 
 
 def times(row: Row, vectors: Sequence[FloatArray] | FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """A row times vectors (d, ...): a new array (...), or ``out``.
+    """Return a row times vectors (d, ...) as a new array (...), or in ``out`` if it is given.
 
     Examples
     --------
@@ -38,16 +38,16 @@ def times(row: Row, vectors: Sequence[FloatArray] | FloatArray, out: FloatArray 
     if not row:
         total.fill(0.0)
         return total
-    (first, value), *rest = row
+    (first, value), *others = row
     np.multiply(vectors[first], value, out=total)
-    for k, value in rest:
+    for k, value in others:
         total += value * vectors[k]
     return total
 
 
 def product(rows: Sequence[Row], vectors: Sequence[FloatArray] | FloatArray) -> FloatArray:
-    """All rows times vectors (d, ...): a new array (n, ...)."""
+    """Return all rows times vectors (d, ...) as a new array (n, ...)."""
     result = np.empty((len(rows), *vectors[0].shape))
     for k, row in enumerate(rows):
-        times(row, vectors, result[k, ...])  # a view, of single numbers, too
+        times(row, vectors, result[k, ...])  # the ellipsis makes a view even of single numbers
     return result

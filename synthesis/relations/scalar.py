@@ -1,22 +1,26 @@
-"""The paper's (epsilon, delta) relation for scalar agents, in closed form (THEORY section 1, row ``paper``).
+"""The paper's (epsilon, delta) relation for scalar agents, in closed form.
 
-Error ``e = x - xhat``, interface ``u = uhat + K e``, noise coupling ``what = w + F e``; with ``a_K = a + b K`` and
+Error ``e = x - xhat``, interface ``u = uhat + K e``, noise coupling ``what = w + F e``. With ``a_K = a + b K`` and
 cells of width h the error moves as ``e' = (a_K - F) e + beta``, ``|beta| <= h/2``. The relation
 ``R = {|e| <= epsilon}`` is kept whenever the coupling succeeds, because
 
-    F = sign(a_K) max(0, |a_K| - 1 + h / (2 epsilon))      gives      |a_K - F| epsilon + h/2 <= epsilon,
+    F = sign(a_K) max(0, |a_K| - 1 + h / (2 epsilon))      gives      |a_K - F| epsilon + h/2 <= epsilon.
 
-and the coupling fails with probability at most ``delta = 2 Phi(|F| epsilon / (2 sigma)) - 1`` (maximal coupling of two
-normal distributions whose means differ by F e). The paper has K = 0.
+The coupling fails with probability at most ``delta = 2 Phi(|F| epsilon / (2 sigma)) - 1``, the maximal coupling of two
+normal distributions whose means differ by F e (docs/theory/relations.md, "Scalar agents in closed form"). The paper has
+K = 0.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, checked_count
 from ..cells import FloatArray, RelationRefused
 from .coupled import CoupledRelation, coupling_failure
+
+OUTWARDS = 1.0 + 1e-12
+"""Factor on widths and reserves, far above their rounding; restrictive wherever it stands."""
 
 
 def paper_relation(
@@ -27,7 +31,7 @@ def paper_relation(
     inputs: int = 10,
     delta: float | None = None,
 ) -> CoupledRelation:
-    """Closed-form relation of a scalar agent with the cell ``edges``.
+    """Return the closed-form relation of a scalar agent with the cell ``edges``; its delta is an upper bound.
 
     Parameters
     ----------
@@ -42,7 +46,7 @@ def paper_relation(
     inputs : int
         Number of abstract inputs, evenly spread over the reduced input interval, ends included.
     delta : float, optional
-        A larger failure probability than the closed form, to be used instead of it.
+        A failure probability above the closed form, to be used in its place.
 
     Raises
     ------
@@ -55,8 +59,9 @@ def paper_relation(
             f"agent `{agent.name}`: the `paper` relation is for scalar agents, got {agent.n_states} states; "
             "take `exact` or `tube`"
         )
+    # With epsilon at half a cell of equal ones, related states share their cell: labels need no margin then.
     widths = np.diff(edges)
-    width = float(widths.max()) * (1 + 1e-12)
+    width = float(widths.max()) * OUTWARDS
     is_cell = bool(abs(epsilon - 0.5 * width) <= 1e-9 * width and widths.min() >= width * (1 - 1e-9))
     epsilon = 0.5 * width if is_cell else float(epsilon)
     if not epsilon >= width / 2:
@@ -64,16 +69,17 @@ def paper_relation(
             f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}; give a larger one, or "
             "more `cells`"
         )
-    if isinstance(inputs, bool) or not isinstance(inputs, int) or inputs < 1:
-        raise ValueError(f"`inputs`: expected a positive whole number, got {inputs!r}")
+    inputs = checked_count(inputs, "inputs")
+    # The feedback takes |K| epsilon of the inputs on both sides.
     a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
     closed = a + b * feedback
-    reserve = abs(feedback) * epsilon * (1 + 1e-12)
+    reserve = abs(feedback) * epsilon * OUTWARDS
     low, high = float(agent.input_box.low[0]) + reserve, float(agent.input_box.high[0]) - reserve
     if low > high:
         raise RelationRefused(
             f"`feedback`: expected |K| epsilon within the inputs of agent `{agent.name}`, got K = {feedback!r}"
         )
+    # The smallest |F| that keeps the interval invariant, rounded up; without noise no shift can be hidden.
     coupling = float(np.sign(closed)) * max(0.0, abs(closed) - 1.0 + width / (2 * epsilon) + 1e-15)
     least = (
         coupling_failure(abs(coupling) * epsilon / float(np.sqrt(variance))) if variance > 0 else float(coupling != 0)

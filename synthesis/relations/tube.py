@@ -1,12 +1,12 @@
-"""Tube relation of a stabilisable agent: delta = 0, whatever the rank of B (THEORY section 1, row ``tube``).
+"""Tube relation of a stabilisable agent: delta = 0, also where B has not full row rank.
 
-With a stabilising feedback K and F = 0 the error moves as ``e' = (A + B K) e + beta``, ``beta in W``, W the box of half
-a cell plus half a lattice spacing. If ``(A + B K)^s W inside alpha W``, the zonotope
+With a stabilising feedback K and F = 0 the error moves as ``e' = (A + B K) e + beta``, ``beta in W``, where W is the
+box of half a cell plus half a lattice spacing. If ``(A + B K)^s W inside alpha W``, the zonotope
 
     E = (1 - alpha)^-1 sum_{k < s} (A + B K)^k W
 
-is invariant (``(A + B K) E + W inside E``), so ``x - xhat in E`` is kept for ever, with certainty. The price: labels
-and workspace shrink by E, the abstract inputs by K E.
+is invariant, ``(A + B K) E + W inside E``, so that ``x - xhat in E`` holds at all times with certainty
+(docs/theory/relations.md, "The tube"). The price: labels and workspace shrink by E, the abstract inputs by K E.
 """
 
 from __future__ import annotations
@@ -20,11 +20,23 @@ from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
 from .coupled import CoupledRelation
 
-LONGEST = 400
-"""Most terms of the zonotope."""
+MOST_TUBE_TERMS = 400
+"""Most terms of the zonotope: feedbacks whose errors take longer to die out make tubes too wide to be of use."""
 
-INFLATE = 1.0 + 1e-9
+ENLARGEMENT = 1.0 + 1e-9
 """Every bound of the tube is enlarged by this, far above rounding."""
+
+LARGE_GRID = 100_000
+"""Cells from which half widths are taken axis by axis, without the table of all cells."""
+
+INPUT_PRICES = np.logspace(-2.0, 4.0, 13)
+"""Prices of inputs against errors that are tried, from cheap ones (fast feedback) to dear ones (slow feedback)."""
+
+ONE_AXIS_PRICES = np.logspace(-2.0, 4.0, 7)
+"""The same where the errors of one axis weigh a hundred times more, or less, than those of the others."""
+
+MOST_INPUTS = {1: 41, 2: 13}
+"""Most abstract inputs per component by the number of components; 5 from three components on."""
 
 
 def tube_relation(
@@ -35,7 +47,7 @@ def tube_relation(
     inputs: FloatArray | None = None,
     snap: FloatArray | None = None,
 ) -> CoupledRelation:
-    """Tube of an agent around its finite model under a given feedback.
+    """Return the tube of an agent around its finite model under a given feedback; its margins are upper bounds.
 
     Parameters
     ----------
@@ -62,8 +74,9 @@ def tube_relation(
     generators = tube_generators(A + B @ feedback, disturbance)
     if generators is None:
         raise RelationRefused(f"agent `{agent.name}`: expected a feedback that stabilises `A`, got {feedback.tolist()}")
-    reach = np.abs(generators).sum(axis=0) * INFLATE
-    reserve = np.abs(generators @ feedback.T).sum(axis=0) * INFLATE
+    # Bounding boxes of the zonotope and of its images under K and the coordinates: sums of absolute generators.
+    reach = np.abs(generators).sum(axis=0) * ENLARGEMENT
+    reserve = np.abs(generators @ feedback.T).sum(axis=0) * ENLARGEMENT
     low, high = agent.input_box.low + reserve, agent.input_box.high - reserve
     if np.any(low > high):
         raise RelationRefused(
@@ -80,7 +93,7 @@ def tube_relation(
         feedback=feedback,
         coupling=np.zeros_like(A),
         reach=reach,
-        state_reach=np.abs(generators @ coordinates.T).sum(axis=0) * INFLATE,
+        state_reach=np.abs(generators @ coordinates.T).sum(axis=0) * ENLARGEMENT,
         delta=0.0,
         inputs=input_grid(low, high, B, widths) if inputs is None else inputs,
         input_low=agent.input_box.low,
@@ -91,27 +104,32 @@ def tube_relation(
 
 
 def disturbance_of(grid: Grid, snap: FloatArray | None) -> FloatArray:
-    """Half widths (d,) of W: half the largest cell, plus what snapping adds."""
-    half = grid.half_widths.max(axis=0) if grid.n_cells < 100_000 else _half_cells(grid)
-    return np.asarray((half + (0.0 if snap is None else snap)) * INFLATE)
+    """Return upper bounds (d,) on the half widths of W: half the largest cell, plus what snapping adds."""
+    half = grid.half_widths.max(axis=0) if grid.n_cells < LARGE_GRID else _half_cells(grid)
+    return np.asarray((half + (0.0 if snap is None else snap)) * ENLARGEMENT)
 
 
 def _half_cells(grid: Grid) -> FloatArray:
+    """Return half the width (d,) of the widest cell per axis, rounded up."""
     return np.array([0.5 * float(np.max(np.diff(edges))) * (1 + 1e-12) for edges in grid.edges])
 
 
 def tube_generators(closed: FloatArray, disturbance: FloatArray) -> FloatArray | None:
-    """Generators (G, d) of the zonotope E of ``e' = closed e + beta``, ``|beta| <= disturbance``; None if not stable.
+    """Return generators (G, d) of a zonotope E with ``closed E + W inside E``, W the box ``|beta| <= disturbance``.
 
-    The number of terms is the one with the smallest tube.
+    The number of terms is the one that makes the tube smallest. None if no number of terms was found: ``closed`` is
+    then not stable, or next to it.
     """
+    # powers[k] holds the generators of closed^k W as columns. Sizes are measured in units of the disturbance.
     powers, best, size = [np.diag(disturbance)], None, np.inf
-    mass = float(len(disturbance))  # of the terms so far, in units of the disturbance
-    for _ in range(LONGEST):
+    mass = float(len(disturbance))
+    for _ in range(MOST_TUBE_TERMS):
         following = closed @ powers[-1]
         scaled = np.abs(following) / disturbance[:, None]
-        alpha = float(np.max(scaled.sum(axis=1))) * INFLATE
+        # The smallest alpha with closed^s W inside alpha W: the largest row sum of the absolute generators.
+        alpha = float(np.max(scaled.sum(axis=1))) * ENLARGEMENT
         if alpha < 1.0:
+            # 1 / (1 - alpha) scales the sum of the terms so far; more terms cost mass but make alpha smaller.
             if mass / (1.0 - alpha) < size * (1 - 1e-6):
                 best, size = (len(powers), alpha), mass / (1.0 - alpha)
             elif alpha < 1e-6 or mass >= size:
@@ -127,9 +145,10 @@ def tube_generators(closed: FloatArray, disturbance: FloatArray) -> FloatArray |
 
 
 def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> list[FloatArray]:
-    """Feedbacks (m, d) to try, by linear-quadratic design (grid coordinates).
+    """Return feedbacks (m, d) to try, by linear-quadratic design, in grid coordinates.
 
-    Inputs from cheap to dear, and errors that weigh alike in cells, or those of one axis more or less than the others.
+    Inputs go from cheap to dear. Errors weigh alike when measured in cells, or those of one axis weigh more or less
+    than the others.
 
     Raises
     ------
@@ -140,28 +159,29 @@ def stabilising_feedbacks(agent: LinearAgent, grid: Grid, coordinates: FloatArra
     A, B = moves.A, moves.B
     cells = disturbance_of(grid, None)
     room = 0.5 * (agent.input_box.high - agent.input_box.low)
-    found = []
-    designs = list(product([np.zeros(len(A))], np.logspace(-2.0, 4.0, 13)))
+    feedbacks = []
+    # Pairs of an exponent of ten per axis, for the weight of its error, and a price of the inputs.
+    designs = list(product([np.zeros(len(A))], INPUT_PRICES))
     if len(A) > 1:
         one_axis = [share * axis for axis in np.eye(len(A)) for share in (-2.0, 2.0)]
-        designs += product(one_axis, np.logspace(-2.0, 4.0, 7))
+        designs += product(one_axis, ONE_AXIS_PRICES)
     for share, price in designs:
         weight, cost = np.diag(10.0**share / cells**2), np.diag(price / np.maximum(room, 1e-9) ** 2)
         try:
             value = solve_discrete_are(A, B, weight, cost)
         except (LinAlgError, ValueError):
             continue
-        found.append(-np.linalg.solve(cost + B.T @ value @ B, B.T @ value @ A))
-    if not found:
+        feedbacks.append(-np.linalg.solve(cost + B.T @ value @ B, B.T @ value @ A))
+    if not feedbacks:
         raise RelationRefused(
             f"agent `{agent.name}`: expected a stabilisable pair `A`, `B`, got one that no feedback stabilises; "
             "give it an input that moves what is unstable"
         )
-    return found
+    return feedbacks
 
 
 def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_for_labels: FloatArray) -> FloatArray:
-    """The feedback that trades input reserve against label margin best, both as shares of what there is.
+    """Return the feedback (m, d) with the least sum of input reserve and label margin, as shares of what there is.
 
     ``room_for_labels`` (d,) is the half width, per state, of the narrowest region that labels are to be kept in.
     """
@@ -175,6 +195,7 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
         if generators is not None:
             reserve = np.max(np.abs(generators @ feedback.T).sum(axis=0) / room)
             margin = np.max(np.abs(generators @ coordinates.T).sum(axis=0) / room_for_labels)
+            # The position in the list decides between equal scores, so that arrays are never compared.
             scored.append((float(reserve + margin), len(scored), feedback))
     if not scored:
         raise RelationRefused(
@@ -184,18 +205,19 @@ def best_feedback(agent: LinearAgent, grid: Grid, coordinates: FloatArray, room_
 
 
 def input_grid(low: FloatArray, high: FloatArray, B: FloatArray, widths: FloatArray) -> FloatArray:
-    """Abstract inputs (A, m): per input a symmetric grid whose steps move means by whole cells, and the extremes.
+    """Return abstract inputs (A, m): per component a symmetric grid whose steps move means by cells, and the extremes.
 
     The extremes are rounded inwards to moves of half a cell, so that means stay on a lattice of few points.
     """
     axes = []
-    limit = {1: 41, 2: 13}.get(len(low), 5)
+    limit = MOST_INPUTS.get(len(low), 5)
     for j in range(len(low)):
         middle, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
         moves = np.abs(B[:, j]) > 1e-12
-        if half <= 0 or not moves.any():  # nothing to choose
+        if half <= 0 or not moves.any():  # there is nothing to choose
             axes.append(np.array([middle]))
             continue
+        # One step moves the mean by a whole cell; double it or halve it until the number of inputs fits.
         step = cell = float(np.min(widths[moves] / np.abs(B[moves, j])))
         while 2 * half / step + 1 > limit:
             step *= 2.0

@@ -2,15 +2,15 @@
 
 A sweep goes forward once under the current policies, keeping the alive mass ``mu_t,q = sum_k prod_i m_k,i``, and then
 backward through the value tree. With the masked next-step terms ``g_l`` of state q, agent i's exact best response at
-time t is, for every cell s (THEORY section 5),
+time t is, for every cell s (docs/theory/tree.md, "Policies: occupancy-weighted ascent"),
 
     argmax_u  sum_l omega_l(s) (P_u g_l,i)(s),     omega_l(s) = sum_k m_k,i(s) prod_{j != i} < m_k,j , P_j^pi g_l,j > .
 
-Agents answer in turn. Without pruning the value at the start never falls; with pruning it may, so callers keep the
-best policy and evaluate it with frozen policies before reporting anything (``sweep(..., improve=False)``).
+Agents answer in turn. Without pruning the value at the start never falls. With pruning it may; so callers keep the best
+policies and evaluate them frozen, with ``sweep(..., improve=False)``, before they report anything.
 
-Terms are pruned by contribution, ``<mu_t,q , term>``; what is dropped is charged with the leftover mass of a truncated
-occupancy included, so that ``dropped`` is an upper bound on the loss at the start.
+Terms are pruned by contribution, ``<mu_t,q , term>``. What is dropped is charged with the leftover mass of a truncated
+occupancy, too, so that ``dropped`` is an upper bound on the loss at the start (docs/theory/tree.md, "Dropping terms").
 """
 
 from __future__ import annotations
@@ -21,15 +21,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray
+from ...envs.agents import tree_text
+from ..cells import FloatArray, alike_text
 from ..models import JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
 from .occupancy import push
 from .tree import Candidates, Loss, assemble, candidates, gather, terminal_terms
 
+MOST_WEIGHTS = 30_000_000
+"""Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
 
-@dataclass(frozen=True, eq=False)
+PRODUCTS_AT_ONCE = 4_000_000
+"""Products of a mass term and a value term that are formed at once: 32 MB."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
     """Outcome of one pass over all times.
 
@@ -59,99 +66,21 @@ class Sweep:
     skeleton: tuple[Skeleton, ...]
     stationary: bool = False
 
-
-def resting_policies(joint: JointModel) -> Policies:
-    """Every agent stays where it is, at all times and states."""
-    shape = (joint.horizon, joint.n_states, 1)
-    return tuple(np.tile(model.choices.resting_choice, shape) for model in joint.models)
-
-
-def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
-    """Alive mass at times 0 .. T - 1, held by numpy."""
-    there = _forward(joint, policies, start, limits)
-    return [Occupancy(_everywhere(one.terms, to_host), one.leftover) for one in there]
+    def __repr__(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("dropped", f"at most {self.dropped:.2g}"),
+            ("rank", self.rank),
+            ("policies", policies_text(self.policies, self.stationary)),
+            ("terms", self.terms),
+        ]
+        return tree_text(f"Sweep: value {self.value:.6g}, not rounded down", rows)
 
 
-def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
-    """The same terms with all factors put elsewhere."""
-    return Terms(tuple(put(own) for own in terms.factors), terms.index)
-
-
-def _forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
-    """Alive mass at times 0 .. T - 1, on the device."""
-    occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
-    for t in range(joint.horizon - 1):
-        step = [policy[t] for policy in policies]
-        last = occupancies[-1]
-        occupancies.append(push(last, step, joint.guards, joint.masks, joint.models, limits.mass, limits.rank))
-    return occupancies
-
-
-def start_value(start: Occupancy, terms: Terms) -> float:
-    """``sum_q <mu_0,q , V_q>``."""
-    total = 0.0
-    for q, rows in enumerate(start.terms.index):
-        if len(rows) and len(terms.index[q]):
-            inner = [m @ v.T for m, v in zip(start.terms.factors, terms.factors, strict=True)]
-            total += float(inner_products(inner, rows, terms.index[q]).sum())
-    return total
-
-
-def sweep(
-    joint: JointModel,
-    policies: Policies,
-    start: Occupancy | None,
-    limits: Limits,
-    improve: bool,
-    loss: Loss | None = None,
-    watch: Callable[[Stage], None] | None = None,
-) -> Sweep:
-    """One pass: alive mass forward under ``policies``, value backward, every agent answering on the way if ``improve``.
-
-    Without a ``start`` every cell counts alike at all times and states (the paper's heuristic weights, without its
-    norms); the value is then reported as 0. ``watch`` is shown every (time, automaton state) once its policies are set.
-    """
-    nowhere = Terms(
-        tuple(np.zeros((0, n)) for n in joint.n_cells),
-        ((np.zeros((0, len(joint.models)), dtype=np.int64)),) * joint.n_states,
-    )
-    if start is None:
-        occupancies = [Occupancy(nowhere, 0.0)] * joint.horizon
-    else:
-        occupancies = _forward(joint, policies, start, limits)
-    policies = tuple(policy.copy() for policy in policies)
-    terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
-    dropped, rank, skeletons = 0.0, terms.rank, []
-    ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
-    for t in reversed(range(joint.horizon)):
-        occupancy = occupancies.pop()  # and forget it: early times have many terms, late ones much mass
-        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
-        parts, kept = [], []
-        for q in range(joint.n_states):
-            if joint.absorbing[q]:
-                rows = np.zeros((int(joint.accepting[q]), len(joint.models)), dtype=np.int64)
-                parts.append((ones, rows))
-                kept.append(np.zeros(0, dtype=np.int64))
-                continue
-            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies])
-            if improve and len(stage.rows):
-                stage.improve()
-                for policy, better in zip(policies, stage.policies, strict=True):
-                    policy[t, q] = better
-            if watch is not None:
-                watch(stage)
-            keep, charge = stage.prune(limits)
-            dropped += charge
-            parts.append(stage.part(keep))
-            kept.append(options.row[q][keep])
-            del stage  # tables of the next time are made while these would still be held
-        terms = assemble(parts, joint.n_cells)
-        rank = max(rank, terms.rank)
-        skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
-        del options
-    terms = _everywhere(terms, to_host)
-    value = 0.0 if start is None else start_value(start, terms)
-    return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+def policies_text(policies: Policies, stationary: bool) -> str:
+    """Return the sizes of policy tables in words."""
+    times, states, _ = policies[0].shape
+    cells = alike_text(str(policy.shape[-1]) for policy in policies)
+    return f"{'stationary' if stationary else f'{times} times'}, {states} automaton states, cells: {cells}"
 
 
 @dataclass(frozen=True)
@@ -176,13 +105,124 @@ class Limits:
     rank: int = 400
 
 
+def resting_policies(joint: JointModel) -> Policies:
+    """Return policies under which every agent stays where it is, at all times and states."""
+    shape = (joint.horizon, joint.n_states, 1)
+    return tuple(np.tile(model.choices.resting_choice, shape) for model in joint.models)
+
+
+def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Return the alive mass at times 0 .. T - 1, from below, as arrays of numpy."""
+    on_device = _forward(joint, policies, start, limits)
+    return [Occupancy(_everywhere(occupancy.terms, to_host), occupancy.leftover) for occupancy in on_device]
+
+
+def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
+    """Return the same terms with all factors put elsewhere."""
+    return Terms(tuple(put(factors) for factors in terms.factors), terms.index)
+
+
+def _forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Return the alive mass at times 0 .. T - 1, from below, on the device."""
+    occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
+    for t in range(joint.horizon - 1):
+        step = [policy[t] for policy in policies]
+        occupancies.append(push(occupancies[-1], step, joint, limits.mass, limits.rank))
+    return occupancies
+
+
+def start_value(start: Occupancy, terms: Terms) -> float:
+    """Return ``sum_q <mu_0,q , V_q>``, up to rounding."""
+    total = 0.0
+    for q, rows in enumerate(start.terms.index):
+        if len(rows) and len(terms.index[q]):
+            inner = [m @ v.T for m, v in zip(start.terms.factors, terms.factors, strict=True)]
+            total += float(inner_products(inner, rows, terms.index[q]).sum())
+    return total
+
+
+def sweep(
+    joint: JointModel,
+    policies: Policies,
+    start: Occupancy | None,
+    limits: Limits,
+    improve: bool,
+    loss: Loss | None = None,
+    watch: Callable[[Stage], None] | None = None,
+) -> Sweep:
+    """Make one pass: alive mass forward under ``policies``, value backward; every agent answers if ``improve``.
+
+    The value is a lower bound up to rounding.
+
+    Parameters
+    ----------
+    joint : JointModel
+    policies : Policies
+    start : Occupancy or None
+        Without a start every cell counts alike at all times and states (the paper's heuristic weights, without its
+        norms), and the value is reported as 0.
+    limits : Limits
+    improve : bool
+        Whether the agents answer; otherwise the policies stay as they are.
+    loss : callable, optional
+        What lost relations take from smoothed factors, see ``candidates``.
+    watch : callable, optional
+        Shown every (time, automaton state) once its policies are set.
+    """
+    occupancies = [_nowhere(joint)] * joint.horizon if start is None else _forward(joint, policies, start, limits)
+    policies = tuple(policy.copy() for policy in policies)
+    terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
+    dropped, rank, skeletons = 0.0, terms.rank, []
+    ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
+    for t in reversed(range(joint.horizon)):
+        # Taken off the list to free memory: early times have many terms, late ones much mass.
+        occupancy = occupancies.pop()
+        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
+        parts, kept = [], []
+        for q in range(joint.n_states):
+            # Where nothing is left to decide the value is 1 or 0.
+            if joint.absorbing[q]:
+                rows = np.zeros((int(joint.accepting[q]), len(joint.models)), dtype=np.int64)
+                parts.append((ones, rows))
+                kept.append(np.zeros(0, dtype=np.int64))
+                continue
+            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies])
+            # Answers at time t leave the occupancies up to t as they are: they depend on earlier policies only.
+            if improve and len(stage.rows):
+                stage.improve()
+                for policy, better in zip(policies, stage.policies, strict=True):
+                    policy[t, q] = better
+            if watch is not None:
+                watch(stage)
+            # The prices of dropped terms add up (docs/theory/tree.md, "Dropping terms").
+            keep, charge = stage.prune(limits)
+            dropped += charge
+            parts.append(stage.part(keep))
+            kept.append(options.row[q][keep])
+            del stage  # its tables would otherwise be held while those of the next time are made
+        terms = assemble(parts, joint.n_cells)
+        rank = max(rank, terms.rank)
+        skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
+        del options
+    terms = _everywhere(terms, to_host)
+    value = 0.0 if start is None else start_value(start, terms)
+    return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
+
+
+def _nowhere(joint: JointModel) -> Occupancy:
+    """Return an occupancy without any mass."""
+    rows = np.zeros((0, len(joint.models)), dtype=np.int64)
+    return Occupancy(Terms(tuple(np.zeros((0, n)) for n in joint.n_cells), (rows,) * joint.n_states), 0.0)
+
+
 class Stage:
-    """One (time, automaton state): the terms on offer, the mass that meets them, and the agents' policies."""
+    """One (time, automaton state): candidate terms, the mass that reaches them, and each agent's policy."""
 
     def __init__(
         self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, policies: Sequence[StepPolicy]
     ) -> None:
         self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
+        # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
         self.smoothed, self.values = [], []
         for i, policy in enumerate(self.policies):
@@ -195,11 +235,12 @@ class Stage:
             self.mass_rows = self.mass_rows.copy()
             self.mass = []
             for i, factors in enumerate(occupancy.terms.factors):
-                own, self.mass_rows[:, i] = compress(factors, self.mass_rows[:, i])
-                self.mass.append(own)
+                used, self.mass_rows[:, i] = compress(factors, self.mass_rows[:, i])
+                self.mass.append(used)
         else:
+            # No mass gets here: weigh decisions by one term that is uniform over all cells.
             pairs = zip(self.models, self.values, strict=True)
-            self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), own) for m, own in pairs]
+            self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), values) for m, values in pairs]
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
 
     def improve(self) -> None:
@@ -210,11 +251,12 @@ class Stage:
         n_agents = len(self.models)
         chosen = self._heaviest(n_agents)
         met = self._met(chosen)
-        anywhere = _Others([_means(own)[self.rows[:, i]] for i, own in enumerate(self.values)])
+        anywhere = _Others([_means(values)[self.rows[:, i]] for i, values in enumerate(self.values)])
         answers: dict[tuple[int, bytes, bytes], StepPolicy] = {}
         for i, model in enumerate(self.models):
             n_values = len(self.values[i])
-            if n_values == 1:  # a single objective: weights do not matter, and equal agents have equal answers
+            # With a single objective its weights do not matter, and equal agents have equal answers.
+            if n_values == 1:
                 table = to_host(self.smoothed[i])
                 key = (id(model), table.tobytes(), self.policies[i].tobytes())
                 if key not in answers:
@@ -230,12 +272,13 @@ class Stage:
                     else:
                         weights[unmet] = beside(usual, weights)
                 self.policies[i] = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
+            # The next agents answer to what this one does now.
             self.values[i] = gather(self.smoothed[i], model.choices.points(self.policies[i]))
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
     def gain(self) -> float:
-        """Most that one agent alone could add to the value at the start by other choices here.
+        """Return the largest increase of the start value if one agent changes its choices here (an estimate).
 
         Mass that was left out of the occupancies is not counted.
         """
@@ -249,7 +292,7 @@ class Stage:
         return most
 
     def weights(self) -> list[FloatArray]:
-        """Per agent (S, n), the weight of its value factors in its cells, the policies of the others as they are."""
+        """Return, per agent, the weights (S, n) of its value factors in its cells, the others' policies as they are."""
         chosen = self._heaviest(len(self.models))
         met, result = self._met(chosen), []
         for i in range(len(self.models)):
@@ -258,60 +301,63 @@ class Stage:
         return result
 
     def _met(self, chosen: IndexArray) -> _Others:
-        """Inner products of mass and value per agent, (mass terms, terms)."""
+        """Return the inner products of mass and value per agent, (mass terms, terms)."""
         return _Others([self._inner_by_terms(i, chosen) for i in range(len(self.models))])
 
     def _weights(self, i: int, met: _Others, chosen: IndexArray) -> FloatArray:
-        """(S, n) weight of agent i's value factors in its cells: the mass there, times what the other agents make."""
+        """Return omega (S, n) of agent i's value factors in its cells: the mass there, times the others' products."""
         collected = _collect(met.product(), chosen[:, i], len(self.mass[i]), self.rows[:, i], len(self.values[i]))
         weights: FloatArray = self.mass[i].T @ collected
         return weights
 
     def _heaviest(self, n_agents: int) -> IndexArray:
-        """Mass terms to weigh decisions with: all of them, unless the work arrays would not fit into memory."""
-        room = max(1, 30_000_000 // (n_agents * max(1, len(self.rows))))
+        """Return the mass terms to weigh decisions with: all, or the heaviest if the arrays would not fit."""
+        room = max(1, MOST_WEIGHTS // (n_agents * max(1, len(self.rows))))
         if len(self.mass_rows) <= room:
             return self.mass_rows
         mass = np.ones(len(self.mass_rows))
-        for i, own in enumerate(self.mass):
-            mass *= to_host(namespace(own).sum(own, axis=1))[self.mass_rows[:, i]]
+        for i, factors in enumerate(self.mass):
+            mass *= to_host(namespace(factors).sum(factors, axis=1))[self.mass_rows[:, i]]
         return self.mass_rows[np.sort(np.argsort(-mass, kind="stable")[:room])]
 
     def _inner(self, i: int) -> FloatArray:
-        """(mass factors, value factors) inner products of agent i."""
+        """Return the inner products of agent i, (mass factors, value factors)."""
         inner: FloatArray = self.mass[i] @ self.values[i].T
         return inner
 
     def _inner_by_terms(self, i: int, chosen: IndexArray) -> FloatArray:
-        """The same by mass terms ``chosen`` and value terms."""
+        """Return the same by mass terms ``chosen`` and value terms."""
         return take(take(self._inner(i), chosen[:, i]), self.rows[:, i], axis=1)
 
     def prune(self, limits: Limits) -> tuple[IndexArray, float]:
-        """Terms to keep and an upper bound on the loss at the start."""
+        """Return the terms to keep, and an upper bound on the loss at the start."""
         if len(self.rows) == 0:
             return np.zeros(0, dtype=np.int64), 0.0
+        # What a term contributes at the start (its price), and what it is worth averaged over all cells.
         met = np.zeros(len(self.rows))
         if self.is_met:
             met = to_host(inner_products([self._inner(i) for i in range(len(self.models))], self.mass_rows, self.rows))
         anywhere = np.ones(len(self.rows))
-        for i, own in enumerate(self.values):
-            anywhere *= _means(own)[self.rows[:, i]]
+        for i, values in enumerate(self.values):
+            anywhere *= _means(values)[self.rows[:, i]]
+        # Drop the cheapest terms, but none that matters elsewhere; then the least important ones beyond the rank.
         drop = _small(met, limits.contribution) & (anywhere <= limits.elsewhere * anywhere.sum())
         if (~drop).sum() > limits.rank:
             importance = _share(met) + limits.elsewhere * _share(anywhere)
             importance[drop] = -1.0
             drop[np.argsort(-importance, kind="stable")[limits.rank :]] = True
         keep = np.flatnonzero(~drop)
+        # Mass that is missing from the occupancy could meet dropped terms at their largest value, at most 1 together.
         sup = np.ones(len(self.rows))
-        for i, own in enumerate(self.values):
-            sup *= to_host(namespace(own).max(own, axis=1))[self.rows[:, i]]
+        for i, values in enumerate(self.values):
+            sup *= to_host(namespace(values).max(values, axis=1))[self.rows[:, i]]
         return keep, float(met[drop].sum() + self.leftover * min(1.0, sup[drop].sum()))
 
     def part(self, keep: IndexArray) -> tuple[list[FloatArray], IndexArray]:
-        """Factors of each agent and rows of the kept terms."""
+        """Return the factors of each agent and the rows of the kept terms."""
         rows, factors = self.rows[keep], []
-        for i, own in enumerate(self.values):
-            used, rows[:, i] = compress(own, rows[:, i])
+        for i, values in enumerate(self.values):
+            used, rows[:, i] = compress(values, rows[:, i])
             factors.append(used)
         return factors, rows
 
@@ -320,13 +366,14 @@ class _Others:
     """Products of per-agent arrays over all agents but one, the agents being replaced one after the other."""
 
     def __init__(self, factors: Sequence[FloatArray]) -> None:
+        # `before` is the product over agents that were replaced; `after` ends with that over agents still to come.
         self.before = namespace(factors[0]).ones_like(factors[0])
         self.after = [self.before]
         for factor in reversed(factors[1:]):
             self.after.append(self.after[-1] * factor)
 
     def product(self) -> FloatArray:
-        """Product over the agents other than the current one."""
+        """Return the product over the agents other than the current one."""
         return self.before * self.after[-1]
 
     def replace(self, factor: FloatArray) -> None:
@@ -336,20 +383,20 @@ class _Others:
 
 
 def inner_products(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
-    """``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
+    """Return ``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
     total = beside(np.zeros(len(rows)), inner[0])
-    chunk = max(1, 4_000_000 // max(1, len(rows)))
+    chunk = max(1, PRODUCTS_AT_ONCE // max(1, len(rows)))
     for first in range(0, len(mass_rows), chunk):
-        part = mass_rows[first : first + chunk]
-        product = take(take(inner[0], part[:, 0]), rows[:, 0], axis=1)
+        chosen = mass_rows[first : first + chunk]
+        product = take(take(inner[0], chosen[:, 0]), rows[:, 0], axis=1)
         for i in range(1, len(inner)):
-            product *= take(take(inner[i], part[:, i]), rows[:, i], axis=1)
+            product *= take(take(inner[i], chosen[:, i]), rows[:, i], axis=1)
         total += product.sum(axis=0)
     return total
 
 
 def _means(factors: FloatArray) -> FloatArray:
-    """Mean of every factor over the cells, by numpy."""
+    """Return the mean of every factor over the cells, as an array of numpy."""
     return to_host(namespace(factors).mean(factors, axis=1))
 
 
@@ -363,7 +410,7 @@ def _collect(values: FloatArray, rows: IndexArray, n_rows: int, columns: IndexAr
 
 
 def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:
-    """The smallest values, as many as add up to at most ``share`` of the total."""
+    """Return which values are the smallest, as many as add up to at most ``share`` of the total."""
     order = np.argsort(values, kind="stable")
     small = np.zeros(len(values), dtype=bool)
     small[order[np.cumsum(values[order]) <= share * values.sum()]] = True
@@ -371,6 +418,6 @@ def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:
 
 
 def _share(values: FloatArray) -> FloatArray:
-    """Values as shares of their total."""
+    """Return values as shares of their total, or as they are if that is 0."""
     total = values.sum()
     return values / total if total > 0 else values

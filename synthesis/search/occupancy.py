@@ -2,8 +2,8 @@
 
 ``mu_t,q`` is the sub-distribution of the abstract joint state at time t with the automaton in state q and the task not
 yet decided. It starts as a product over agents, and a step under decentralised policies keeps it a sum of products:
-push every factor through its kernel, multiply by the masks of a guard (THEORY section 5). It weighs what a decision
-matters at a cell (``ascent``) and what a term contributes at the start (pruning).
+push every factor through its kernel, then multiply by the masks of a guard (docs/theory/tree.md, "Dropping terms"). It
+says how much a decision matters at a cell (``ascent``) and what a term contributes at the start (pruning).
 
 Terms may be dropped; ``leftover`` then bounds the dropped mass from above, so that contributions have upper bounds too.
 """
@@ -15,45 +15,53 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel, StepPolicy
-from ..values import Guards, Occupancy, Terms, _masses, beside, compress, distinct, empty, merge_rows, take
+from ..models import JointModel, StepPolicy
+from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses
 
 
 def push(
     occupancy: Occupancy,
     policies: Sequence[Sequence[StepPolicy]],
-    guards: Guards,
-    masks: Sequence[NDArray],
-    models: Sequence[AgentModel],
+    joint: JointModel,
     tolerance: float,
     max_rank: int,
 ) -> Occupancy:
-    """Alive mass one step later under ``policies[i][q]``, the target of each cell of agent i in automaton state q.
+    """Return the alive mass one step later: from below, its ``leftover`` being an upper bound on what is missing.
 
-    Terms are dropped from the smallest on while they amount to at most ``tolerance`` of the mass at hand, or until
-    ``max_rank`` terms are left per state.
+    Parameters
+    ----------
+    occupancy : Occupancy
+    policies : sequence of sequence of (S_i,) int32 arrays
+        ``policies[i][q]`` is the choice of each cell of agent i in automaton state q.
+    joint : JointModel
+    tolerance : float
+        Share of the mass at hand that may be dropped, the smallest terms first.
+    max_rank : int
+        Most terms per state; further ones are dropped, too.
     """
-    terms = occupancy.terms
-    n_agents, n_states = len(models), len(terms.index)
+    terms, guards = occupancy.terms, joint.guards
+    n_agents, n_states = len(joint.models), len(terms.index)
+    # Pair every guard with every term of its source, push and mask the factors, and unite what is equal.
     rows = _pair(guards, terms)
     factors: list[NDArray] = []
-    for i, model in enumerate(models):
-        factors.append(_step(model, policies[i], terms.factors[i], masks[i], rows, guards, i))
+    for i in range(n_agents):
+        factors.append(_step(joint, i, policies[i], terms.factors[i], rows))
         _, rows[:, 2 + i] = distinct(rows[:, 2 + i])
     guard, index = rows[:, 0], rows[:, 2:].copy()
     target = guards.target[guard].astype(np.int64)
-    kept, index, _ = merge_rows(factors, index, target)
-    mass = _masses(factors, index[kept])
-    chosen, dropped = _largest(mass, target[kept], tolerance, max_rank)
-    kept = kept[chosen]
+    remaining, index, _ = merge_rows(factors, index, target)
+    # Drop the smallest terms; their mass is added to what is missing already.
+    mass = term_masses(factors, index[remaining])
+    chosen, dropped = _largest(mass, target[remaining], tolerance, max_rank)
+    remaining = remaining[chosen]
     for i in range(n_agents):
-        factors[i], index[kept, i] = compress(factors[i], index[kept, i])
-    per_state = tuple(index[kept[target[kept] == q]] for q in range(n_states))
+        factors[i], index[remaining, i] = compress(factors[i], index[remaining, i])
+    per_state = tuple(index[remaining[target[remaining] == q]] for q in range(n_states))
     return Occupancy(Terms(tuple(factors), per_state), (occupancy.leftover + dropped) * (1 + 1e-12))
 
 
 def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
-    """Rows (guard, term, factor of each agent) of every guard with every term of its source state."""
+    """Return rows (guard, term, factor of each agent) of every guard with every term of its source state."""
     counts = np.array([len(terms.index[q]) for q in guards.source], dtype=np.int64)
     n_agents = len(terms.factors)
     rows = np.zeros((int(counts.sum()), 2 + n_agents), dtype=np.int64)
@@ -65,17 +73,13 @@ def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
 
 
 def _step(
-    model: AgentModel,
-    policies: Sequence[StepPolicy],
-    factors: NDArray,
-    masks: NDArray,
-    rows: NDArray,
-    guards: Guards,
-    i: int,
+    joint: JointModel, i: int, policies: Sequence[StepPolicy], factors: NDArray, rows: NDArray[np.int64]
 ) -> NDArray:
-    """Push and mask the distinct (state, factor, mask) combinations of agent i; renumbers its column of ``rows``."""
+    """Push and mask the distinct (state, factor, mask) combinations of agent i; renumber its column of ``rows``."""
+    model, guards, masks = joint.models[i], joint.guards, joint.masks[i]
     column = 2 + i
     n_factors, n_masks = max(1, len(factors)), max(1, len(masks))
+    # The policy depends on the state, the push on state and factor: push each such pair once.
     key = guards.source[rows[:, 0]].astype(np.int64) * n_factors + rows[:, column]
     pushes, pushed_row = distinct(key)
     state, factor = np.divmod(pushes, n_factors)
@@ -92,14 +96,14 @@ def _step(
 def _largest(
     mass: NDArray[np.float64], state: NDArray[np.int64], tolerance: float, max_rank: int
 ) -> tuple[NDArray[np.int64], float]:
-    """Rows to keep, in order, and the mass of the others."""
+    """Return the rows to keep, in order, and the mass of the others."""
     order = np.argsort(mass, kind="stable")
     small = np.cumsum(mass[order]) <= tolerance * mass.sum()
     drop = np.zeros(len(mass), dtype=bool)
     drop[order[small]] = True
     drop |= mass == 0.0
     for q in np.unique(state):
-        own = np.flatnonzero((state == q) & ~drop)
-        if len(own) > max_rank:
-            drop[own[np.argsort(mass[own], kind="stable")[: len(own) - max_rank]]] = True
+        left = np.flatnonzero((state == q) & ~drop)
+        if len(left) > max_rank:
+            drop[left[np.argsort(mass[left], kind="stable")[: len(left) - max_rank]]] = True
     return np.flatnonzero(~drop), float(mass[drop].sum())

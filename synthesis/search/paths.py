@@ -1,11 +1,12 @@
 """Starting policies for the ascent: the best single paths through the value tree.
 
 Coordinate ascent finds person-by-person optima, and coordinated jumps over a region edge must happen at the same time:
-no single agent gains by jumping first. A *path* fixes one guard per time, ``g_0, .., g_{T-1}``; given it, every agent's
-best policy is a dynamic program of its own, ``v_i,t = max_u P_i^u [mask_{g_t},i v_i,t+1]``, and the product of the
-``v_i`` is one vertex of the tree under the best policies for that vertex. Paths are grown backward from acceptance with
-a beam; a vertex is scored by what it promises at cells that the agents can have reached by then. Their policies are
-synchronised by construction and make good seeds (THEORY section 5).
+no single agent gains by jumping first. A *path* fixes one guard per time, ``g_0, .., g_{T-1}``. Given a path, every
+agent's best policy is a dynamic program of one agent, ``v_i,t = max_u P_i^u [mask_{g_t},i v_i,t+1]``, and the product
+of the ``v_i`` is one vertex of the tree under the best policies for that vertex. Paths are grown backward from
+acceptance with a beam; a vertex is scored by what it promises at cells that the agents can have reached by then. The
+policies are synchronised by construction and make good starts (docs/theory/tree.md, "Policies: occupancy-weighted
+ascent").
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from ..values import Occupancy
 from .best_response import best_choices
 from .tree import gather
 
-POINTS, NARROWEST = 8_000_000, 4
+MOST_BEAM_POINTS, NARROWEST_BEAM = 8_000_000, 4
 """Lattice points, of all agents times vertices of a beam, to which a beam is narrowed, and its least width."""
 
-REACHED = 1e-3
-"""Mass above which a cell counts as reached."""
+REACHED_SHARE = 1e-3
+"""Share of the largest mass of a step above which a cell counts as reached."""
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class GuardPath:
     """One guard per time, and the probability of following it under the best policies for it.
 
     Parameters
@@ -57,42 +58,43 @@ class _Beam:
     factors: list[FloatArray]
 
 
-def best_paths(joint: JointModel, start: Occupancy, width: int = 64, count: int = 4) -> list[Path]:
-    """The most promising paths from the start to acceptance, best first.
+def best_paths(joint: JointModel, start: Occupancy, width: int = 64, count: int = 4) -> list[GuardPath]:
+    """Return the most promising paths from the start to acceptance, best first (a heuristic).
 
-    A heuristic: a beam of ``width``, or less where agents have so many lattice points that it would take too long.
+    The beam has ``width`` vertices per state, or fewer where agents have so many lattice points that it would take too
+    long.
     """
     points = sum(math.prod(model.kernel.lattice_shape) for model in joint.models)
-    width = int(np.clip(POINTS // points, NARROWEST, width))
+    width = int(np.clip(MOST_BEAM_POINTS // points, NARROWEST_BEAM, width))
     reached = _reached(joint, start)
     beam = _terminal(joint)
     for t in reversed(range(joint.horizon)):
         beam = _extend(joint, beam, reached[t], width)
     scores = _from_start(beam, start)
     order = np.argsort(-scores, kind="stable")[:count]
-    return [Path(beam.guards[k], float(scores[k])) for k in order if scores[k] > 0 and beam.guards[k]]
+    return [GuardPath(beam.guards[k], float(scores[k])) for k in order if scores[k] > 0 and beam.guards[k]]
 
 
-def staged_paths(joint: JointModel, path: Path) -> list[Path]:
-    """The path itself, and paths through the same guards in the same order with other times of the jumps.
+def staged_paths(joint: JointModel, path: GuardPath) -> list[GuardPath]:
+    """Return the path itself, and paths through the same guards in the same order with other times of the jumps.
 
-    A single path says how probable it is to be followed exactly, not what the policy is worth when runs deviate from
+    The value of a path is the probability of following it exactly, not what the policy is worth when runs deviate from
     it; agents that dwell longer have settled when they jump. Every stage but the last two lasts d steps, the last one
-    a step, and the one before it what is left.
+    a step, and the one before it takes the steps that are left.
     """
     order = [g for g, before in zip(path.guards, (-1, *path.guards), strict=False) if g != before]
-    found = [path]
+    paths = [path]
     for dwell in range(2, joint.horizon // max(1, len(order)) + 1):
-        rest = joint.horizon - 1 - dwell * (len(order) - 2)
-        if len(order) < 2 or rest < 1:
+        steps_left = joint.horizon - 1 - dwell * (len(order) - 2)
+        if len(order) < 2 or steps_left < 1:
             break
-        times = [dwell] * (len(order) - 2) + [rest, 1]
-        found.append(Path(tuple(g for g, n in zip(order, times, strict=True) for _ in range(n)), 0.0))
-    return found
+        times = [dwell] * (len(order) - 2) + [steps_left, 1]
+        paths.append(GuardPath(tuple(g for g, n in zip(order, times, strict=True) for _ in range(n)), 0.0))
+    return paths
 
 
-def path_policies(joint: JointModel, path: Path, otherwise: Policies) -> Policies:
-    """Every agent's best policy for a path; ``otherwise`` where the run has left it."""
+def path_policies(joint: JointModel, path: GuardPath, otherwise: Policies) -> Policies:
+    """Return every agent's best policy for a path, and ``otherwise`` where the run has left it."""
     policies = tuple(policy.copy() for policy in otherwise)
     for i, model in enumerate(joint.models):
         value = np.ones((1, model.n_cells))
@@ -107,68 +109,72 @@ def path_policies(joint: JointModel, path: Path, otherwise: Policies) -> Policie
 
 
 def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Best choices for a single objective."""
+    """Return the best choices for a single objective."""
     return best_choices(model.choices, np.ones((1, 1)), smoothed, incumbent)
 
 
 def _terminal(joint: JointModel) -> _Beam:
-    """Acceptance with no step to go."""
+    """Return the beam with no step to go: acceptance."""
     states = np.flatnonzero(joint.accepting)
     rows = np.zeros((len(states), len(joint.models)), dtype=np.int64)
     return _Beam(states, [()] * len(states), rows, [np.ones((1, n)) for n in joint.n_cells])
 
 
 def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]], width: int) -> _Beam:
-    """All vertices one step further back, the ``width`` most promising of each state; acceptance itself stays."""
+    """Return the ``width`` most promising vertices of each state one step further back; acceptance itself stays."""
     guards, models = joint.guards, joint.models
     pairs = [(g, v) for g, target in enumerate(guards.target) for v in np.flatnonzero(beam.state == target)]
     guard, child = (np.array(column, dtype=np.int64) for column in (zip(*pairs, strict=True) if pairs else ((), ())))
     rows = np.zeros((len(pairs), len(models)), dtype=np.int64)
     values, promise = [], np.ones(len(pairs))
-    known: dict[tuple[int, int], dict[bytes, FloatArray]] = {}
+    computed: dict[tuple[int, int], dict[bytes, FloatArray]] = {}
     for i, model in enumerate(models):
+        # Each distinct pair of a mask and a factor once; agents alike share what was computed for the others.
         key = guards.mask[guard, i].astype(np.int64) * len(beam.factors[i]) + beam.rows[child, i]
         distinct, rows[:, i] = np.unique(key, return_inverse=True)
         mask, factor = np.divmod(distinct, len(beam.factors[i]))
         masked = joint.masks[i][mask] * beam.factors[i][factor]
-        own = _best_values(model, masked, known.setdefault((id(model.kernel), id(model.choices)), {}))
-        values.append(own)
-        promise *= own[:, reached[i]].max(axis=1, initial=0.0)[rows[:, i]]
+        agent_values = _best_values(model, masked, computed.setdefault((id(model.kernel), id(model.choices)), {}))
+        values.append(agent_values)
+        # A vertex promises the product of what it is worth at the best reached cell of each agent.
+        promise *= agent_values[:, reached[i]].max(axis=1, initial=0.0)[rows[:, i]]
     chosen = _most_promising(guards.source[guard], promise, width)
-    state, paths = (
-        guards.source[guard[chosen]].astype(np.int64),
-        [(int(guard[k]), *beam.guards[child[k]]) for k in chosen],
-    )
+    state = guards.source[guard[chosen]].astype(np.int64)
+    paths = [(int(guard[k]), *beam.guards[child[k]]) for k in chosen]
     rows = rows[chosen]
-    goals = np.flatnonzero(joint.accepting & joint.absorbing)  # accepting early: the path ends there
+    # A run may be accepted early: acceptance of co-safe tasks ends a path at every time.
+    goals = np.flatnonzero(joint.accepting & joint.absorbing)
     for i, model in enumerate(models):
         values[i] = np.concatenate([values[i], np.ones((1, model.n_cells))])
-    ends = np.array([[len(own) - 1 for own in values]] * len(goals), dtype=np.int64).reshape(-1, len(models))
+    ends = np.array([[len(v) - 1 for v in values]] * len(goals), dtype=np.int64).reshape(-1, len(models))
     return _Beam(np.concatenate([state, goals]), paths + [()] * len(goals), np.concatenate([rows, ends]), values)
 
 
-def _best_values(model: AgentModel, masked: FloatArray, known: dict[bytes, FloatArray]) -> FloatArray:
-    """(n, S) value of each masked factor (n, S) under the best choices for it; agents alike share what is ``known``."""
+def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, FloatArray]) -> FloatArray:
+    """Return the value (n, S) of each masked factor (n, S) under the best choices for it.
+
+    What is ``computed`` already is taken from there, and what is new is added.
+    """
     names = [row.tobytes() for row in masked]
-    new = {name: k for k, name in enumerate(names) if name not in known}
+    new = {name: k for k, name in enumerate(names) if name not in computed}
     smoothed = model.kernel.smooth(masked[list(new.values())])
     for k, name in enumerate(new):
         policy = _best(model, smoothed[[k]], model.choices.resting_choice)
-        known[name] = gather(smoothed[[k]], model.choices.points(policy))[0]
-    return np.array([known[name] for name in names]).reshape(len(names), model.n_cells)
+        computed[name] = gather(smoothed[[k]], model.choices.points(policy))[0]
+    return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)
 
 
 def _most_promising(state: NDArray[Any], promise: FloatArray, width: int) -> NDArray[np.int64]:
-    """Rows with the largest promise, at most ``width`` per automaton state, in order of promise."""
+    """Return the rows with the largest promise, at most ``width`` per automaton state, in order of promise."""
     order = np.argsort(-promise, kind="stable")
     order = order[promise[order] > 0]
-    kept = [order[state[order] == q][:width] for q in np.unique(state)]
-    rows = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    per_state = [order[state[order] == q][:width] for q in np.unique(state)]
+    rows = np.concatenate(per_state) if per_state else np.zeros(0, dtype=np.int64)
     return np.asarray(rows[np.argsort(-promise[rows], kind="stable")], dtype=np.int64)
 
 
 def _from_start(beam: _Beam, start: Occupancy) -> FloatArray:
-    """Value of each vertex from the start."""
+    """Return the value of each vertex from the start."""
     scores = np.zeros(len(beam.state))
     for q, mass_rows in enumerate(start.terms.index):
         here = np.flatnonzero(beam.state == q)
@@ -181,7 +187,7 @@ def _from_start(beam: _Beam, start: Occupancy) -> FloatArray:
 
 
 def _reached(joint: JointModel, start: Occupancy) -> list[list[NDArray[np.bool_]]]:
-    """Per time and agent: cells that some policy reaches with more than ``REACHED`` of its mass in a step."""
+    """Return, per time and agent, the cells that some policy reaches with more than ``REACHED_SHARE`` in a step."""
     now: list[NDArray[Any]] = []
     for factors, model in zip(start.terms.factors, joint.models, strict=True):
         cells: NDArray[Any] = np.asarray(np.any(factors > 0, axis=0))
@@ -194,9 +200,10 @@ def _reached(joint: JointModel, start: Occupancy) -> list[list[NDArray[np.bool_]
 
 
 def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells reached in one step from ``cells`` by extreme and resting choices, and everything between them."""
+    """Return the cells reached in one step by extreme and resting choices, and everything between them."""
     indicator = cells.astype(float)[None]
     n_lattice = int(np.prod(model.kernel.lattice_shape))
+    # The best choices for a constant stay where they are; those for a ramp go as far up, or down, an axis as they can.
     ramps = [np.ones(n_lattice)]
     for axis, size in enumerate(model.kernel.lattice_shape):
         ramp = np.linspace(1.0, 2.0, size).reshape([-1 if k == axis else 1 for k in range(len(model.lattice))])
@@ -206,12 +213,12 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     for ramp in ramps:
         policy = _best(model, ramp[None], model.choices.resting_choice)
         mass = model.kernel.push(indicator, model.choices.points(policy))[0]
-        reached |= mass > REACHED * mass.max(initial=0.0)
+        reached |= mass > REACHED_SHARE * mass.max(initial=0.0)
     return _hull(reached, model.grid.shape)
 
 
 def _hull(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Bounding box of a set of cells."""
+    """Return the bounding box of a set of cells."""
     tensor = cells.reshape(shape)
     box = np.ones(shape, dtype=bool)
     for axis in range(len(shape)):

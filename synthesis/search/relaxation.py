@@ -7,23 +7,24 @@ For agent i let the letters of the other agents be chosen favourably, step by st
 Where a cell may have several labels, the worst of them counts: the robust automaton goes to q' only if every letter
 that is possible leads there, or to acceptance, which is worth no less.
 
-Each ``V^i`` bounds the joint optimum from above (THEORY section 7), and so does their **product**, which is never
-larger. For the joint optimum W, by induction, ``W_q,t(x) <= prod_i V^i_q,t(x_i)``: at t = 0 both sides are 1 or 0; and
+Each ``V^i`` bounds the joint optimum from above, and so does their **product**, which is never larger
+(docs/theory/bounds.md, "Upper bounds, and of what", Proposition 3). For the joint optimum W, by induction,
+``W_q,t(x) <= prod_i V^i_q,t(x_i)``: at t = 0 both sides are 1 or 0; and
 
     W_q,t+1(x) = max_u E[ W_q',t(x') ] <= max_u E[ prod_i V^i_q',t(x'_i) ]
               <= max_u E[ prod_i max over q'' in next_exists(q, L_i(x'_i)) of V^i_q'',t(x'_i) ]
                = prod_i V^i_q,t+1(x_i) ,
 
 the last step because the agents' noises are independent and each factor depends on one agent alone. The joint optimum
-is that of every policy, centralised or with any memory, of the same abstraction: ``abstract optimum``. For tasks that
+is that of every policy of the same abstraction, centralised or with any memory: ``abstract optimum``. For tasks that
 ask for something of each agent separately the product is the optimum. The policies that attain the ``V^i`` go for the
 task as if the team would follow; put together they make a good start for the ascent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ from .best_response import TIE, best_choices
 from .tree import gather
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Relaxation:
     """Optimum of one agent whose team follows.
 
@@ -52,47 +53,64 @@ class Relaxation:
     values: FloatArray
     policy: NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        times, states, cells = self.policy.shape
+        return f"Relaxation({times} times, {states} automaton states, {cells} cells)"
 
-def relax(problem: Problem, joint: JointModel, known: dict[object, Relaxation] | None = None) -> tuple[Relaxation, ...]:
-    """The relaxation of every agent; agents that are alike share theirs. New ones are added to the ``known`` ones."""
-    found = {} if known is None else known
+
+def relax(
+    problem: Problem, joint: JointModel, solved: dict[object, Relaxation] | None = None
+) -> tuple[Relaxation, ...]:
+    """Return the relaxation of every agent (upper bounds); agents that are alike share theirs.
+
+    Parameters
+    ----------
+    problem : Problem
+    joint : JointModel
+    solved : dict, optional
+        Relaxations that were solved before; new ones are added.
+    """
+    solved = {} if solved is None else solved
     relaxations = []
     for model, follows in zip(joint.models, favourable_successors(problem), strict=True):
         key = (id(model), follows.tobytes())
-        if key not in found:
-            found[key] = _solve(joint, model, follows)
-        relaxations.append(found[key])
+        if key not in solved:
+            solved[key] = _solve(joint, model, follows)
+        relaxations.append(solved[key])
     return tuple(relaxations)
 
 
 def upper_bound(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> float:
-    """Upper bound on what any policy attains on this abstraction from the start (mean over a box)."""
+    """Return an upper bound on what any policy attains on this abstraction from the start (mean over a box)."""
     total = 0.0
     for q, rows in enumerate(start.terms.index):
         for row in rows:
             product = 1.0
-            for own, k, one in zip(start.terms.factors, row, relaxations, strict=True):
-                product *= float(own[k] @ one.values[q])
+            for masses, k, relaxation in zip(start.terms.factors, row, relaxations, strict=True):
+                product *= float(masses[k] @ relaxation.values[q])
             total += product
+    # Add what kernels miss, what sums may have rounded, and what ties may have cost: incumbents that close to the best
+    # stay where they are.
     loss = joint.horizon * sum(model.kernel.loss for model in joint.models)
     n = joint.horizon * sum(s + 1 for s in joint.n_cells) + len(joint.models)
-    ties = joint.horizon * len(joint.models) * TIE  # an incumbent stays where it is that close to the best
+    ties = joint.horizon * len(joint.models) * TIE
     return min(1.0, total * (1.0 + 4.0 * n * UNIT + 2.0 * ties) + loss + 1e-12)
 
 
 def relaxed_policies(relaxations: tuple[Relaxation, ...]) -> Policies:
-    """The policies of all relaxations, one per agent."""
-    return tuple(one.policy for one in relaxations)
+    """Return the policies of all relaxations, one per agent."""
+    return tuple(relaxation.policy for relaxation in relaxations)
 
 
 def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> Relaxation:
-    """Dynamic programming over one agent's cells; ``follows[q, c, p]`` where class c can lead from q to p."""
+    """Solve the dynamic program of one agent; ``follows[q, c, p]`` says whether class c can lead from q to p."""
     n_q = joint.n_states
     value = np.repeat(joint.accepting.astype(float)[:, None], model.n_cells, axis=1)
     settled = value.copy()
     policy = np.tile(model.choices.resting_choice, (joint.horizon, n_q, 1))
     weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
+        # The favourable label is chosen before smoothing: inside the expectation.
         smoothed = model.kernel.smooth(_arriving(value, classes))
         for q in range(n_q):
             if joint.absorbing[q]:
@@ -103,24 +121,24 @@ def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> 
     return Relaxation(value, policy)
 
 
-def _cells_by_class(
-    model: AgentModel, follows: NDArray[np.bool_]
-) -> list[tuple[NDArray[np.bool_], NDArray[np.int64]]]:  # fmt: skip
-    """What can follow (Q, Q) on each class of labels, and the cells that may have it; those that lead alike as one."""
+SuccessorsAndCells = list[tuple[NDArray[np.bool_], NDArray[np.int64]]]
+"""Per class of labels: which states (Q, Q) can follow which, and the cells that may have it."""
+
+
+def _cells_by_class(model: AgentModel, follows: NDArray[np.bool_]) -> SuccessorsAndCells:
+    """Return successors and cells of each class of labels, classes that lead alike taken as one."""
     sets, number = model.labels.sets, model.labels.number
     _, kind = np.unique(follows.transpose(1, 0, 2).reshape(follows.shape[1], -1), axis=0, return_inverse=True)
-    found = []
+    result = []
     for k in range(int(kind.max(initial=-1)) + 1):
-        own = np.flatnonzero(kind.ravel() == k)
-        has = np.append(sets[:, own].any(axis=1), False)  # the last one is of cells without labels
-        found.append((follows[:, own[0]], np.flatnonzero(has[number])))
-    return found
+        members = np.flatnonzero(kind.ravel() == k)
+        has = np.append(sets[:, members].any(axis=1), False)  # the last entry is read by cells with label -1
+        result.append((follows[:, members[0]], np.flatnonzero(has[number])))
+    return result
 
 
-def _arriving(
-    value: FloatArray, classes: list[tuple[NDArray[np.bool_], NDArray[np.int64]]]
-) -> FloatArray:  # fmt: skip
-    """(Q, S) most that arriving in a cell is worth, its worst class counting; 0 where nothing is known of it."""
+def _arriving(value: FloatArray, classes: SuccessorsAndCells) -> FloatArray:
+    """Return upper bounds (Q, S) on what arriving in a cell is worth, its worst class counting; 0 in failed cells."""
     arriving = np.full(value.shape, np.inf)
     for follows, cells in classes:
         here = value[:, cells]
@@ -132,16 +150,18 @@ def _arriving(
 
 
 def favourable_successors(problem: Problem) -> list[NDArray[np.bool_]]:
-    """Per agent (Q, C_i, Q): whether some letter with its class c leads from q to q' (or more; never less)."""
+    """Return, per agent, (Q, C_i, Q): whether some letter with its class c leads from q to q' (or more; never less)."""
     automaton, labeling = problem.automaton, problem.labeling
     ends = _terminals(automaton)
     tables = [
         np.zeros((automaton.n_states, len(classes), automaton.n_states), dtype=bool) for classes in labeling.classes
     ]
     for q in range(automaton.n_states):
+        # Agents are read in order. The frontier holds all entries of the diagram that the agents before can lead to;
+        # from there any terminal below may follow.
         frontier = {int(automaton.root[q])}
-        for i, (own, classes) in enumerate(zip(labeling.agent_propositions, labeling.classes, strict=True)):
-            positions = {int(p): k for k, p in enumerate(own)}
+        for i, (propositions, classes) in enumerate(zip(labeling.agent_propositions, labeling.classes, strict=True)):
+            positions = {int(p): k for k, p in enumerate(propositions)}
             following: set[int] = set()
             for c, row in enumerate(classes):
                 for entry in frontier:
@@ -152,26 +172,27 @@ def favourable_successors(problem: Problem) -> list[NDArray[np.bool_]]:
     return tables
 
 
-def _terminals(automaton: Automaton) -> Any:
-    """Function from an entry of the decision diagram to the automaton states that can follow it."""
-    known: dict[int, frozenset[int]] = {}
+def _terminals(automaton: Automaton) -> Callable[[int], frozenset[int]]:
+    """Return a function from an entry of the decision diagram to the automaton states that can follow it."""
+    states_below: dict[int, frozenset[int]] = {}
 
     def ends(entry: int) -> frozenset[int]:
-        """States below one entry, by a depth-first walk."""
+        """Return the states below one entry, by a depth-first walk."""
         stack = [entry]
         while stack:
             e = stack[-1]
-            if e in known:
+            if e in states_below:
                 stack.pop()
             elif e < 0:
-                known[e] = frozenset((-1 - e,))
+                states_below[e] = frozenset((-1 - e,))
             else:
-                below = [int(automaton.low[e]), int(automaton.high[e])]
-                missing = [b for b in below if b not in known]
+                # Visit the children first; this entry stays on the stack until both are there.
+                children = [int(automaton.low[e]), int(automaton.high[e])]
+                missing = [child for child in children if child not in states_below]
                 if missing:
                     stack += missing
                 else:
-                    known[e] = known[below[0]] | known[below[1]]
-        return known[entry]
+                    states_below[e] = states_below[children[0]] | states_below[children[1]]
+        return states_below[entry]
 
     return ends

@@ -5,9 +5,9 @@ which a run is most likely to be there. Then all agents answer to the mass of al
 
     argmax_u  sum_t sum_l omega_t,l(s) (P_u g_t,l)(s) ,
 
-as long as that makes them better: for policies that are the same at all times this sum is the derivative of the value
-by the choice in a cell. Every candidate is evaluated with frozen policies. For co-safe tasks the value of T steps is a
-lower bound of the value without a deadline, and rises with T.
+as long as the answers make the policies better: for policies that are the same at all times this sum is the derivative
+of the value by the choice in a cell. Every candidate is evaluated with frozen policies. For co-safe tasks the value of
+T steps is a lower bound on the value without a deadline, and rises with T.
 """
 
 from __future__ import annotations
@@ -24,32 +24,36 @@ from ..values import Occupancy, to_host
 from .ascent import Limits, Stage, Sweep, forward, sweep
 from .best_response import best_choices
 from .policy_search import FINAL, Found
-from .train_ascent import TrainSweep, sweep_trains
+from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
-ROUNDS = 8
+MOST_ROUNDS = 8
 """Most rounds of answers."""
 
-LARGEST = 60_000_000
-"""Most numbers that the answers of a round may hold; rounds that need more are left out."""
+MOST_HELD_NUMBERS = 60_000_000
+"""Most numbers that the answers of a round may hold, 480 MB; rounds that need more are left out."""
+
+LEAST_IMPROVEMENT = 1e-7
+"""Relative improvement below which a round was the last."""
 
 
 def stationary_best(problem: Problem, joint: JointModel, found: Found, limits: Limits) -> Sweep | TrainSweep:
-    """The best stationary policies that come from what a search has found, evaluated with frozen policies."""
+    """Return the best stationary policies that come from what a search has ``found``, evaluated frozen."""
     start = start_of(problem, joint)
     evaluate = _evaluation(joint, start, found.best, limits)
     shape = (joint.horizon, joint.n_states)
+    # Candidates: the choices of the first step, those of the relaxations, and those of the most likely times.
     first = tuple(policy[:1] for policy in found.best.policies)
-    candidates = [first, tuple(one.policy[:1] for one in found.relaxations)]
+    candidates = [first, tuple(relaxation.policy[:1] for relaxation in found.relaxations)]
     if isinstance(found.best, Sweep):
         candidates.append(_modal(joint, found.best.policies, forward(joint, found.best.policies, start, limits)))
     tried = [evaluate(_at_all_times(policies, shape)) for policies in candidates]
-    best = max(tried, key=lambda one: one.value)
+    best = max(tried, key=lambda outcome: outcome.value)
     if isinstance(best, TrainSweep):
         return best
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         answers = _answers(joint, best.policies, start, limits)
         better = None if answers is None else evaluate(_at_all_times(answers, shape))
-        if better is None or better.value <= best.value * (1 + 1e-7):
+        if better is None or better.value <= best.value * (1 + LEAST_IMPROVEMENT):
             break
         assert isinstance(better, Sweep)
         best = better
@@ -59,56 +63,58 @@ def stationary_best(problem: Problem, joint: JointModel, found: Found, limits: L
 def _evaluation(
     joint: JointModel, start: Occupancy, best: Sweep | TrainSweep, limits: Limits
 ) -> Callable[[Policies], Sweep | TrainSweep]:
-    """Evaluation of policies in the form in which they were found."""
+    """Return a function that evaluates policies in the form, tree or trains, in which ``best`` was found."""
     if isinstance(best, TrainSweep):
-        tolerance = best.rounding.tolerance
-        return lambda policies: _shared(sweep_trains(joint, policies, start, tolerance, improve=False))
+        train_limits = TrainLimits(best.rounding.tolerance)
+        return lambda policies: _shared(sweep_trains(joint, policies, start, train_limits, improve=False))
     return lambda policies: sweep(joint, policies, start, limits, improve=False)
 
 
-def _shared(found: Any) -> Any:
-    """The sweep, its policies held once for all times."""
-    shape = found.policies[0].shape[:2]
-    return replace(
-        found, policies=_at_all_times(tuple(policy[:1] for policy in found.policies), shape), stationary=True
-    )
+def _shared(outcome: Any) -> Any:
+    """Return the sweep with its policies held once for all times."""
+    shape = outcome.policies[0].shape[:2]
+    policies = _at_all_times(tuple(policy[:1] for policy in outcome.policies), shape)
+    return replace(outcome, policies=policies, stationary=True)
 
 
 def _at_all_times(policies: Policies, shape: tuple[int, ...]) -> Policies:
-    """Laws (1, Q, S) as (T, Q, S), held once."""
+    """Return policies (1, Q, S) as (T, Q, S), held once."""
     return tuple(np.broadcast_to(policy, (*shape, policy.shape[-1])) for policy in policies)
 
 
 def _modal(joint: JointModel, policies: Policies, occupancies: list[Occupancy]) -> Policies:
-    """Per automaton state and cell the choice of the time at which the agent is most likely there."""
-    kept = []
+    """Return, per automaton state and cell, the choice of the time at which the agent is most likely there."""
+    modal_policies = []
     for i, policy in enumerate(policies):
+        # The marginal of agent i: its factor, times the masses of the other agents.
         mass = np.zeros(policy.shape)
         for t, occupancy in enumerate(occupancies):
             for q, rows in enumerate(occupancy.terms.index):
                 if len(rows):
-                    weight, factors = np.ones(len(rows)), [to_host(own) for own in occupancy.terms.factors]
-                    for j, own in enumerate(factors):
+                    weight, factors = np.ones(len(rows)), [to_host(masses) for masses in occupancy.terms.factors]
+                    for j, masses in enumerate(factors):
                         if j != i:
-                            weight *= own.sum(axis=1)[rows[:, j]]
+                            weight *= masses.sum(axis=1)[rows[:, j]]
                     mass[t, q] = weight @ factors[i][rows[:, i]]
         time = np.argmax(mass, axis=0)  # the first of equals: where nobody comes, that is time 0
-        kept.append(np.take_along_axis(policy, time[None], axis=0))
-    return tuple(kept)
+        modal_policies.append(np.take_along_axis(policy, time[None], axis=0))
+    return tuple(modal_policies)
 
 
 def _answers(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> Policies | None:
-    """Best answers of all agents to the mass of all times together; None if they would hold too many numbers."""
+    """Return the best answers of all agents to the mass of all times; None if they would hold too many numbers."""
+    # Keep the stages of all times while one sweep passes over them.
     stages: list[list[Stage]] = [[] for _ in range(joint.n_states)]
     sweep(joint, policies, start, limits, improve=False, watch=lambda stage: stages[stage.q].append(stage))
     answers = [policy[:1].copy() for policy in policies]
-    for q, own in enumerate(stages):
-        met = [stage for stage in own if stage.is_met and len(stage.rows)]
+    for q, of_state in enumerate(stages):
+        met = [stage for stage in of_state if stage.is_met and len(stage.rows)]
         if not met:
             continue
         size = sum(len(t) * (t.shape[1] + joint.n_cells[i]) for s in met for i, t in enumerate(s.smoothed))
-        if size > LARGEST:
+        if size > MOST_HELD_NUMBERS:
             return None
+        # The objectives of all times side by side, each with its weights: their sum is maximised.
         weights = [stage.weights() for stage in met]
         for i, model in enumerate(joint.models):
             table = np.concatenate([to_host(stage.smoothed[i]) for stage in met])

@@ -1,18 +1,18 @@
 """The value tree: backward dynamic programming on sums of products.
 
-With ``t`` steps to go, ``V_q,t`` is a sum of products over agents. One step back under policies pi (THEORY
-section 3),
+With ``t`` steps to go, ``V_q,t`` is a sum of products over agents. One step back under policies pi is
+(docs/theory/tree.md, "The recursion")
 
     V_q,t+1 = sum over (guard, q') out of q, over terms z of V_q',t :  prod_i P_i^{pi_i(q,.)} [ mask_guard,i * v_z,i ] .
 
-The step is done in two halves, with everything that does not depend on the policy in the first:
+The step is done in two halves; the first one holds everything that does not depend on the policy:
 
 ``candidates``  pairs guards with terms, masks the factors, unites equal ones, smooths each once: the value of *every*
                 target mean;
 ``gather``      reads the smoothed factors at the targets that a policy chooses.
 
 Everything is batched over terms; factors are distinct per agent and smoothed for all agents of one kernel at once. The
-code also runs on arrays of ``fractions.Fraction``, which is how the tests compare it with dense joint programming.
+code also runs on arrays of ``fractions.Fraction``; so the tests compare it with dense joint programming.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ from ..values import (
     to_host,
 )
 
-BATCH = 256
-"""Factors of several agents that are smoothed in one product."""
+SMOOTHED_AT_ONCE = 256
+"""Factors of several agents that are smoothed in one product: enough for a fast one, few enough for memory."""
 
 Loss = Callable[[AgentModel, NDArray, NDArray], NDArray]
+"""What turns smoothed factors into lower bounds in spite of lost relations: of a model, masked and smoothed factors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Candidates:
 
 
 def terminal_terms(accepting: NDArray[np.bool_], n_cells: Sequence[int], dtype: type = float) -> Terms:
-    """Value with no step to go: 1 in accepting states, 0 elsewhere."""
+    """Return the value with no step to go: 1 in accepting states, 0 elsewhere (exact)."""
     n_agents = len(n_cells)
     ones: tuple[NDArray, ...] = tuple(np.ones((1, s), dtype=dtype) for s in n_cells)
     rows = [np.zeros((int(accepted), n_agents), dtype=np.int64) for accepted in accepting]
@@ -81,11 +82,13 @@ def terminal_terms(accepting: NDArray[np.bool_], n_cells: Sequence[int], dtype: 
 def candidates(
     guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentModel], value: Terms, loss: Loss | None = None
 ) -> Candidates:
-    """All products of a guard with a term of its target state, masked, united where possible, and smoothed.
+    """Return all products of a guard with a term of its target state, masked, united where possible, and smoothed.
 
-    ``loss`` turns a smoothed factor into a lower bound that holds in spite of lost relations (robust tree); it is
-    called with an agent's model, the masked factors (n, S) and the smoothed ones (n, Z).
+    Nothing is lost, but for the kernel's lower bounds and what ``loss`` takes off: it turns a smoothed factor into a
+    lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
+    agent's model, the masked factors (n, S) and the smoothed ones (n, Z).
     """
+    # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
     counts = np.array([len(value.index[q]) for q in guards.target], dtype=np.int64)
     guard = np.repeat(np.arange(len(counts)), counts)
@@ -93,6 +96,7 @@ def candidates(
     below = [value.index[q] for q in guards.target]
     child_rows = np.concatenate(below) if below else np.zeros((0, n_agents), dtype=np.int64)
 
+    # Mask each distinct pair (mask, factor) of an agent once; products with an empty factor are 0 and die here.
     factors: list[NDArray] = []
     rows = np.zeros((len(guard), n_agents), dtype=np.int64)
     alive = np.ones(len(guard), dtype=bool)
@@ -104,59 +108,70 @@ def candidates(
         factors.append(masked)
         alive &= to_host(namespace(masked).any(masked != 0, axis=1))[rows[:, i]]
 
+    # Unite before smoothing: sums of factors are smoothed as one.
     guard, child, rows = guard[alive], child[alive], rows[alive]
-    kept, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
+    remaining, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
     for i in range(n_agents):
-        factors[i], rows[kept, i] = compress(factors[i], rows[kept, i])
+        factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
     smoothed = _smooth(models, factors)
     if loss is not None:
         smoothed = tuple(
             beside(loss(m, to_host(before), to_host(after)), after)
             for m, before, after in zip(models, factors, smoothed, strict=True)
         )
-    return _per_state(smoothed, n_states, guards, guard, child, rows, kept, merges)
+    table = _Rows(guard, child, rows, remaining, merges)
+    return _per_state(smoothed, n_states, guards.source[guard], table)
 
 
-def _per_state(
-    smoothed: tuple[NDArray, ...], n_states: int, guards: Guards, guard: IndexArray, child: IndexArray,
-    rows: IndexArray, kept: IndexArray, merges: Merges,
-) -> Candidates:  # fmt: skip
-    """Sort the rows of all states into one table per state."""
-    source = guards.source[guard]
-    position = np.zeros(len(guard), dtype=np.int64)
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of all states: guard and term of each, its factors, which rows remain, and how the others were united."""
+
+    guard: IndexArray
+    child: IndexArray
+    factors: IndexArray
+    remaining: IndexArray
+    merges: Merges
+
+
+def _per_state(smoothed: tuple[NDArray, ...], n_states: int, source: IndexArray, rows: _Rows) -> Candidates:
+    """Sort the rows of all states, each with the state it is out of, into one table per state."""
+    position = np.zeros(len(rows.guard), dtype=np.int64)
     origin, index, row, united = [], [], [], []
     for q in range(n_states):
-        own = np.flatnonzero(source == q)
-        position[own] = np.arange(len(own))
-        origin.append(np.stack([guard[own], child[own]], axis=1))
-        mine = kept[source[kept] == q]
-        index.append(rows[mine])
-        row.append(position[mine])
-        ours = source[merges.into] == q
-        united.append(Merges(position[merges.into[ours]], position[merges.absorbed[ours]], merges.agent[ours]))
+        # From here on rows are numbered within their state.
+        of_state = np.flatnonzero(source == q)
+        position[of_state] = np.arange(len(of_state))
+        origin.append(np.stack([rows.guard[of_state], rows.child[of_state]], axis=1))
+        terms = rows.remaining[source[rows.remaining] == q]
+        index.append(rows.factors[terms])
+        row.append(position[terms])
+        merged = source[rows.merges.into] == q
+        into, absorbed = rows.merges.into[merged], rows.merges.absorbed[merged]
+        united.append(Merges(position[into], position[absorbed], rows.merges.agent[merged]))
     return Candidates(smoothed, tuple(index), tuple(origin), tuple(united), tuple(row))
 
 
 def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
-    """Smooth the factors of all agents, one product per distinct kernel."""
+    """Smooth the factors of all agents, those of agents with one kernel in common products."""
     smoothed: list[NDArray | None] = [None] * len(models)
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
-        for group in _batches(users, factors):
-            stacked = kernel.smooth(concatenate([factors[i] for i in group]) if len(group) > 1 else factors[group[0]])
+        for batch in _batches(users, factors):
+            stacked = kernel.smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
             first = 0
-            for i in group:
+            for i in batch:
                 smoothed[i] = stacked[first : first + len(factors[i])]
                 first += len(factors[i])
-    return tuple(part for part in smoothed if part is not None)
+    return tuple(rows for rows in smoothed if rows is not None)
 
 
 def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
-    """Agents in batches of some hundred factors: enough for a fast product, few enough for memory."""
+    """Return agents in batches of up to ``SMOOTHED_AT_ONCE`` factors; an agent with more is a batch by itself."""
     batches: list[list[int]] = []
     size = 0
     for i in users:
-        if not batches or size + len(factors[i]) > BATCH:
+        if not batches or size + len(factors[i]) > SMOOTHED_AT_ONCE:
             batches.append([])
             size = 0
         batches[-1].append(i)
@@ -165,7 +180,7 @@ def _batches(users: list[int], factors: Sequence[NDArray]) -> list[list[int]]:
 
 
 def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
-    """Read smoothed factors (n, Z) at the chosen lattice points (S,); cells without a target have value 0."""
+    """Return smoothed factors (n, Z) read at the chosen lattice points (S,); cells without a target have value 0."""
     values = take(smoothed, np.maximum(policy, 0), axis=1)
     if np.any(policy < 0):
         values[:, beside(policy < 0, values)] = 0
@@ -175,7 +190,7 @@ def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
 def assemble(
     parts: Sequence[tuple[Sequence[NDArray], IndexArray]], n_cells: Sequence[int], dtype: type = float
 ) -> Terms:
-    """Terms from per-state (factors of each agent, rows), renumbered into one list of factors per agent."""
+    """Return terms from the (factors of each agent, rows) of every state, renumbered into one list per agent."""
     n_agents, like = len(n_cells), parts[0][0]
     offsets = np.zeros(n_agents, dtype=np.int64)
     stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
@@ -187,7 +202,7 @@ def assemble(
                 stacks[i].append(factors[i])
                 offsets[i] += len(factors[i])
     merged = (
-        concatenate(s) if s else beside(np.zeros((0, n), dtype=dtype), own)
-        for s, n, own in zip(stacks, n_cells, like, strict=True)
+        concatenate(stack) if stack else beside(np.zeros((0, n), dtype=dtype), example)
+        for stack, n, example in zip(stacks, n_cells, like, strict=True)
     )
     return Terms(tuple(merged), tuple(index))

@@ -24,12 +24,12 @@ from .terms import (
     Occupancy,
     Skeleton,
     Terms,
-    _masses,
     candidate_depths,
     compress,
     distinct,
     merge_rows,
     term_depths,
+    term_masses,
 )
 from .train_values import (
     Rounding,
@@ -46,6 +46,7 @@ from .train_values import (
     start_above,
     start_value,
 )
+from .value_function import ValueFunction
 
 __all__ = [
     "Array",
@@ -68,7 +69,7 @@ __all__ = [
     "Trains",
     "UNIT",
     "Unread",
-    "_masses",
+    "ValueFunction",
     "add_rows",
     "added",
     "arrival",
@@ -93,5 +94,6 @@ __all__ = [
     "start_value",
     "take",
     "term_depths",
+    "term_masses",
     "to_host",
 ]

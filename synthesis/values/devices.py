@@ -1,13 +1,14 @@
-"""Where the arrays of the value tree live: numpy, or the arrays of an accelerator's library.
+"""Where the arrays of the value tree live: in numpy, or in the library of an accelerator.
 
-The sweep over the value tree (``ascent``) smooths, gathers, weighs and pushes factors, and these are most of its work.
-It is written once, for numpy and for every library of the Python array API that can be indexed by whole numbers (torch,
-cupy). Big arrays, those with an axis of cells or lattice points and the products of terms, stay on the device from the
-first step of a sweep to the last; tables of whole numbers (which term points at which factor), policies, and decisions
-about terms stay with numpy. This module holds what the two need of each other, and nothing else knows of libraries.
+The sweep over the value tree (``ascent``) smooths, gathers, weighs and pushes factors; this is most of its work. It is
+written once, for numpy and for every library of the Python array API whose arrays can be indexed by whole numbers
+(torch, cupy). Large arrays stay on the device from the first step of a sweep to the last: those with an axis of cells
+or lattice points, and the products of terms. Tables of whole numbers (which term points at which factor), policies, and
+decisions about terms stay with numpy. This module holds all that the two sides need of each other; no other module
+knows of libraries.
 
-Only double precision is used. Sums may be taken in another order than by numpy: results agree to rounding, and the
-reserve for rounding in every bound holds for any order (THEORY section 9).
+Only double precision is used. A library may sum in another order than numpy: results agree up to rounding, and the
+reserve for rounding in every bound holds for any order (docs/theory/numerics.md).
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
+UNIT = 2.0**-53
+"""Unit roundoff u of double precision."""
+
 HOST = "numpy"
 """The device that needs nothing but numpy."""
 
@@ -31,17 +35,18 @@ Array = Any
 
 
 def device_put(name: str) -> Callable[[NDArray[Any]], Array]:
-    """The function that takes numpy arrays to a device.
+    """Return the function that copies numpy arrays to a device (exact).
 
     Parameters
     ----------
     name : str
-        ``"numpy"``, or a library and, after a colon, what it calls the device; left out: ``torch:cpu``, ``cupy:0``.
+        ``"numpy"``, or a library and, after a colon, its own name of the device. Without a colon the default device of
+        the library is taken: ``torch:cpu``, ``cupy:0``.
 
     Raises
     ------
     ValueError
-        If there is no such library or device, or its arrays cannot hold double precision.
+        If there is no such library or device, or if its arrays cannot hold double precision.
 
     Examples
     --------
@@ -54,7 +59,7 @@ def device_put(name: str) -> Callable[[NDArray[Any]], Array]:
     """
     if name == HOST:
         return np.asarray
-    library, _, own = name.partition(":") if isinstance(name, str) else ("", "", "")
+    library, _, device_name = name.partition(":") if isinstance(name, str) else ("", "", "")
     if library not in LIBRARIES:
         raise ValueError(
             f"`device`: expected `numpy`, `torch:cpu`, `torch:cuda`, `torch:cuda:1`, `cupy` or the like, got {name!r}"
@@ -64,27 +69,31 @@ def device_put(name: str) -> Callable[[NDArray[Any]], Array]:
         module = importlib.import_module(library)
     except ImportError as error:
         raise ValueError(
-            f'`device`: {name!r} needs {error.name}; `pip install "certigym[device]"` installs what is needed beside '
-            f"{library} itself, which is to be installed as its own pages say for your hardware"
+            f'`device`: {name!r} needs {error.name}; `pip install "certigym[device]"` installs all but {library} '
+            "itself; install that as its own pages say for your hardware"
         ) from error
-    put = _torch_put(module, own or "cpu") if library == "torch" else _cupy_put(module, own or "0")
+    put = _torch_put(module, device_name or "cpu") if library == "torch" else _cupy_put(module, device_name or "0")
+    # One array there and back shows whether the device exists and holds doubles.
     try:
         to_host(put(np.ones(1)))
-    except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # each library has its own for what is amiss
+    except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # each library raises an error of its own
         reason = str(error).strip().split("\n", 1)[0]
         raise ValueError(f"`device`: expected one that is there and holds doubles, got {name!r}: {reason}") from error
     return put
 
 
-def _torch_put(torch: Any, own: str) -> Callable[[NDArray[Any]], Array]:
+def _torch_put(torch: Any, device_name: str) -> Callable[[NDArray[Any]], Array]:
+    """Return the function that copies arrays to a device of torch."""
+
     def put(array: NDArray[Any]) -> Array:
-        return torch.tensor(array, device=own)  # a copy always: numpy's may be read-only
+        return torch.tensor(array, device=device_name)  # always a copy: arrays of numpy may be read-only
 
     return put
 
 
-def _cupy_put(cupy: Any, own: str) -> Callable[[NDArray[Any]], Array]:
-    number = int(own.removeprefix("cuda:")) if own != "cuda" else 0
+def _cupy_put(cupy: Any, device_name: str) -> Callable[[NDArray[Any]], Array]:
+    """Return the function that copies arrays to a device of cupy."""
+    number = int(device_name.removeprefix("cuda:")) if device_name != "cuda" else 0
 
     def put(array: NDArray[Any]) -> Array:
         with cupy.cuda.Device(number):
@@ -94,7 +103,7 @@ def _cupy_put(cupy: Any, own: str) -> Callable[[NDArray[Any]], Array]:
 
 
 def namespace(array: Array) -> Any:
-    """The functions for an array: numpy, or the array API of its library."""
+    """Return the module with the functions for an array: numpy, or the array API of its library."""
     if isinstance(array, np.ndarray):
         return np
     from array_api_compat import array_namespace
@@ -103,21 +112,22 @@ def namespace(array: Array) -> Any:
 
 
 def to_host(array: Array) -> NDArray[Any]:
-    """The same numbers as a numpy array."""
+    """Return the same numbers as a numpy array (exact)."""
     if isinstance(array, np.ndarray):
         return array
-    own: NDArray[Any] = np.asarray(array.get() if hasattr(array, "get") else array.cpu().numpy())
-    return own
+    host: NDArray[Any] = np.asarray(array.get() if hasattr(array, "get") else array.cpu().numpy())
+    return host
 
 
 def beside(array: NDArray[Any], reference: Array) -> Array:
-    """A numpy array on the device of another array."""
+    """Return a numpy array on the device of another array (exact)."""
     if isinstance(reference, np.ndarray):
         return array
     from array_api_compat import device
 
-    own = np.array(array, dtype=np.int64 if array.dtype.kind in "iu" else None)
-    return namespace(reference).asarray(own, device=device(reference))
+    # Libraries index by int64 alone; other numbers keep their type.
+    copied = np.array(array, dtype=np.int64 if array.dtype.kind in "iu" else None)
+    return namespace(reference).asarray(copied, device=device(reference))
 
 
 class Residents:
@@ -129,20 +139,23 @@ class Residents:
     def __init__(self) -> None:
         self.copies: dict[tuple[int, str], tuple[NDArray[Any], Array]] = {}
 
+    def __repr__(self) -> str:
+        return f"Residents({len(self.copies)} copies)"
+
     def beside(self, array: NDArray[Any], reference: Array) -> Array:
-        """A numpy array on the device of another array, as ``beside`` gives it."""
+        """Return a numpy array on the device of another array, as ``beside`` does."""
         if isinstance(reference, np.ndarray):
             return array
         from array_api_compat import device
 
         key = (id(array), str(device(reference)))
-        if key not in self.copies:  # the array is kept, too, so that its number stays its own
+        if key not in self.copies:  # the array is held as well, so that no other one gets its id
             self.copies[key] = array, beside(array, reference)
         return self.copies[key][1]
 
 
 def empty(shape: tuple[int, ...], reference: Array) -> Array:
-    """An array to be filled, of the kind of another one, on its device."""
+    """Return an array to be filled, with the type and on the device of another one."""
     if isinstance(reference, np.ndarray):
         return np.empty(shape, dtype=reference.dtype)
     from array_api_compat import device
@@ -151,19 +164,19 @@ def empty(shape: tuple[int, ...], reference: Array) -> Array:
 
 
 def take(array: Array, index: NDArray[Any], axis: int = 0) -> Array:
-    """Rows or columns by their numbers."""
+    """Return rows or columns by their numbers."""
     if isinstance(array, np.ndarray):
         return array[index] if axis == 0 else array[:, index]
     return namespace(array).take(array, beside(index, array), axis=axis)
 
 
 def concatenate(arrays: Sequence[Array]) -> Array:
-    """Arrays one below the other."""
+    """Return arrays stacked one below the other."""
     return np.concatenate(arrays) if isinstance(arrays[0], np.ndarray) else namespace(arrays[0]).concat(list(arrays))
 
 
 def multiply_into(a: Array, b: Array, out: Array) -> None:
-    """Set ``out`` to a matrix product."""
+    """Set ``out`` to the matrix product of ``a`` and ``b``."""
     if isinstance(out, np.ndarray):
         np.matmul(a, b, out=out)
     else:
@@ -171,8 +184,9 @@ def multiply_into(a: Array, b: Array, out: Array) -> None:
 
 
 def add_rows(values: Array, number: NDArray[Any], size: int) -> Array:
-    """Sums of the rows of values (n, m) that have the same ``number`` (n,): (size, m)."""
+    """Return the sums (size, m) of the rows of values (n, m) that have the same ``number`` (n,)."""
     if isinstance(values, np.ndarray):
+        # A sparse product is faster than `np.add.at`, and adds in the order of the rows.
         pick = scipy.sparse.csr_array((np.ones(len(number)), (number, np.arange(len(number)))), (size, len(number)))
         return pick @ values
     total = empty((size, *values.shape[1:]), values)
@@ -185,12 +199,8 @@ def add_rows(values: Array, number: NDArray[Any], size: int) -> Array:
 
 
 def add_runs(values: Array, starts: NDArray[Any]) -> Array:
-    """Sums of consecutive rows of values (n, m), each from one of ``starts`` up to the next; none is empty."""
+    """Return the sums of runs of rows of values (n, m); a run begins at each of ``starts`` and none is empty."""
     if isinstance(values, np.ndarray):
         return np.add.reduceat(values, starts, axis=0)
     lengths = np.diff(np.append(starts, len(values)))
     return add_rows(values, np.repeat(np.arange(len(starts)), lengths), len(starts))
-
-
-UNIT = 2.0**-53
-"""Unit roundoff of double precision."""

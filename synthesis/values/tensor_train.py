@@ -1,15 +1,17 @@
 """Tensor trains: signed sums of products over agents at small rank, with a certified error.
 
 A train is ``f(s_1, .., s_I) = C_1(s_1) C_2(s_2) .. C_I(s_I)``, a product of one matrix per agent. Sums of products are
-the special case of diagonal matrices; a train needs far fewer columns where many terms are nearly dependent, as those
-of cyclic tasks are. Its entries have signs, so nothing may be dropped, united by minima or clipped in it (THEORY
-section 8). It may be *rounded*: a bond is cut down to fewer columns; what that changes is bounded in the sup norm by
+the special case of diagonal matrices. Where many terms are nearly dependent, as those of cyclic tasks are, a train
+needs far fewer columns. Its entries have signs, so that nothing may be dropped, united by minima or clipped in it
+(docs/theory/tree.md, "Uniting terms"). It may be *rounded*: a bond is cut down to fewer columns, and what that changes
+is bounded in the sup norm by
 
     (sup of the left interface) * (largest Frobenius norm of a slice of the discarded core) * (sup of the right one) .
 
-The discarded core is formed explicitly, so the bound does not rest on the accuracy of a factorisation, and the sups are
-products of the largest norms of slices. What is rounded is a *masked sum*: trains, each multiplied by the indicator of
-a set of joint cells, which a deterministic diagram over the agents describes (``Diagram``); it is never written out.
+The discarded core is formed explicitly, so that the bound does not rest on the accuracy of a factorisation. The sups
+are products of the largest norms of slices. What is rounded is a *masked sum*: trains, each multiplied by the indicator
+of a set of joint cells. A deterministic diagram over the agents describes the set (``Diagram``); the sum itself is
+never written out.
 """
 
 from __future__ import annotations
@@ -31,11 +33,14 @@ Core = NDArray[Any]
 Cells = tuple[NDArray[Any], ...] | None
 """Cells of each agent, increasing; None for all."""
 
-COLUMNS = 2_000_000
-"""Most numbers that one evaluation at joint cells holds at once."""
+MOST_HELD = 2_000_000
+"""Most numbers that one evaluation at joint cells holds at once: 16 MB."""
+
+CUT_SHARE = 0.9
+"""Share of the tolerance of a bond up to which its columns are discarded; the rest is for floating point."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Train:
     """A product of one matrix per agent and cell, and how far it may be from the function it stands for.
 
@@ -46,13 +51,18 @@ class Train:
     error : float
         Upper bound on the distance, in the sup norm over the joint cells it covers.
     cells : tuple of (n_i,) int arrays, or None
-        Cells of each agent that it covers, increasing; elsewhere it is 0, which stands for any nonnegative number.
-        None: all of them.
+        Cells of each agent that it covers, increasing. Elsewhere it is 0, which stands for any nonnegative number.
+        None: all cells.
     """
 
     cores: tuple[Core, ...]
     error: float = 0.0
     cells: Cells = None
+
+    def __repr__(self) -> str:
+        sizes = [core.shape[1] for core in self.cores]
+        cells = f"{min(sizes)}" if min(sizes) == max(sizes) else f"{min(sizes)} to {max(sizes)}"
+        return f"Train(agents: {len(sizes)}, cells of each: {cells}, rank {self.rank}, error {self.error:.2g})"
 
     @property
     def rank(self) -> int:
@@ -66,17 +76,19 @@ class Train:
         return 2.0 * operations * UNIT * float(np.prod([frobenius_sup(core) for core in self.cores]))
 
     def at(self, cells: NDArray[Any]) -> FloatArray:
-        """Values (M,) at joint cells (M, I); within ``error + spread`` of the function it stands for."""
+        """Return values (M,) at joint cells (M, I), within ``error + spread`` of the function it stands for."""
         values = np.zeros(len(cells))
         covered = np.ones(len(cells), dtype=bool)
+        # Turn cells into positions among the covered ones; where any agent is elsewhere the value stays 0.
         if self.cells is not None:
             cells = cells.copy()
-            for i, own in enumerate(self.cells):
-                place = np.minimum(np.searchsorted(own, cells[:, i]), len(own) - 1)
-                covered &= own[place] == cells[:, i]
+            for i, covered_cells in enumerate(self.cells):
+                place = np.minimum(np.searchsorted(covered_cells, cells[:, i]), len(covered_cells) - 1)
+                covered &= covered_cells[place] == cells[:, i]
                 cells[:, i] = place
-        parts = -(-len(cells) * self.rank**2 // COLUMNS) or 1
-        for rows in np.array_split(np.flatnonzero(covered), parts):
+        # Multiply the matrices from the left, a row per joint cell, in portions that fit into memory.
+        portions = -(-len(cells) * self.rank**2 // MOST_HELD) or 1
+        for rows in np.array_split(np.flatnonzero(covered), portions):
             row = np.ones((len(rows), 1, 1))
             for i, core in enumerate(self.cores):
                 row = row @ np.moveaxis(core[:, cells[rows, i]], 1, 0)
@@ -84,7 +96,7 @@ class Train:
         return values
 
     def total(self, weights: Sequence[FloatArray]) -> float:
-        """``sum_s f(s) prod_i weights[i][s_i]`` for weights (S_i,) per agent, up to ``spread`` per unit of mass."""
+        """Return ``sum_s f(s) prod_i weights[i][s_i]`` for weights (S_i,) per agent, up to ``spread`` per mass 1."""
         row = np.ones(1)
         for i, (core, weight) in enumerate(zip(self.cores, weights, strict=True)):
             row = row @ np.tensordot(core, weight if self.cells is None else weight[self.cells[i]], axes=(1, 0))
@@ -100,7 +112,7 @@ class Diagram:
     cell_class : tuple of (S_i,) int arrays
         Class of each cell of agent i.
     following : tuple of (N_i, C_i) int arrays
-        Node reached from each node by each class, -1 for none; node 0 is the root, and node 0 after the last agent says
+        Node that each class leads to from each node, -1 for none. Node 0 is the root; node 0 after the last agent says
         that the joint cell is in the set.
     """
 
@@ -108,9 +120,9 @@ class Diagram:
     following: tuple[NDArray[Any], ...]
 
     def reached(self, i: int, cells: Cells) -> NDArray[Any]:
-        """(N_i, n_i) node reached from every node by the cells of agent i; -1 for none."""
-        own = self.cell_class[i]
-        return np.asarray(self.following[i][:, own if cells is None else own[cells[i]]])
+        """Return the node (N_i, n_i) that the cells of agent i lead to from every node; -1 for none."""
+        classes = self.cell_class[i]
+        return np.asarray(self.following[i][:, classes if cells is None else classes[cells[i]]])
 
 
 Masked = tuple[Train, Diagram]
@@ -118,71 +130,81 @@ Masked = tuple[Train, Diagram]
 
 
 def ones(n_cells: Sequence[int], cells: Cells = None) -> Train:
-    """The train that is 1 everywhere, or on the given cells."""
+    """Return the train that is 1 everywhere, or on the given cells (exact)."""
     return Train(tuple(np.ones((1, n, 1)) for n in (n_cells if cells is None else map(len, cells))), 0.0, cells)
 
 
-def added(one: Train, other: Train | None) -> Train:
-    """Sum of two trains that cover the same cells, its columns those of both; the first one if there is no other."""
-    if other is None:
-        return one
+def added(first: Train, second: Train | None) -> Train:
+    """Return the sum of two trains that cover the same cells, or the first one if there is no second.
+
+    The columns are those of both; the errors add, and the rounding of the addition is added to them.
+    """
+    if second is None:
+        return first
+    # Cores are block diagonal; those of the first and the last agent have one row, one column.
     cores = []
-    for i, (a, b) in enumerate(zip(one.cores, other.cores, strict=True)):
-        first, last = i == 0, i == len(one.cores) - 1
-        core = np.zeros((a.shape[0] + (not first) * b.shape[0], a.shape[1], a.shape[2] + (not last) * b.shape[2]))
+    for i, (a, b) in enumerate(zip(first.cores, second.cores, strict=True)):
+        is_first, is_last = i == 0, i == len(first.cores) - 1
+        rows, columns = a.shape[0] + (not is_first) * b.shape[0], a.shape[2] + (not is_last) * b.shape[2]
+        core = np.zeros((rows, a.shape[1], columns))
         core[: a.shape[0], :, : a.shape[2]] = a
         core[-b.shape[0] :, :, -b.shape[2] :] += b
         cores.append(core)
-    total = Train(tuple(cores), one.error + other.error, one.cells)
+    total = Train(tuple(cores), first.error + second.error, first.cells)
+    # Entries are added only where both blocks meet: in trains of one agent.
     return total if len(cores) > 1 else replace(total, error=total.error + UNIT * frobenius_sup(cores[0]))
 
 
 def diagram(masks: Sequence[NDArray[np.bool_]], cubes: NDArray[Any]) -> Diagram:
-    """Diagram of a union of disjoint cubes ``prod_i masks[i][cubes[g, i]]``.
+    """Return the diagram of a union of disjoint cubes ``prod_i masks[i][cubes[g, i]]`` (exact).
 
     Nodes are the sets of cubes that are still possible, told apart by what the remaining agents are asked.
     """
     cell_class, following = [], []
     nodes = [frozenset(tuple(int(m) for m in cube) for cube in cubes)]
-    for own in masks:
-        classes, number = np.unique(own, axis=1, return_inverse=True)
+    for mask in masks:
+        # Cells that lie in the same masks form one class.
+        classes, number = np.unique(mask, axis=1, return_inverse=True)
         table = np.full((len(nodes), classes.shape[1]), -1, dtype=np.int64)
-        found: dict[frozenset[tuple[int, ...]], int] = {}
+        next_nodes: dict[frozenset[tuple[int, ...]], int] = {}
         for n, node in enumerate(nodes):
             for c in range(classes.shape[1]):
-                left = frozenset(cube[1:] for cube in node if classes[cube[0], c])
-                if left:
-                    table[n, c] = found.setdefault(left, len(found))
+                remaining = frozenset(cube[1:] for cube in node if classes[cube[0], c])
+                if remaining:
+                    table[n, c] = next_nodes.setdefault(remaining, len(next_nodes))
         cell_class.append(number.ravel())
         following.append(table)
-        nodes = list(found) or [frozenset()]
+        nodes = list(next_nodes) or [frozenset()]
     return Diagram(tuple(cell_class), tuple(following))
 
 
 def slice_sup(core: Core) -> float:
-    """Upper bound on the largest spectral norm of a slice ``core[:, s, :]``."""
+    """Return an upper bound on the largest spectral norm of a slice ``core[:, s, :]``."""
     if min(core.shape[0], core.shape[2]) == 1:
         return float(np.sqrt(np.einsum("asb,asb->s", core, core).max(initial=0.0)))
+    # Two bounds on the squared spectral norm, the Frobenius norm and |A|_1 |A|_inf; take the smaller, slice by slice.
     size = np.abs(core)
     product = size.sum(axis=0).max(axis=1) * size.sum(axis=2).max(axis=0)
     return float(np.sqrt(np.minimum(np.einsum("asb,asb->s", core, core), product).max(initial=0.0)))
 
 
 def frobenius_sup(core: Core) -> float:
-    """Largest Frobenius norm of a slice ``core[:, s, :]``."""
+    """Return the largest Frobenius norm of a slice ``core[:, s, :]``."""
     return float(np.sqrt(np.einsum("asb,asb->s", core, core).max(initial=0.0)))
 
 
-def rounded(parts: Sequence[Masked], tolerance: float, relative: float | None = None, rank: int | None = None) -> Train:
-    """Sum of masked trains, at smaller rank.
+def rounded(
+    summands: Sequence[Masked], tolerance: float, relative: float | None = None, rank: int | None = None
+) -> Train:
+    """Return the sum of masked trains at smaller rank, with an upper bound on what rounding changed.
 
     Parameters
     ----------
-    parts : sequence of (Train, Diagram)
-        Summands; at least one.
+    summands : sequence of (Train, Diagram)
+        At least one; their sets of joint cells must be disjoint.
     tolerance : float
-        What rounding may change, in the sup norm; ``error`` grows by what it did change at most, rounding of floating
-        point included. It is the largest error of the parts, plus that: the sets of the parts must be disjoint.
+        What rounding may change, in the sup norm. ``error`` is the largest error of the summands, plus an upper bound
+        on what rounding did change, floating point included.
     relative : float, optional
         If given, bonds are cut at this share of their root mean square instead: for trains that only steer a search.
     rank : int, optional
@@ -193,25 +215,32 @@ def rounded(parts: Sequence[Masked], tolerance: float, relative: float | None = 
     Train
         Left-orthogonal up to its last core.
     """
-    n_agents = len(parts[0][0].cores)
+    n_agents = len(summands[0][0].cores)
+    # Two sweeps cut each of the n - 1 bonds once each: every cut gets an equal share of the tolerance.
     cut = _Cut(tolerance / max(1, 2 * (n_agents - 1)), relative, rank)
-    cores, first = _from_the_right(parts, cut)
-    error = max(train.error for train, _ in parts) + first
+    # First sweep, from the last agent: form the sum bond by bond, so that it never exists at its full rank.
+    cores, lost_before = _from_the_right(summands, cut)
+    # The sets are disjoint: at a joint cell the error of one summand counts, not their sum.
+    error = max(train.error for train, _ in summands) + lost_before
     finished: list[Core] = []
     tails = np.cumprod([1.0, *(slice_sup(core) for core in reversed(cores[1:]))])[::-1]
+    # Second sweep, from the first agent: everything to the right is orthogonal now, so singular values show what a
+    # column is worth. `left` and `tails` bound the interfaces on both sides of the bond.
     left, carry = 1.0, np.ones((1, 1))
     for i, core in enumerate(cores):
         whole = np.tensordot(carry, core, axes=1)
+        # Charge what floating point may change in this product.
         size = float(np.linalg.norm(carry)) * frobenius_sup(core)
         error += left * (carry.shape[1] + 2) * UNIT * size * float(tails[i])
         if i == n_agents - 1:
             finished.append(whole)
             break
-        kept, carry, lost = _split(whole, cut, left * float(tails[i]))
+        # |x' M y| <= |x| |M|_F |y|: the discarded slices count with the interfaces left and right of them.
+        kept_core, carry, lost = _split(whole, cut, left * float(tails[i]))
         error += left * lost * float(tails[i])
-        finished.append(kept)
-        left *= slice_sup(kept)
-    return Train(tuple(finished), error * (1 + 1e-12), parts[0][0].cells)
+        finished.append(kept_core)
+        left *= slice_sup(kept_core)
+    return Train(tuple(finished), error * (1 + 1e-12), summands[0][0].cells)
 
 
 @dataclass(frozen=True)
@@ -223,56 +252,82 @@ class _Cut:
     rank: int | None
 
     def keep(self, sizes: FloatArray, slices: FloatArray, scale: float) -> int:
-        """Columns to keep, of singular values (n,) with squared slice norms (n, S) of their singular vectors."""
+        """Return the number of columns to keep.
+
+        Parameters
+        ----------
+        sizes : (n,) array
+            Singular values, decreasing.
+        slices : (n, S) array
+            Squared norms of the slices of their singular vectors.
+        scale : float
+            Factor by which an error of one slice may grow.
+        """
+        # Entry k is the error if the columns k, k + 1, .. are discarded.
         if self.relative is not None:
             tail = np.cumsum(sizes[::-1] ** 2)[::-1]
-            few = int(np.sum(tail > (self.relative**2) * tail[0])) if len(tail) else 0
+            needed = int(np.sum(tail > (self.relative**2) * tail[0])) if len(tail) else 0
         else:
             tail = np.cumsum((sizes[:, None] ** 2 * slices)[::-1], axis=0)[::-1].max(axis=1, initial=0.0)
-            few = int(np.sum(np.sqrt(tail) * scale > 0.9 * self.tolerance))
-        return max(1, few if self.rank is None else min(few, self.rank))
+            needed = int(np.sum(np.sqrt(tail) * scale > CUT_SHARE * self.tolerance))
+        return max(1, needed if self.rank is None else min(needed, self.rank))
 
 
 def _split(whole: Core, cut: _Cut, scale: float) -> tuple[Core, FloatArray, float]:
-    """``whole ~ core . carry`` with a core (r, S, k) of orthonormal columns; and the sup of what is lost, per slice.
+    """Split ``whole ~ core . carry`` into a core (r, S, k) of orthonormal columns and a matrix (k, r').
 
-    ``scale`` is what an error of one slice may grow to.
+    Parameters
+    ----------
+    whole : (r, S, r') array
+    cut : _Cut
+    scale : float
+        Factor by which an error of one slice may grow.
+
+    Returns
+    -------
+    core, carry : arrays
+    lost : float
+        Upper bound on the Frobenius norm of a slice of what is lost, floating point included.
     """
     r, n_cells, columns = whole.shape
     matrix = whole.reshape(r * n_cells, columns)
+    # A QR factorisation first leaves a small square matrix for the singular values.
     basis, triangle = np.linalg.qr(matrix)
     turn, sizes, rows = np.linalg.svd(triangle, full_matrices=False)
     basis = basis @ turn
     slices = np.einsum("asn,asn->ns", *(basis.reshape(r, n_cells, -1),) * 2)
-    few = cut.keep(sizes, slices, scale)
-    basis, carry = np.ascontiguousarray(basis[:, :few]), sizes[:few, None] * rows[:few]
-    core = basis.reshape(r, n_cells, few)
+    n_kept = cut.keep(sizes, slices, scale)
+    basis, carry = np.ascontiguousarray(basis[:, :n_kept]), sizes[:n_kept, None] * rows[:n_kept]
+    core = basis.reshape(r, n_cells, n_kept)
+    # Form what is lost explicitly: the bound then holds however accurate the factorisation was.
     lost = frobenius_sup((matrix - basis @ carry).reshape(whole.shape))
-    lost += (few + 4) * UNIT * (frobenius_sup(whole) + frobenius_sup(core) * float(np.linalg.norm(carry)))
+    lost += (n_kept + 4) * UNIT * (frobenius_sup(whole) + frobenius_sup(core) * float(np.linalg.norm(carry)))
     return core, carry, lost
 
 
-def _from_the_right(parts: Sequence[Masked], cut: _Cut) -> tuple[list[Core], float]:
-    """Cores of the masked sum, right-orthogonal but for the first, and an upper bound on the error made."""
-    n_agents = len(parts[0][0].cores)
-    heads = _head_sups(parts)
+def _from_the_right(summands: Sequence[Masked], cut: _Cut) -> tuple[list[Core], float]:
+    """Return cores of the masked sum, right-orthogonal but for the first, and an upper bound on the error made."""
+    n_agents = len(summands[0][0].cores)
+    heads = _head_sups(summands)
     error, tail = 0.0, 1.0
-    right = [np.ones((1, 1, 1)) for _ in parts]
+    # Per summand and node of its diagram: what follows to the right of the bond.
+    right = [np.ones((1, 1, 1)) for _ in summands]
     cores: list[Core] = []
     for i in reversed(range(n_agents)):
-        blocks = [
-            _read(train.cores[i], d.reached(i, train.cells), m) for (train, d), m in zip(parts, right, strict=True)
-        ]
+        pairs = list(zip(summands, right, strict=True))
+        blocks = [_read(train.cores[i], d.reached(i, train.cells), matrices) for (train, d), matrices in pairs]
+        # Charge what floating point may change in these products.
         sizes = [
             (m.shape[1] + 2) * frobenius_sup(train.cores[i]) * float(np.linalg.norm(m, axis=(1, 2)).max(initial=0.0))
-            for (train, _), m in zip(parts, right, strict=True)
+            for (train, _), m in pairs
         ]
         error += heads[i] * UNIT * float(np.linalg.norm(sizes)) * tail
         whole = np.concatenate([block.reshape(-1, *block.shape[2:]) for block in blocks])
         if i == 0:
-            cores.append(whole.sum(axis=0, keepdims=True))  # one root per part
-            error += len(parts) * UNIT * sum(frobenius_sup(block[0]) for block in blocks) * tail
+            cores.append(whole.sum(axis=0, keepdims=True))  # one root per summand
+            error += len(summands) * UNIT * sum(frobenius_sup(block[0]) for block in blocks) * tail
             break
+        # Split the transposed core, so that its rows become orthonormal and the rest moves to the left.
         core, carry, lost = _split(np.ascontiguousarray(whole.transpose(2, 1, 0)), cut, heads[i] * tail)
         error += heads[i] * lost * tail
         core = np.ascontiguousarray(core.transpose(2, 1, 0))
@@ -284,22 +339,22 @@ def _from_the_right(parts: Sequence[Masked], cut: _Cut) -> tuple[list[Core], flo
     return cores[::-1], error
 
 
-def _head_sups(parts: Sequence[Masked]) -> FloatArray:
-    """(I,) sup of the row of agents 0 .. i - 1: a joint cell is at one node of each part's diagram."""
-    squares = np.zeros(len(parts[0][0].cores))
-    for train, _ in parts:
-        own = np.cumprod([1.0, *(slice_sup(core) for core in train.cores[:-1])])
-        squares += own**2
+def _head_sups(summands: Sequence[Masked]) -> FloatArray:
+    """Return upper bounds (I,) on the row of agents 0 .. i - 1: a joint cell is at one node of each diagram."""
+    squares = np.zeros(len(summands[0][0].cores))
+    for train, _ in summands:
+        norms = np.cumprod([1.0, *(slice_sup(core) for core in train.cores[:-1])])
+        squares += norms**2
     return np.sqrt(squares)
 
 
 def _read(core: Core, reached: NDArray[Any], right: FloatArray) -> Core:
-    """(N, r, S, k): the core (r, S, r') times what follows (N', r', k), where each node goes on by each cell."""
+    """Return (N, r, S, k): the core (r, S, r') times what follows (N', r', k), at the node that each cell leads to."""
     block = np.zeros((len(reached), core.shape[0], core.shape[1], right.shape[2]))
     for node, following in enumerate(right):
         product = core @ following
-        for n, goes in enumerate(reached):
-            cells = np.flatnonzero(goes == node)
+        for n, successors in enumerate(reached):
+            cells = np.flatnonzero(successors == node)
             if len(cells) == core.shape[1]:
                 block[n] = product
             elif len(cells):

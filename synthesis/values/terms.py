@@ -19,8 +19,13 @@ from .devices import add_runs, concatenate, namespace, take, to_host
 IndexArray = NDArray[Any]
 """Whole numbers that point at rows."""
 
+BoolArray = NDArray[np.bool_]
 
-@dataclass(frozen=True, eq=False)
+HASH_SEED = 20251106
+"""Seed of the weights that rows are hashed with; any number would do, since collisions are checked."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Terms:
     """Sums of products per automaton state.
 
@@ -35,17 +40,22 @@ class Terms:
     factors: tuple[NDArray, ...]
     index: tuple[IndexArray, ...]
 
+    def __repr__(self) -> str:
+        terms, distinct_factors = sum(len(rows) for rows in self.index), sum(len(rows) for rows in self.factors)
+        sizes = f"terms: {terms}, automaton states: {len(self.index)}, rank {self.rank}"
+        return f"Terms({sizes}, agents: {len(self.factors)}, distinct factors: {distinct_factors})"
+
     @property
     def rank(self) -> int:
         """Largest number of terms of one state."""
         return max(len(rows) for rows in self.index)
 
     def work(self, q: int) -> int:
-        """Numbers held per joint cell in ``at``."""
+        """Return how many numbers ``at`` holds per joint cell."""
         return len(self.index[q])
 
     def total(self, q: int, weights: Sequence[NDArray]) -> float:
-        """``sum_r prod_i <weights[i], factor>`` for weights (S_i,) per agent."""
+        """Return ``sum_r prod_i <weights[i], factor>`` for weights (S_i,) per agent, up to rounding."""
         rows = self.index[q]
         product = np.ones(len(rows), dtype=self.factors[0].dtype)
         for i, weight in enumerate(weights):
@@ -53,7 +63,7 @@ class Terms:
         return product.sum() if len(rows) else product.dtype.type(0)
 
     def at(self, q: int, cells: NDArray[np.integer]) -> NDArray:
-        """Values (M,) at joint cells (M, I)."""
+        """Return the values (M,) at joint cells (M, I), up to rounding."""
         rows = self.index[q]
         product = np.ones((len(cells), len(rows)), dtype=self.factors[0].dtype)
         for i, factors in enumerate(self.factors):
@@ -61,7 +71,7 @@ class Terms:
         return product.sum(axis=1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Merges:
     """Which rows were united: row ``absorbed[k]`` was added to row ``into[k]`` in the factor of ``agent[k]``."""
 
@@ -69,9 +79,12 @@ class Merges:
     absorbed: IndexArray
     agent: IndexArray
 
+    def __repr__(self) -> str:
+        return f"Merges(rows united: {len(self.into)})"
+
     @classmethod
     def none(cls) -> Merges:
-        """No row was united."""
+        """Return the record that says that no row was united."""
         empty = np.zeros(0, dtype=np.int64)
         return cls(empty, empty, empty)
 
@@ -90,56 +103,61 @@ def merge_rows(factors: list[NDArray], rows: IndexArray, groups: IndexArray) -> 
 
     Returns
     -------
-    kept : (L',) array
+    remaining : (L',) array
         Numbers of the rows that remain.
     rows : (L, I) array
-        Factor indices, up to date for the rows in ``kept``.
+        Factor indices, up to date for the remaining rows.
     merges : Merges
         What was united, in order.
     """
     rows = rows.copy()
     n_agents = rows.shape[1]
-    kept = np.arange(len(rows))
+    remaining = np.arange(len(rows))
+    # Rows are compared by a hash that is linear in the indices: the hash without agent i is one subtraction.
     weights: NDArray[Any] = np.asarray(
-        np.random.default_rng(20251106).integers(1, 2**63, size=n_agents, dtype=np.uint64)
+        np.random.default_rng(HASH_SEED).integers(1, 2**63, size=n_agents, dtype=np.uint64)
     )
-    group_hash = groups.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    group_hash = groups.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio spreads small numbers
     history: list[tuple[IndexArray, IndexArray, IndexArray]] = []
+    # Go round the agents until a whole round unites nothing: sums over one agent make rows alike for another.
     changed, stale = True, True
-    while changed and len(kept) > 1:
+    while changed and len(remaining) > 1:
         changed = False
         for i in range(n_agents):
-            current: NDArray[Any] = rows[kept].astype(np.uint64)
+            current: NDArray[Any] = rows[remaining].astype(np.uint64)
             if i == 0 or stale:
                 stale = False
-                whole: NDArray[Any] = (current * weights).sum(axis=1, dtype=np.uint64) + group_hash[kept]
+                whole: NDArray[Any] = (current * weights).sum(axis=1, dtype=np.uint64) + group_hash[remaining]
+            # Rows with the same hash without agent i are candidates; the first of them absorbs the others.
             _, first, inverse = np.unique(whole - current[:, i] * weights[i], return_index=True, return_inverse=True)
-            if len(first) == len(kept):
+            if len(first) == len(remaining):
                 continue
-            into = kept[first[inverse]]
-            absorbed = np.flatnonzero(into != kept)
-            differs = rows[kept[absorbed]] != rows[into[absorbed]]  # a collision of hashes must not unite terms
-            differs[:, i] = groups[kept[absorbed]] != groups[into[absorbed]]
+            into = remaining[first[inverse]]
+            absorbed = np.flatnonzero(into != remaining)
+            differs = rows[remaining[absorbed]] != rows[into[absorbed]]  # a collision of hashes must not unite terms
+            differs[:, i] = groups[remaining[absorbed]] != groups[into[absorbed]]
             absorbed = absorbed[~np.any(differs, axis=1)]
             if len(absorbed) == 0:
                 continue
+            # a x b + a x b' = a x (b + b'): docs/theory/tree.md, "Uniting terms".
             changed = stale = True
-            pairs_into, pairs_from = into[absorbed], kept[absorbed]
+            pairs_into, pairs_from = into[absorbed], remaining[absorbed]
             _sum_factors(factors, rows, i, pairs_into, pairs_from)
             history.append((pairs_into, pairs_from, np.full(len(absorbed), i)))
-            kept = np.delete(kept, absorbed)
+            remaining = np.delete(remaining, absorbed)
     if not history:
-        return kept, rows, Merges.none()
-    return kept, rows, Merges(*(np.concatenate(part) for part in zip(*history, strict=True)))
+        return remaining, rows, Merges.none()
+    return remaining, rows, Merges(*(np.concatenate(columns) for columns in zip(*history, strict=True)))
 
 
 def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexArray, absorbed: IndexArray) -> None:
     """Replace the factor of agent i in rows ``into`` by its sum with those of the rows absorbed into them."""
+    # Sort the pairs by the absorbing row: its summands then form one run.
     order = np.argsort(into, kind="stable")
     into, absorbed = into[order], absorbed[order]
     heads, starts = np.unique(into, return_index=True)
     sums = add_runs(take(factors[i], rows[absorbed, i]), starts) + take(factors[i], rows[heads, i])
-    # the same set of summands gives the same factor, whichever state it belongs to
+    # The same set of summands gives the same factor, whichever state it belongs to: store it once.
     ends = np.append(starts[1:], len(into))
     number: dict[tuple[int, ...], int] = {}
     fresh: list[int] = []
@@ -153,7 +171,7 @@ def _sum_factors(factors: list[NDArray], rows: IndexArray, i: int, into: IndexAr
 
 
 def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]:
-    """Keep the factors that ``column`` points at; returns them and the column renumbered."""
+    """Return the factors that ``column`` points at, and the column renumbered (exact)."""
     if len(factors) == 1 and len(column):
         return factors, column
     used, renumbered = distinct(column)
@@ -161,14 +179,14 @@ def compress(factors: NDArray, column: IndexArray) -> tuple[NDArray, IndexArray]
 
 
 def distinct(numbers: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Sorted distinct numbers, and the position of each number among them."""
-    if len(numbers) == 1:  # a single term per agent: the case of many agents, where it counts
+    """Return the sorted distinct numbers, and the position of each number among them (exact)."""
+    if len(numbers) == 1:  # with many agents a single term each is the usual case, and `np.unique` the slow part
         return numbers, np.zeros(1, dtype=np.int64)
     values, position = np.unique(numbers, return_inverse=True)
     return values, position
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
     """Which vertices the value tree kept at one time, enough to grow it again (see ``check``).
 
@@ -179,11 +197,13 @@ class Skeleton:
     merges: tuple[Merges, ...]
     kept: tuple[IndexArray, ...]
 
+    def __repr__(self) -> str:
+        rows, terms = sum(map(len, self.origin)), sum(map(len, self.kept))
+        united = sum(len(merges.into) for merges in self.merges)
+        return f"Skeleton(automaton states: {len(self.origin)}, rows: {rows}, united: {united}, terms: {terms})"
 
-BoolArray = NDArray[np.bool_]
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Guards:
     """Guards out of every automaton state, over the label sets of each agent.
 
@@ -202,29 +222,39 @@ class Guards:
     target: NDArray[np.int32]
     mask: NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        states = len({*self.source.tolist()})
+        return f"Guards({len(self.source)}, agents: {len(self.masks)}, automaton states with guards: {states})"
+
     def out_of(self, q: int) -> NDArray[np.int64]:
-        """Numbers of the guards out of state q."""
+        """Return the numbers of the guards out of state q."""
         return np.flatnonzero(self.source == q)
 
 
 def candidate_depths(
     origin: IndexArray, merges: Merges, guards: Guards, depths: Sequence[NDArray[np.int64]]
 ) -> NDArray[np.int64]:
-    """Steps to acceptance of rows (guard, term of the next step) of one state; united ones carry the larger depth."""
-    own = np.zeros(len(origin), dtype=np.int64)
+    """Return upper bounds on the steps to acceptance of the rows (guard, term of the next step) of one state.
+
+    A row is one step further from acceptance than its term. United rows carry the larger depth.
+    """
+    row_depths = np.zeros(len(origin), dtype=np.int64)
     targets = guards.target[origin[:, 0]]
     for target in np.unique(targets):
         here = targets == target
-        own[here] = depths[target][origin[here, 1]] + 1
+        row_depths[here] = depths[target][origin[here, 1]] + 1
     for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
-        own[into] = max(own[into], own[absorbed])
-    return own
+        row_depths[into] = max(row_depths[into], row_depths[absorbed])
+    return row_depths
 
 
 def term_depths(
     skeleton: Sequence[Skeleton], guards: Guards, accepting: NDArray[np.bool_], absorbing: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Steps to acceptance of every term at time 0, per automaton state; united terms carry the larger depth."""
+    """Return upper bounds on the steps to acceptance of every term at time 0, per automaton state.
+
+    United terms carry the larger depth, so that what is paid per step is never too little.
+    """
     depths = [np.zeros(int(accepted), dtype=np.int64) for accepted in accepting]
     for step in reversed(skeleton):
         following = []
@@ -237,21 +267,25 @@ def term_depths(
     return tuple(depths)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Occupancy:
     """Alive mass per automaton state at one time; ``leftover`` bounds from above the mass that was dropped so far."""
 
     terms: Terms
     leftover: float
 
+    def __repr__(self) -> str:
+        terms = sum(len(rows) for rows in self.terms.index)
+        return f"Occupancy(terms: {terms}, automaton states: {len(self.terms.index)}, leftover {self.leftover:.2g})"
+
     def masses(self, q: int) -> NDArray[np.float64]:
-        """(K_q,) mass of each term of state q."""
-        return _masses(self.terms.factors, self.terms.index[q])
+        """Return the mass (K_q,) of each term of state q, up to rounding."""
+        return term_masses(self.terms.factors, self.terms.index[q])
 
 
-def _masses(factors: Sequence[NDArray], index: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Mass of each term: product over agents of the factor sums."""
+def term_masses(factors: Sequence[NDArray], index: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the mass of each term, the product over agents of the sums of its factors, up to rounding."""
     product = np.ones(len(index))
-    for i, own in enumerate(factors):
-        product *= to_host(namespace(own).sum(own, axis=1))[index[:, i]]
+    for i, rows in enumerate(factors):
+        product *= to_host(namespace(rows).sum(rows, axis=1))[index[:, i]]
     return product

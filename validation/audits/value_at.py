@@ -17,7 +17,7 @@ from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
 from ...synthesis.certificates import Certificate, regrow_trains
 from ...synthesis.checking import regrow
-from ...synthesis.values import Terms, Trains, term_depths
+from ...synthesis.values import Terms, Trains, ValueFunction, term_depths
 
 PRODUCTS = 4_000_000
 """Most products of factors that are formed at once."""
@@ -55,7 +55,7 @@ def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
     return tuple(values)
 
 
-def values_at(terms: Terms | Trains, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+def values_at(terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
     """Values (M,) in automaton states (M,) at joint cells (M, I)."""
     values = np.zeros(len(q))
     for state in np.unique(q):
@@ -66,7 +66,7 @@ def values_at(terms: Terms | Trains, q: NDArray[Any], cells: NDArray[Any]) -> ND
     return values
 
 
-def charge_of(certificate: Certificate, values: Sequence[Terms | Trains]) -> Charge | None:
+def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Charge | None:
     """What the certificate's bound subtracts, ``Delta Theta`` read off the depths of its tree; None if nothing."""
     if certificate.bound != "a-posteriori":
         return None
@@ -141,7 +141,7 @@ def cells_of(certificate: Certificate, states: NDArray[Any]) -> NDArray[Any]:
     return np.stack([a.grid.cell_of(a.project(x.T)) for a, x in zip(agents, own, strict=True)], axis=1)
 
 
-def bound_by_steps_left(certificate: Certificate, values: Sequence[Terms | Trains], state: Any) -> NDArray[Any]:
+def bound_by_steps_left(certificate: Certificate, values: Sequence[ValueFunction], state: Any) -> NDArray[Any]:
     """Lower bounds (T,) from one joint state when the last 1, 2, .., T steps of the policies are played."""
     state = np.atleast_2d(np.asarray(state, dtype=float))
     problem = certificate.problem
