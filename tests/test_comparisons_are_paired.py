@@ -113,7 +113,7 @@ def test_wrong_comparisons_are_refused() -> None:
     other = cg.synthesize(PROBLEM.replace(horizon=2), 20, max_sweeps=0)
     cases: list[tuple[dict[str, Any], str]] = [
         ({}, "at least one policy"),
-        ({"other": other}, "speaks of another problem"),
+        ({"other": other}, "is about another problem"),
         ({"a (seed 0)": head, "a": [head, head]}, "names that differ"),
         ({"nothing": None}, "function or a table"),
     ]

@@ -228,7 +228,7 @@ def validate(
     mismatch: Mismatch | None = None,
     **trial: Unpack[TrialOptions],
 ) -> ValidationReport:
-    """Test a certified bound with independent rollouts of the continuous system under its own controller.
+    """Test a certified bound with independent rollouts of the continuous system under the certificate's controller.
 
     A true certificate is refuted with probability at most ``1 - confidence``.
 
@@ -278,14 +278,11 @@ def validate(
         details["mismatch"] = str(mismatch)
     if interrupted:
         details["interrupted"] = True
-    # What is known of the search holds from the problem's own start only.
+    if initial_state is None:  # the search was about the problem's start, not about any other
+        details |= _facts_of_search(result, certificate)
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
-    if initial_state is None and (tried := relations_tried(certificate)):
-        details["tried"] = tried
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
-        if initial_state is None:
-            details |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     return ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
@@ -316,6 +313,15 @@ def claim_at(
     problem = problem.replace(initial_state=initial_state)
     joint = np.concatenate([agent.initial.low for agent in problem.agents])
     return problem, float(certificate.at(joint)[0]), None, "point"
+
+
+def _facts_of_search(result: Any, certificate: Certificate | ProductCertificate) -> dict[str, Any]:
+    """Return what a certificate, or a synthesis if there is one, tells about the search that made it."""
+    tried = relations_tried(certificate)
+    facts: dict[str, Any] = {"tried": tried} if tried else {}
+    if isinstance(result, Synthesis):
+        facts |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
+    return facts
 
 
 def _finite(value: float) -> float:
