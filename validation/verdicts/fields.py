@@ -163,7 +163,7 @@ class FieldReport:
     def _rows(self) -> Rows:
         """Return the numbers of refuted and confirmed states, the weakest state and the verdict, by label."""
         w = self.weakest
-        state = shortened(", ".join(f"{x:.4g}" for x in self.states[w]))
+        state = shortened(", ".join(f"{x:.4g}" for x in self.states[w]), 80)
         estimate = f"simulated {self.estimates[w]:.6f} [{self.ci_low[w]:.6f}, {self.ci_high[w]:.6f}]"
         return [
             ("refuted", f"at {counted(int(self.refuted.sum()), 'state')} ({100 * self.fraction_refuted:.1f} %)"),
