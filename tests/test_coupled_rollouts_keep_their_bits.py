@@ -86,7 +86,7 @@ def anywhere(problem: cg.Problem, rng: np.random.Generator, n_worlds: int) -> co
 
 
 class Defined:
-    """Memory and inputs of one agent in one world, number by number, as THEORY section 6 has them."""
+    """Memory and inputs of one agent in one world, number by number (docs/theory/relations.md, "Errors")."""
 
     def __init__(self, controller: Controller, i: int) -> None:
         self.agent = controller.agents[i]
