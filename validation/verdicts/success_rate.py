@@ -67,6 +67,9 @@ GIVEN_UP = re.compile(r"(\S+) after one sweep, not gone on with")
 MOST_WORDS = 100
 """Characters that are printed of the reason why a relation does not apply."""
 
+NEGLIGIBLE = 1e-12
+"""Gain below which a report says 0: far below what is lost to rounding."""
+
 LARGEST_LOG_E = 1e6
 """Stands for an infinite logarithmic e-value, which JSON does not have."""
 
@@ -184,7 +187,8 @@ class ValidationReport:
             rows.append(("any policy", f"no policy of the continuous system does better than {rounded_up(anywhere)}"))
         rows += [("tried", line) for line in tried_lines(self.details)]
         if gain is not None:
-            rows.append(("alone", f"no single agent can gain more than about {gain:.2g} by changing one step"))
+            shown = gain if gain >= NEGLIGIBLE else 0.0
+            rows.append(("alone", f"no single agent can gain more than about {shown:.2g} by changing one step"))
         return rows
 
 

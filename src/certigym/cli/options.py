@@ -81,7 +81,7 @@ def add_trials(parser: argparse.ArgumentParser, episodes: int, per: str = "", co
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
     parser.add_argument(
-        "--confidence", type=float, default=confidence, metavar="C", help=f"of limits and verdicts ({confidence})"
+        "--confidence", type=float, default=confidence, metavar="C", help=f"of limits (default: {confidence})"
     )
     parser.add_argument("--workers", type=int, metavar="N", help="worker processes of this machine (default: none)")
     parser.add_argument("--dask", metavar="ADDRESS|local", help="Dask scheduler, or workers of this machine under Dask")
