@@ -101,7 +101,7 @@ def _factors_met(
 ) -> list[NDArray[Any]]:
     """Return per agent (R, n) the masked factors one step later behind those terms, at the cells that were met."""
     step = certificate.skeleton[time]
-    origin, merges, kept = step.origin[q], step.merges[q], step.kept[q]
+    origin, merges, kept_rows = step.origin[q], step.merges[q], step.kept[q]
     # Each vertex that was formed applies a guard to a child, which is a term of the guard's target state.
     guard, child = origin[:, 0], origin[:, 1]
     target = certificate.guard_target[guard]
@@ -117,7 +117,7 @@ def _factors_met(
         # Repeat how the tree united vertices: sums in the agent in which they differ, minima in all others.
         for a, b, is_sum in zip(merges.into.tolist(), merges.absorbed.tolist(), (merges.agent == i).tolist()):
             met[a] = met[a] + met[b] if is_sum else np.minimum(met[a], met[b])
-        result.append(met[kept])
+        result.append(met[kept_rows])
     return result
 
 

@@ -183,6 +183,7 @@ def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: 
     Each audit has had its share of the probability of a false alarm. The states of all tasks stand side by side; the
     p-values over the tasks are adjusted by Bonferroni's method.
     """
+    # The strongest evidence of any task decides, at the price of the number of tasks.
     first, n = reports[0], len(reports)
     strongest = max(reports, key=lambda report: report.overall_log_e)
     return AuditReport(
@@ -216,6 +217,7 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -
     p_values[met] = adjusted[:-1]
     # The product of the wealth over all steps sees defects that are too thin for any single pair.
     overall = float(_log_e(ledger.wealth.sum(axis=(0, 1)) + ledger.start))
+    # A pair is a finding if its test rejects at half of the level, or if a single episode contradicts the tree.
     rejected = np.argwhere((p_values <= 0.5 * (1.0 - plan.confidence)) | (ledger.contradictions > 0))
     rejected = rejected[np.argsort(-log_e[tuple(rejected.T)], kind="stable")]
     means = ledger.increments / np.maximum(ledger.worlds, 1)
@@ -265,6 +267,7 @@ def _log_e(wealth: NDArray[Any]) -> NDArray[Any]:
 
 def _where(problem: Problem, ledger: Ledger, t: int, q: int) -> tuple[str, str, int, float, float]:
     """Return agent and region with the most evidence at (t, q): their names, episodes, mean increment, log e-value."""
+    # Over all agents and classes: the class in which the bets against the agent's share have won most.
     strongest: tuple[float, int, int] = (-np.inf, 0, 0)
     for i, split in enumerate(ledger.split):
         evidence = np.where(ledger.split_worlds[i][t, q] > 0, _log_e(split[t, q]), -np.inf)

@@ -50,6 +50,7 @@ class Ledger:
     @classmethod
     def empty(cls, problem: Problem) -> Ledger:
         """Return the ledger without any episode."""
+        # Logarithms of wealth begin at 0: every bet starts with a wealth of 1.
         T, Q, G = problem.horizon, problem.automaton.n_states, len(STAKES)
         classes = [len(classes_of_agent) for classes_of_agent in problem.labeling.classes]
         split = tuple(np.zeros((T, Q, c, G)) for c in classes)

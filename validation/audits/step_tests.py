@@ -49,10 +49,10 @@ from .audit_report import AuditReport, joined_report, report_of
 from .ledger import STAKES, Ledger
 from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
 
-SLACK = 1e-9
+INCREMENT_SLACK = 1e-9
 """Added to every increment: more than rounding takes from a true certificate, less than any test can see."""
 
-ROUNDING = 1e-7
+ROUNDING_OF_FALLS = 1e-7
 """Relative part of a fall that counts as rounding: far above the error of a sum of products of float64."""
 
 LEAST_ROOM = 1e-3
@@ -113,6 +113,7 @@ def audit(
                 "tasks; give one of its `.parts`"
             )
         return _audit_of_product(certificate, settled)
+    # The system, the controller and the value function can each be replaced, to test one against the others.
     problem = certificate.problem if problem is None else problem
     values = tuple(claimed_values(certificate) if values is None else values)
     if len(values) != problem.horizon:
@@ -197,8 +198,9 @@ def _moment(setup: _Setup, dynamics: Dynamics, frame: Frame, count: int, was_ope
 
 def _wealth(increments: NDArray[Any], room: NDArray[Any]) -> NDArray[Any]:
     """Return ``log(1 - s D)``, shape (n, G), for every stake; ``room`` (n,) is the largest value that D can have."""
+    # Relative stakes suit falls in proportion to the room that is left, absolute ones suit falls of a fixed size.
     shares, absolute = np.split(STAKES, 2)
-    d = (increments + SLACK)[:, None]
+    d = (increments + INCREMENT_SLACK)[:, None]
     relative = np.clip(d / np.maximum(room, LEAST_ROOM)[:, None], None, 1.0)
     return np.concatenate([np.log1p(-shares * relative), np.log1p(-absolute * np.minimum(d, 1.0))], axis=1)
 
@@ -224,7 +226,7 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
         cells, next_cells = before.cells[rows], after.cells[rows]
         levels = levels_by_agent(certificate, time, now, following, q, cells, next_cells, outside)
         levels = np.clip(levels, 0.0, 1.0)
-        wrong = after.level[rows] < levels[-1] * (1.0 - ROUNDING) - SLACK
+        wrong = after.level[rows] < levels[-1] * (1.0 - ROUNDING_OF_FALLS) - INCREMENT_SLACK
         ledger.contradictions[time] += np.bincount(q[wrong], minlength=problem.automaton.n_states)
     # Bets on each agent's share of the step (or on the whole step), by the region in which the agent stood.
     for i, (block, place) in enumerate(dynamics.position):

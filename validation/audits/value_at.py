@@ -22,7 +22,7 @@ from ...synthesis.values import Terms, Trains, term_depths
 PRODUCTS = 4_000_000
 """Most products of factors that are formed at once: 32 MB of float64."""
 
-MARGIN = 1e-9
+CHARGE_MARGIN = 1e-9
 """Relative allowance for rounding in a charge: far above the error of its sums, far below what a test can see."""
 
 
@@ -81,10 +81,10 @@ def charge_of(certificate: Certificate, values: Sequence[Terms | Trains]) -> Cha
     trees = [value for value in values if isinstance(value, Terms)]
     # Trains have no terms with depths: every step that is left is charged.
     if len(trees) < len(values):
-        return StepCharge(certificate.delta * (1 + MARGIN), horizon)
+        return StepCharge(certificate.delta * (1 + CHARGE_MARGIN), horizon)
     settled = automaton.accepting, automaton.absorbing
     depths = [tuple(term_depths(certificate.skeleton[t:], certificate.guards, *settled)) for t in range(horizon)]
-    worth = certificate.delta * (1 + MARGIN)
+    worth = certificate.delta * (1 + CHARGE_MARGIN)
     return DepthCharge(tuple(trees), tuple(depths), worth, horizon, automaton.is_co_safe)
 
 
@@ -116,6 +116,7 @@ class DepthCharge:
     def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
         """Return the charges (M,); see ``Charge``."""
         left, terms = self.horizon - time, self.values[time]
+        # Sum over the terms of a state: value at the cells times the steps that the term's runs save.
         saved = np.zeros(len(q))
         for state in np.unique(q) if self.co_safe else ():
             here, rows = np.flatnonzero(q == state), terms.index[state]
@@ -123,7 +124,7 @@ class DepthCharge:
             for i, factors in enumerate(terms.factors):
                 product = product * factors[rows[:, i]][:, cells[here, i]].T
             saved[here] = product @ (left - np.reshape(self.depths[time][state], -1))
-        return np.asarray(self.delta * (left - saved * (1 - MARGIN)))
+        return np.asarray(self.delta * (left - saved * (1 - CHARGE_MARGIN)))
 
 
 def standing_cells(
@@ -159,6 +160,7 @@ def bound_by_steps_left(certificate: Certificate, values: Sequence[Terms | Train
     letter = problem.labeling.letter([state[0, columns] for columns in problem.columns])
     q = np.atleast_1d(problem.automaton.next_state(initial, letter))
     cells = cells_of(certificate, state)
+    # With k steps left the policies of time T - k are played first, so the value at that time is the bound.
     charge, bounds = charge_of(certificate, values), []
     for time in reversed(range(len(values))):
         bound = values_at(values[time], q, cells)[0] * (1.0 - certificate.relative_rounding)

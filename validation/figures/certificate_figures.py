@@ -41,7 +41,7 @@ from .figure_style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEVELS = (0.1, 0.5, 0.9, 0.99)
+CONTOURS = (0.1, 0.5, 0.9, 0.99)
 """Contours of a map of bounds: denser near 1, where bounds are of interest."""
 
 STATES_SHOWN = 5
@@ -112,7 +112,7 @@ def _map(
     image = plot.pcolormesh(x, y, grid, cmap=MAP, vmin=0.0, vmax=1.0, shading="nearest", rasterized=True)
     scale = figure.colorbar(image, ax=plot, label="certified lower bound on P(satisfied)", pad=0.02)
     # Contours that are not on the map would warn; dark ones stand on bright colours.
-    inside = [level for level in LEVELS if grid.min() < level < grid.max()]
+    inside = [level for level in CONTOURS if grid.min() < level < grid.max()]
     if inside:
         colors = ["white" if level < 0.7 else INK for level in inside]
         scale.add_lines(plot.contour(x, y, grid, levels=inside, colors=colors, linewidths=0.9))
@@ -176,7 +176,7 @@ def horizon_figure(reports: Sequence[ValidationReport] | Mapping[str, Sequence[V
 
 
 def rank_figure(certificate: Any) -> Figure:
-    """Draw how many terms of the value function each automaton state formed and kept, against the steps left.
+    """Draw how many terms of the value function each automaton state formed and n_kept, against the steps left.
 
     The difference of both numbers was united or dropped; the numbers are exact. Of independent tasks the first one is
     drawn.
@@ -185,23 +185,25 @@ def rank_figure(certificate: Any) -> Figure:
     problem = certificate.problem
     left = problem.horizon - np.arange(problem.horizon)
     figure, (plot,) = new_figure(6.6, 4.0)
-    kept, formed = _counts(certificate)
+    n_kept, n_formed = _counts(certificate)
     # The states with the most terms get colours and names, the others are grey.
-    order = [q for q in np.argsort(-kept.max(axis=1), kind="stable") if kept[q].any()]
+    order = [q for q in np.argsort(-n_kept.max(axis=1), kind="stable") if n_kept[q].any()]
     for q in order[STATES_SHOWN:]:
-        plot.plot(left, np.where(kept[q] > 0, kept[q], np.nan), color=PALE, linewidth=0.9)
+        plot.plot(left, np.where(n_kept[q] > 0, n_kept[q], np.nan), color=PALE, linewidth=0.9)
     for number, q in enumerate(order[:STATES_SHOWN]):
         color, mark = SERIES[number % len(SERIES)], MARKS[number % len(MARKS)]
-        plot.plot(left, np.where(formed[q] > 0, formed[q], np.nan), color=color, linewidth=1.2, linestyle=(0, (4, 2)))
+        plot.plot(
+            left, np.where(n_formed[q] > 0, n_formed[q], np.nan), color=color, linewidth=1.2, linestyle=(0, (4, 2))
+        )
         label = f"state {problem.automaton.state_names[q]}: kept"
         plot.plot(
-            left, np.where(kept[q] > 0, kept[q], np.nan), color=color, linewidth=2, marker=mark, ms=4, label=label
+            left, np.where(n_kept[q] > 0, n_kept[q], np.nan), color=color, linewidth=2, marker=mark, ms=4, label=label
         )
     rest = len(order) - STATES_SHOWN
     if rest > 0:
         plot.plot([], [], color=PALE, linewidth=0.9, label=f"{rest} other states: kept")
     plot.plot([], [], color=SOFT, linewidth=1.2, linestyle=(0, (4, 2)), label="formed, before uniting and dropping")
-    peak = int(formed.max(initial=1))
+    peak = int(n_formed.max(initial=1))
     if peak > MANY_TERMS_DRAWN:
         plot.set_yscale("log")
     else:
@@ -223,6 +225,7 @@ def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
     Tensor trains form no terms: their ranks take the place of both.
     """
     if isinstance(certificate, Certificate) and certificate.rounding is not None:
+        # Trains are computed again from the last time to the first.
         columns: list[list[int]] = []
 
         def note(time: int, value: Trains) -> None:
@@ -237,7 +240,7 @@ def _counts(certificate: Certificate) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def relation_figure(certificate: Any, agent: int = 0, coordinate: int = 0, seed: int = 0) -> Figure:
-    """Draw one episode of one agent: its state, the cell of its finite model, and the set in which it is kept.
+    """Draw one episode of one agent: its state, the cell of its finite model, and the set in which it is n_kept.
 
     Parameters
     ----------

@@ -28,6 +28,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     reach = [[e.rate - e.ci_low for e in entries], [e.ci_high - e.rate for e in entries]]
     label = f"success rate, {100 * comparison.confidence:g} % limits"
     axes.errorbar(rates, rows, xerr=reach, fmt="o", color=ESTIMATE, markersize=4, capsize=3, label=label)
+    # Bounds stand a little below the estimate of their policy.
     bounds = [(e.lower_bound, row - 0.25) for row, e in enumerate(entries) if e.lower_bound is not None]
     if bounds:
         x, y = zip(*bounds, strict=True)

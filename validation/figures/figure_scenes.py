@@ -154,6 +154,7 @@ def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
         plot.add_patch(FancyArrowPatch(left, right, connectionstyle="arc3,rad=-1.9", **style))
         spot = (x0, y0 + 0.63)
     else:
+        # Patches shorten the arrow to the rims of both disks; the number stands at the top of the arc.
         style |= {"patchA": a, "patchB": b, "shrinkA": 1, "shrinkB": 1}
         plot.add_patch(FancyArrowPatch((x0, y0), (x1, y1), connectionstyle=f"arc3,rad={-bend}", **style))
         spot = (0.5 * (x0 + x1) - 0.5 * bend * (y1 - y0), 0.5 * (y0 + y1) + 0.5 * bend * (x1 - x0))
@@ -216,6 +217,7 @@ def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
     started = dict.fromkeys(certificate.start_target.tolist())
     roots = [(int(q), k) for q in started for k in range(len(certificate.tree.index[q]))]
     layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
+    # Follow the terms forward in time; only those that the start needs are drawn.
     for step in skeleton:
         following: dict[Vertex, list[Vertex]] = {}
         for (q, k), children in layers[-1].items():
@@ -223,9 +225,9 @@ def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
                 children.append((q, 0))
             else:
                 # A kept term stands for its candidate and for all candidates that were united with it.
-                kept, merges = int(step.kept[q][k]), step.merges[q]
-                merged = [b for a, b in zip(merges.into.tolist(), merges.absorbed.tolist()) if a == kept]
-                for row in (kept, *merged):
+                candidate, merges = int(step.kept[q][k]), step.merges[q]
+                merged = [b for a, b in zip(merges.into.tolist(), merges.absorbed.tolist()) if a == candidate]
+                for row in (candidate, *merged):
                     guard, term = (int(v) for v in step.origin[q][row])
                     children.append((int(certificate.guard_target[guard]), term))
             following.update({child: [] for child in children})

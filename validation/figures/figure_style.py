@@ -44,6 +44,7 @@ def new_figure(width: float = 6.4, height: float = 4.0, rows: int = 1, columns: 
         from matplotlib.figure import Figure as Sheet
     except ImportError as error:
         raise ValueError('figures need matplotlib; install it with `pip install "certigym[viz]"`') from error
+    # A canvas instead of pyplot: no global state, and no window.
     figure = Sheet(figsize=(width, height), layout="constrained", dpi=120, facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False)

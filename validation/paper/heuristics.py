@@ -28,7 +28,8 @@ from ...synthesis.values import Terms, candidate_depths, compress
 ALIVE = 1e-15
 """The paper's pruning rule: terms whose largest value does not exceed this are dropped."""
 
-KINDS = ("base", "a-posteriori", "robust tree")
+FORMS = ("base", "a-posteriori", "robust tree")
+"""Forms of the paper's bound, each with its operator and its weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +68,8 @@ def paper_steps(joint: JointModel, kind: str) -> Iterator[HeuristicStep]:
     ValueError
         If `kind` is none of these.
     """
-    if kind not in KINDS:
-        raise ValueError(f"`kind`: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if kind not in FORMS:
+        raise ValueError(f"`kind`: expected one of {', '.join(FORMS)}, got {kind!r}")
     delta = joint_delta([model.delta for model in joint.models]) if kind == "a-posteriori" else 0.0
     loss = plain_loss if kind == "robust tree" else None
     # Before the first step every cell takes its first choice; cells without a choice have -1.

@@ -118,6 +118,7 @@ def _guards() -> tuple[tuple[FloatArray, FloatArray], list[tuple[FloatArray, Flo
     edges = np.linspace(LOW, HIGH, CELLS + 1)
     centres, slack = 0.5 * (edges[:-1] + edges[1:]), SLACK_OF_EDGES
     low, high = centres - EPSILON, centres + EPSILON
+    # A literal holds in a cell if it holds everywhere within epsilon of the centre.
     p1, not_p1 = low >= -slack, high <= slack
     not_p2 = (high <= -5.0 + slack) | p1
     p3, not_p3 = high <= -15.0 + slack, low >= -15.0 - slack
@@ -136,6 +137,7 @@ def _field(
 
     With a joint ``loss`` per step above 0 it is corrected a posteriori.
     """
+    # Values are products of one factor per agent, so the field is a product of two matrices.
     rows, columns = REGION
     first = np.array([m1 * v1 * (1.0 + loss * (t - depth)) for m1, _ in stay for v1, _, depth in terms])
     second = np.array([m2 * v2 for _, m2 in stay for _, v2, _ in terms])

@@ -38,6 +38,7 @@ class PublishedPolicy:
 
     def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
         """Return the inputs (1, 2, M) of both agents."""
+        # States outside the workspace have failed; they count as in the nearest cell.
         grid = published_grid()
         (states,) = worlds.states
         edges = grid.edges[0]
@@ -78,6 +79,7 @@ def refute_published(
     starts, claims = _field(step, states)
     successes = _simulate(step, starts, episodes, seed)
     refuted = holm(p_at_least(successes, episodes, np.minimum(claims, 1.0))) <= 1.0 - confidence
+    # Where the success rate is furthest below the claim.
     estimates = successes / episodes
     excess = claims - estimates
     worst = int(np.argmax(excess))
@@ -114,6 +116,7 @@ def _field(step: PublishedStep, states: tuple[int, int]) -> tuple[FloatArray, Fl
 
 def _simulate(step: PublishedStep, starts: FloatArray, episodes: int, seed: int) -> NDArray[np.int64]:
     """Return the successes (N,) of ``episodes`` rollouts from each start, at the stated noise; one generator each."""
+    # Chunks would mix starts; here every start has one batch of worlds and one generator.
     dynamics = Dynamics.of(make_problem("reach-avoid-v0", horizon=step.horizon))
     policy = PublishedPolicy(step.policies)
     successes = np.empty(len(starts), dtype=np.int64)

@@ -114,6 +114,7 @@ def table1(out: Path, progress: Progress = _quiet) -> list[Row]:
         ("invariance-20-v0", 100, (2.4e41, 1.6e4)),
         ("package-delivery-v0", 1200, (1.02e26, 7.7e4)),
     ):
+        # A short horizon and one sweep are enough to count bytes.
         problem = make_problem(name)
         small = problem.replace(horizon=min(problem.horizon, 7))
         certificate = synthesize(small, cells, max_sweeps=1).certificate
@@ -143,12 +144,14 @@ def table2(out: Path, cells: int = 1200, episodes: int = 400_000, progress: Prog
     """Recompute Table 2, package delivery of four robots: the paper's method with disjoint letters, and ours."""
     rows = []
     problem = make_problem("package-delivery-v0")
+    # The paper's method does not depend on the start, so one run serves all points.
     joint = join(problem, abstract(problem, cells, relation="paper", epsilon=0.1))
     began = time.perf_counter()
     *_, last = paper_steps(joint, "robust tree")
     progress(f"the paper's method at the stated noise: {time.perf_counter() - began:.1f} s")
     for point, published in TABLE_2:
         for name in ("package-delivery-v0", "package-delivery-eased-v0"):
+            # Our certificates are synthesized from each point, and tested by rollouts from there.
             here = make_problem(name).replace(initial_state=list(point))
             eased = name != "package-delivery-v0"
             result = synthesize(here, cells)

@@ -53,6 +53,7 @@ class Network:
 
     def actions(self, rows: Array) -> Array:
         """Return actions (N, m) in [-1, 1] for observations (N, n)."""
+        # In single precision, as torch computes them.
         hidden, apply = np.asarray(rows, dtype=np.float32), ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = apply(hidden @ weight.T + bias)
@@ -147,6 +148,7 @@ def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
         "problem": actor.problem.name,
         "fingerprint": actor.problem.fingerprint,
     }
+    # The archive is made in memory, so that the file is written completely or not at all.
     arrays = {f"weight_{k}": w for k, w in enumerate(network.weights)}
     arrays |= {f"bias_{k}": b for k, b in enumerate(network.biases)}
     file = io.BytesIO()
@@ -179,6 +181,7 @@ def load_actor(path: str | Path, problem: Any) -> Actor:
     # Certificates are .npz files, too: a file without the fields of an actor is not an actor.
     if not count or header.get("view") not in VIEWS or header.get("activation") not in ACTIVATIONS:
         raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)")
+    # The first layer fixes the size of observations, the last one that of actions.
     problem = as_problem(problem)
     view: View = VIEWS[header["view"]](problem)  # type: ignore[assignment]
     sizes = (weights[0].shape[1], weights[-1].shape[0])

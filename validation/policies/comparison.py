@@ -30,7 +30,7 @@ from ..statistics import clopper_pearson, holm, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
 
-MOST_ENTRIES = 8
+ENTRIES_SHOWN = 8
 """Policies that a short form lists, with which it stays within a dozen lines."""
 
 
@@ -162,9 +162,9 @@ class Comparison:
     def __repr__(self) -> str:
         rows = [
             (shortened(entry.name, 40), "   ".join(text for text in entry.texts()[:2] if text != "-"))
-            for entry in self.entries[:MOST_ENTRIES]
+            for entry in self.entries[:ENTRIES_SHOWN]
         ]
-        more = len(self.entries) - MOST_ENTRIES
+        more = len(self.entries) - ENTRIES_SHOWN
         rows += [("...", counted(more, "more policy", "more policies"))] if more > 0 else []
         return tree_text(f"Comparison: {self._title()}", rows)
 
@@ -229,6 +229,7 @@ def compare(
     >>> [entry.name for entry in result.entries], len(result.pairs)
     (['centre', 'idle'], 1)
     """
+    # The names must differ, because pairs and rows are found by them.
     problem, settled = as_problem(problem), planned(plan, trial, 10_000, 0.99)
     contestants = [c for name, policy in policies.items() for c in contestants_of(problem, name, policy)]
     if not contestants:
@@ -236,6 +237,7 @@ def compare(
     names = [contestant.name for contestant in contestants]
     if len(set(names)) < len(names):
         raise ValueError(f"`policies`: expected names that differ, got {', '.join(names)}")
+    # One plan for all: the same seed and chunks give all policies the same starts and noise.
     runs = [rollout(problem, contestant.controller, settled) for contestant in contestants]
     entries = tuple(_entry(c, run, settled.confidence) for c, run in zip(contestants, runs, strict=True))
     return Comparison(
@@ -258,6 +260,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
             f"`policies`: expected a policy, certificate or training for {name!r}, got the text {policy!r}; load "
             "it with `load_certificate` or `load_actor`"
         )
+    # Several training seeds: one contestant each, which share the name as their group.
     if isinstance(policy, Sequence):
         if len(policy) == 1:
             return contestants_of(problem, name, policy[0])
@@ -267,6 +270,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
             replace(member, group=name, name=f"{name} (seed {seed})")
             for member, seed in zip(members, seeds, strict=True)
         ]
+    # A certificate brings its bound along, which holds for its problem only.
     if isinstance(policy, Synthesis | Certificate | ProductCertificate):
         certificate = as_certificate(policy)
         if certificate.fingerprint != problem.fingerprint:
@@ -282,6 +286,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
     if isinstance(policy, Training):
         actor = policy.actor
         return [Contestant(name, name, actor.information, actor, seconds=policy.seconds, seed=policy.seed)]
+    # Any other controller is simulated as it is; a decentralised policy becomes one first.
     controller: Any = policy if hasattr(policy, "batch") else as_controller(problem, policy)
     return [Contestant(name, name, _information(controller), controller)]
 
@@ -297,6 +302,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     >>> mcnemar(0, 5), mcnemar(3, 3), mcnemar(0, 0)
     (0.0625, 1.0, 1.0)
     """
+    # Twice the smaller tail of a binomial distribution with probability 1/2.
     fewer, total = min(only_first, only_second), only_first + only_second
     return 1.0 if total == 0 else min(1.0, 2.0 * float(p_at_least(fewer, total, 0.5)))
 

@@ -66,6 +66,7 @@ class WorldsVecEnv(VecEnv):
         self.worlds = ProblemVectorEnv(
             view.problem, worlds, autoreset_mode="SameStep", reward=reward, discount=discount, actions="unit"
         )
+        # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
         self._returns, self._lengths = np.zeros(worlds), np.zeros(worlds, dtype=np.int64)
         self._actions: NDArray[Any] = np.zeros(0)
@@ -91,6 +92,7 @@ class WorldsVecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """Move all worlds; return observations, rewards, dones (rows,) and infos."""
+        # Ended worlds are reset in the same step; their last states are in `final_info`.
         joint = self.view.joint_actions(self._actions)
         _, rewards, terminated, truncated, infos = self.worlds.step(joint)
         ended = terminated | truncated
@@ -100,6 +102,7 @@ class WorldsVecEnv(VecEnv):
         if ended.any():
             self._fill(rows, ended, truncated, infos["final_info"])
             self._returns[ended], self._lengths[ended] = 0.0, 0
+        # All rows of a world share its reward and its end.
         per = self.view.rows
         return self._observed(infos), np.repeat(rewards, per).astype(np.float32), np.repeat(ended, per), rows
 

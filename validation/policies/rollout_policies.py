@@ -44,6 +44,7 @@ class LocalBatch:
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
         """Return inputs (m, n, M) per block; decided worlds, whose states may be anything, get the input 0."""
+        # Ask only about undecided worlds: functions of users need not handle states outside the workspace.
         going = np.flatnonzero(~(worlds.failed | worlds.accepted))
         q, time, result = worlds.q[going], int(worlds.time), []
         for block, states in zip(self.dynamics.blocks, worlds.states, strict=True):

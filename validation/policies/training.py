@@ -202,6 +202,7 @@ def network_of(model: BaseAlgorithm) -> Network:
         hidden, last = policy.actor.latent_pi, policy.actor.mu
     else:
         hidden, last = policy.mlp_extractor.policy_net, policy.action_net
+    # Linear layers become arrays; between them only one kind of activation is allowed.
     layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
     kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
     if kinds not in ({"Tanh"}, {"ReLU"}):
@@ -268,6 +269,7 @@ def _watcher(rows: int, every: int, progress: Callable[[int, float], None] | Non
             self.began, self.last = time.perf_counter(), 0
 
         def _on_step(self) -> bool:
+            # All rows of a world end together, so the first one stands for the world.
             infos = self.locals["infos"][::rows]
             self.ended += [(i["is_success"], i["episode"]["r"]) for i in infos if "is_success" in i]
             steps = self.num_timesteps // rows

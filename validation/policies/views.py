@@ -53,6 +53,7 @@ class SharedView:
 
     def agent_rows(self, agent: int, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
         """Return observations (N, size) of one agent at states (d, N), automaton states (N,) and times, one or (N,)."""
+        # Columns: the state, filled up with zeros; the automaton state; the time left; which agent it is.
         seen = self.problem.agents[agent]
         rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
         rows[:, : seen.n_states] = _scaled(seen, states).T

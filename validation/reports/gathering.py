@@ -75,6 +75,7 @@ def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) ->
     shown = slice_axes(problem, axes)
     shape = (LINE_POINTS,) if len(shown) == 1 else (MAP_POINTS, MAP_POINTS)
     grid = slice_starts(problem, shown, shape)
+    # Few rollouts for the drawings first: they take no time and need the whole paths.
     states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
     validation = validate(certificate, plan)  # not `claim`: a synthesis knows about its search, too
     episodes = min(plan.episodes, AFTER_INTERRUPT) if validation.interrupted else plan.episodes

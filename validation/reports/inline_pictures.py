@@ -87,6 +87,7 @@ def _map(
     roles : list of str or None
         Role of each such cell; None for a map of bounds.
     """
+    # Starts are centres of equal cells: half a spacing around them, the cells tile the map.
     x, y = (np.unique(field.states[:, k]) for k in shown)
     half = [0.5 * (v[1] - v[0]) if len(v) > 1 else 0.5 for v in (x, y)]
     axes = Axes(
@@ -100,9 +101,9 @@ def _map(
             f"rollouts {field.estimates[k]:.4f} [{field.ci_low[k]:.4f}, {field.ci_high[k]:.4f}]"
             f"{', refuted' if bad else ''}"
         )
-        corner, other = axes.at(a - half[0], b - half[1]), axes.at(a + half[0], b + half[1])
+        corner, opposite = axes.at(a - half[0], b - half[1]), axes.at(a + half[0], b + half[1])
         role = "bad-cell" if bad else "cell" if roles is None else roles[k]
-        shapes.append(svg.rectangle(corner, other, role, hint, "" if bad else styles[k]))
+        shapes.append(svg.rectangle(corner, opposite, role, hint, "" if bad else styles[k]))
         if not bad and roles is None and field.confirmed[k]:
             shapes.append(svg.circle(axes.at(a, b), 1.3, "sure-dot"))
     # Grid lines would cross the cells.

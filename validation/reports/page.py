@@ -92,6 +92,7 @@ def _claim(content: ReportContent) -> str:
 def _curve(content: ReportContent) -> str:
     """Return the section of the bound against the number of steps played."""
     v = content.validation
+    # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
     estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
     where = "the start" if estimate else "the middle of the initial box"
     end = "; at the right end, the rollouts with their limits" if estimate else ""
@@ -103,6 +104,7 @@ def _map(content: ReportContent) -> list[str]:
     """Return the sections of the tests at many starts: two maps, or one line."""
     field, problem = content.field, content.certificate.problem
     names = " and ".join(coordinate_name(problem, k) for k in content.axes)
+    # The long explanation stands below the first drawing, a short one below the second.
     w = field.weakest
     note = (
         f"{len(field.states)} starts that differ in {names}, {counted(int(field.episodes.min()), 'episode')} each, all "

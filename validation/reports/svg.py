@@ -28,33 +28,34 @@ class Axes:
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Return the picture coordinates of a data point; an empty range of data counts as length 1."""
+        # Pictures count y downwards.
         across = (x - self.low[0]) / ((self.high[0] - self.low[0]) or 1.0)
         up = (y - self.low[1]) / ((self.high[1] - self.low[1]) or 1.0)
         plot_width, plot_height = self.width - self.left - self.right, self.height - self.top - self.bottom
         return self.left + across * plot_width, self.top + (1.0 - up) * plot_height
 
 
-def picture(axes: Axes, parts: Iterable[str], title: str) -> str:
+def picture(axes: Axes, shapes: Iterable[str], title: str) -> str:
     """Return an ``<svg>`` element that scales with the page; screen readers read ``title`` aloud."""
     box = f"0 0 {axes.width:g} {axes.height:g}"
-    return f'<svg viewBox="{box}" role="img"><title>{escape(title)}</title>{"".join(parts)}</svg>'
+    return f'<svg viewBox="{box}" role="img"><title>{escape(title)}</title>{"".join(shapes)}</svg>'
 
 
 def frame(axes: Axes, x_name: str, y_name: str, whole: bool = False) -> list[str]:
     """Return grid lines, ticks and names of both axes; ``whole`` puts the ticks of x on whole numbers."""
-    parts = []
+    shapes = []
     for x in ticks(axes.low[0], axes.high[0], 6, whole):
         px, bottom = axes.at(x, axes.low[1])
-        parts.append(line((px, axes.at(x, axes.high[1])[1]), (px, bottom), "grid"))
-        parts.append(text(px, bottom + 13, number(x), "tick middle"))
+        shapes.append(line((px, axes.at(x, axes.high[1])[1]), (px, bottom), "grid"))
+        shapes.append(text(px, bottom + 13, number(x), "tick middle"))
     for y in ticks(axes.low[1], axes.high[1], 5):
         left, py = axes.at(axes.low[0], y)
-        parts.append(line((left, py), (axes.at(axes.high[0], y)[0], py), "grid"))
-        parts.append(text(left - 4, py + 3.5, number(y), "tick end"))
+        shapes.append(line((left, py), (axes.at(axes.high[0], y)[0], py), "grid"))
+        shapes.append(text(left - 4, py + 3.5, number(y), "tick end"))
     middle = axes.left + 0.5 * (axes.width - axes.left - axes.right)
-    parts.append(text(middle, axes.height - 4, x_name, "name middle"))
-    parts.append(text(4, 10, y_name, "name"))
-    return parts
+    shapes.append(text(middle, axes.height - 4, x_name, "name middle"))
+    shapes.append(text(4, 10, y_name, "name"))
+    return shapes
 
 
 def ticks(low: float, high: float, most: int, whole: bool = False) -> list[float]:

@@ -108,6 +108,7 @@ class Loop:
             )
         # Seeds of the tasks are derived from the seed of the whole, so that they share no noise.
         seeds = np.random.SeedSequence(self.seed).generate_state(len(groups), np.uint64).tolist()
+        # Each loop gets the controller of its task, and its columns of the starts.
         loops = []
         tasks = zip(self.problem.tasks, self.controller.parts, self.columns, seeds, strict=True)
         for task, controller, columns, seed in tasks:

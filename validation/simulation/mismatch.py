@@ -144,6 +144,7 @@ class DegradedPolicy:
 
     def act(self, worlds: Worlds, memory: _Sight) -> tuple[tuple[NDArray[Any], ...], _Sight]:
         """Return the inputs (m, n, M) per block for the states that agents see, and the memory for the next step."""
+        # The oldest remembered states arrive now; before time `delay` these are copies of the start.
         past = (*memory.past, worlds.states)
         arriving = past[0]
         # An agent whose observation is lost sees again what it saw before.

@@ -100,6 +100,7 @@ def planned(plan: TrialPlan | int | None, options: TrialOptions, episodes: int, 
     if plan is not None and not isinstance(plan, TrialPlan):
         checked_count(plan, "episodes")
         plan = TrialPlan(episodes=plan)
+    # Keywords win over the plan, and the plan over the defaults of the verb.
     whole = replace(TrialPlan() if plan is None else plan, **options)
     settled = {
         "episodes": episodes if whole.episodes is None else whole.episodes,

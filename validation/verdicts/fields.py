@@ -281,6 +281,7 @@ def find_weakest(
     if candidates is None:
         candidates = np.concatenate([corner_starts(problem), random_starts(problem, CANDIDATES, seed)])
     states = np.atleast_2d(np.asarray(candidates, dtype=float))
+    # Each round about halves the candidates, until the finalists are left.
     rounds = max(1, int(np.ceil(np.log2(max(len(states) / keep, 2)))))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31 + 1,)))
     for k in range(rounds):

@@ -88,6 +88,7 @@ def slice_starts(
     middle = 0.5 * np.sum(start_box(problem), axis=0) if base is None else np.asarray(base, dtype=float)
     if middle.shape != (problem.n_states,):
         raise ValueError(f"`base`: expected a joint state of {problem.n_states} numbers, got shape {middle.shape}")
+    # Centres of equal parts of each axis; every other coordinate stays at its value in `base`.
     lines = [low[a] + (high[a] - low[a]) * (np.arange(n) + 0.5) / n for a, n in zip(axes, shape, strict=True)]
     points = np.tile(middle, (int(np.prod(shape)), 1))
     for row, values in enumerate(itertools.product(*lines)):

@@ -203,6 +203,7 @@ def stress(
     level = 0.5 * (1.0 - settled.confidence)
     rungs = []
     for (name, rung), k, p, opposite in zip(pairs, counts[1:], against, in_favour, strict=True):
+        # A claim of 0 is true of every system.
         verdict = REFUTED if p <= level else CONFIRMED if opposite <= level or lower <= 0.0 else CONSISTENT
         rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, settled.confidence), verdict))
     return StressReport(

@@ -159,6 +159,7 @@ class ValidationReport:
     def _rows(self) -> Rows:
         """Return the claim, what limits it, what the rollouts show and the verdict, by label."""
         details = self.details
+        # What was proved, what is known about better policies, what rollouts show, and what follows from them.
         limits = f"{100 * self.confidence:g} % limits [{self.ci_low:.6f}, {self.ci_high:.6f}]"
         how = ", tested after every episode" if details.get("sequential") else ""
         times = ", ".join(f"{name} {value:.2f} s" for name, value in self.seconds.items() if value is not None)
@@ -272,6 +273,7 @@ def validate(
         settled.tell(len(result_of_chunk.success))
         return state.verdict != CONSISTENT
 
+    # Limits after a stop that depends on the outcomes must hold at all times together.
     interrupted = collect(stream(loop, settled.episodes, settled.executor), take)
     limits = confidence_sequence if sequential else clopper_pearson
     ci_low, ci_high = limits(state.successes, state.episodes, settled.confidence)
@@ -314,6 +316,7 @@ def claim_at(
     problem = certificate.problem
     if initial_state is None:
         return problem, certificate.lower_bound, certificate.gap, certificate.start
+    # At another start the certificate claims its value there, and no upper end.
     problem = problem.replace(initial_state=initial_state)
     joint = np.concatenate([agent.initial.low for agent in problem.agents])
     return problem, float(certificate.at(joint)[0]), None, "point"

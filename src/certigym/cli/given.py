@@ -76,6 +76,7 @@ def relation_of(options: Namespace) -> dict[str, Any]:
 
     The option holds one name for all agents, or ``AGENT=NAME`` for some of them.
     """
+    # Blanks and commas both separate words; an equals sign tells names by agent from one name for all.
     words = [word for text in options.relation for word in text.split(",") if word]
     relation: str | dict[str, str] = words[0] if len(words) == 1 and "=" not in words[0] else {}
     if isinstance(relation, dict):

@@ -56,6 +56,7 @@ def certify(options: Namespace) -> int:
     problem = problem_of(options)
     policy = _policy_of_file(problem, options.policy)
     cells = cells_of(options)
+    # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}
     last = policies["certified"] = certify_policy(problem, policy, cells, **relation_of(options))
     if options.improve:
@@ -82,6 +83,7 @@ def _policy(problem: Problem, name: str, options: Namespace) -> Any:
 
 def _policy_of_file(problem: Problem, name: str) -> Any:
     """Return a policy from a file: an actor, a certificate, or an object of a Python file."""
+    # FILE.py:NAME runs the file and takes the object of this name.
     path, _, attribute = name.rpartition(":")
     if path.endswith(".py"):
         spec = spec_from_file_location(Path(path).stem, path)

@@ -44,6 +44,7 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
         raise ValueError(f"`--out`: expected a file that ends in .gif, .mp4 or .png, got {out!r}")
     if not 1 <= fps <= 60 or seed < 0:
         raise ValueError(f"`--fps`, `--seed`: expected 1 to 60 and at least 0, got {fps} and {seed}")
+    # Look for ffmpeg before the episode is simulated.
     ffmpeg = _ffmpeg() if kind == ".mp4" else ""
     frames, satisfied = _frames(certificate, seed)
     if kind == ".mp4":

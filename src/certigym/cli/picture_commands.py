@@ -21,6 +21,7 @@ def plot(options: Namespace) -> int:
         verdict = "satisfied" if shown["satisfied"] else "not satisfied"
         show(options, f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}", shown)
         return 0
+    # A wrong file name is refused before anything is computed.
     check_format(options.out, "--out")
     figures.save_figure(_figure(options), options.out)
     text = f"{options.kind} of {options.problem}, written to {options.out}"

@@ -89,6 +89,7 @@ def check(options: Namespace) -> int:
     certificate = load_certificate(options.certificate)
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
     report = check_certificate(certificate, problem)
+    # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and certificate.gap is not None
     rest = "; the upper end of the claim would take too large a computation" if unverified else ""
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}"

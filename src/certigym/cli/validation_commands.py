@@ -81,6 +81,7 @@ def validate_field(options: Namespace) -> int:
     """Test a saved certificate at many starts, or search for its weakest start."""
     certificate = load_certificate(options.certificate)
     states, shape = _starts(options, certificate.problem)
+    # --episodes counts per start, except in a search, where it counts all of them.
     with trials(options, options.episodes if options.search else options.episodes * len(states)) as plan:
         if options.search:
             report = find_weakest(certificate, plan, candidates=states)
@@ -147,6 +148,7 @@ def reproduce(options: Namespace) -> int:
 
 def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] | None]:
     """Return the starts that the options of ``validate-field`` name, and their shape if they are a slice."""
+    # Without --low and --high the box is that of all workspaces; without --axes the starts are corners and random.
     low, high = workspace_box(problem)
     box = (
         low if options.low is None else _numbers(options.low, "--low"),
