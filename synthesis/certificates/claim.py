@@ -45,7 +45,8 @@ class Claim:
     start_mask : (G0, I) int array
         Factor of each agent in each start guard, an index into ``agents[i].start_masks``.
     value : ValueFunction
-        Value function at time 0, terms or trains; each term with what accepting early saves (``with_early_acceptance``).
+        Value function at time 0, terms or trains; each term with what accepting early saves
+        (``with_early_acceptance``).
     relative_rounding : float
         Relative reserve for floating point.
     correction : float
