@@ -1,7 +1,8 @@
 """Sweeps on devices, as a multiple of numpy's time: ``python benchmarks/devices.py [--json PATH] [DEVICE ..]``.
 
-Devices are named as for ``certigym synthesize --device``; by default ``torch:cpu``, which shows what the detour costs
-where there is nothing to gain. Wall time, as a device computes while the processor waits; numpy's own time beside it.
+Devices are named as for ``certigym synthesize --device``; the default is ``torch:cpu``, which shows the cost of the
+detour without any gain. Times are wall-clock times, because a device computes while the processor waits; numpy's time
+stands beside them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ TASKS: tuple[tuple[str, int, dict[str, Any]], ...] = (
 
 
 def wall(work: Callable[[], Sweep]) -> tuple[float, Sweep]:
-    """Wall seconds of one call, the least of three after a first one; and what it returned."""
+    """Return the wall-clock seconds of one call, the least of three after a warm-up, and what it returned."""
     result, best = work(), float("inf")
     for _ in range(3):
         began = time.perf_counter()
@@ -43,7 +44,7 @@ def wall(work: Callable[[], Sweep]) -> tuple[float, Sweep]:
 
 
 def rows_of(name: str, cells: int, changes: dict[str, Any], devices: list[str]) -> Rows:
-    """One improving sweep from the naive policies on numpy and on every device."""
+    """Measure one improving sweep from the naive policies with numpy and on every device."""
     problem = cg.make_problem(name).replace(**changes)
     abstraction = abstract(problem, cells)
     rows: Rows = []

@@ -31,7 +31,7 @@ EPISODES = 4000
 
 
 def digest_of_file(path: Path) -> str:
-    """Digest of every member of a certificate file (the archive itself holds times)."""
+    """Return a digest of all members of a certificate file (the archive itself holds times)."""
     total = hashlib.sha256()
     with zipfile.ZipFile(path) as archive:
         for name in sorted(archive.namelist()):
@@ -40,7 +40,7 @@ def digest_of_file(path: Path) -> str:
 
 
 def digest_of_result(certificate: Any, stats: dict[str, Any]) -> dict[str, Any]:
-    """What must not change: the bound, the file, the rollouts, and the bounds from above."""
+    """Return what must not change: the bound, the file, the rollouts, and the bounds from above."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "certificate.npz"
         cg.save_certificate(certificate, path)
@@ -58,7 +58,7 @@ def digest_of_result(certificate: Any, stats: dict[str, Any]) -> dict[str, Any]:
 
 
 def synthesized(id: str, *, arguments: dict[str, Any] | None = None, **settings: Any) -> Callable[[], dict[str, Any]]:
-    """A case: the synthesis of a suite problem with some settings."""
+    """Return a case: the synthesis of a suite problem with some settings."""
 
     def case() -> dict[str, Any]:
         result = cg.synthesize(cg.make_problem(id, **(arguments or {})), **settings)
@@ -68,7 +68,7 @@ def synthesized(id: str, *, arguments: dict[str, Any] | None = None, **settings:
 
 
 def certified_policy() -> dict[str, Any]:
-    """A policy written by hand, on the cells, and improved from there."""
+    """Certify a policy written by hand, and improve it."""
     problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
     def towards(x: Any, q: int, t: int) -> Any:
@@ -83,7 +83,7 @@ def certified_policy() -> dict[str, Any]:
 
 
 def audited() -> dict[str, Any]:
-    """Validation, a field and an audit of one certificate."""
+    """Validate one certificate, test it at a field of starts, and audit it."""
     problem = cg.make_problem("reach-avoid-v0", horizon=5)
     certificate = cg.synthesize(problem, 150).certificate
     report = cg.validate(certificate, episodes=EPISODES, seed=3)
@@ -98,7 +98,7 @@ def audited() -> dict[str, Any]:
 
 
 def episode() -> dict[str, Any]:
-    """One episode through the PettingZoo environment under the certified controllers, and one of random actions."""
+    """Play one episode of the PettingZoo environment under the certified controllers, and one with random actions."""
     total = hashlib.sha256()
     for id in ("door-formation-v0", "meeting-v0", "cyclic-delivery-v0"):
         env = cg.parallel_env(id)

@@ -1,8 +1,8 @@
 """Environment steps per CPU second, beside a classic-control environment of Gymnasium in the same run.
 
 `python benchmarks/environments.py [ID] [--seconds S] [--json PATH]`. A joint step moves all agents of one world; resets
-are counted in, as episodes end. Inputs are drawn beforehand where an environment takes them from outside. CPU time is
-that of the process (one core; numpy's threads find nothing to do in arrays of this size).
+count, because episodes end. Actions are drawn before the clock starts. CPU time is that of the process (one core;
+numpy's threads have nothing to do in arrays of this size).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CHUNK = 2000
 
 
 def rate(steps: Callable[[], int], seconds: float) -> float:
-    """Steps per CPU second: best of three runs of a third of the time each."""
+    """Return steps per CPU second: the best of three runs, each of a third of the time."""
     steps()
     best = 0.0
     for _ in range(3):

@@ -1,7 +1,7 @@
-"""The finite joint model written out state by state, as a model checker wants it.
+"""The finite joint model written out state by state, as a model checker needs it.
 
-Joint cells times automaton states, and one failure state that takes what is lost: cells outside the workspace, failed
-letters, and the tails that the kernels leave out. Grows like the product of the agents' cells.
+The states are joint cells times automaton states, and one failure state for all lost mass: cells outside the workspace,
+failed letters, and the tails that the kernels leave out. The model grows like the product of the agents' cells.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Explicit:
     transitions : sparse (rows, states)
         Probabilities; every row sums to 1.
     first : (states + 1,) int array
-        Rows of a state s: ``first[s] .. first[s + 1] - 1``, one per choice; one each in a chain.
+        Rows of a state s: ``first[s] .. first[s + 1] - 1``, one per choice; in a chain every state has one.
     goal : (states,) bool array
     """
 
@@ -39,7 +39,7 @@ class Explicit:
     goal: NDArray[np.bool_]
 
     def reach_within(self, steps: int) -> NDArray[np.float64]:
-        """Largest probability (states,) to reach the goal within so many steps, by plain value iteration."""
+        """Return the largest probability (states,) to reach the goal within so many steps, by plain value iteration."""
         value = self.goal.astype(float)
         for _ in range(steps):
             value = np.maximum.reduceat(self.transitions @ value, self.first[:-1])
@@ -48,7 +48,7 @@ class Explicit:
 
 
 def chain_under(problem: Problem, models: Sequence[AgentModel], policies: Policies) -> Explicit:
-    """Markov chain of a co-safe task under time-dependent policies: states ``(t Q + q) S + s``, the failure last."""
+    """Return the Markov chain of a co-safe task under changing policies, states ``(t Q + q) S + s`` and failure."""
     outcome = _outcomes(problem, models)
     n_states, n_joint = outcome.shape
     layer = n_states * n_joint
@@ -65,7 +65,7 @@ def chain_under(problem: Problem, models: Sequence[AgentModel], policies: Polici
 
 
 def decision_process(problem: Problem, models: Sequence[AgentModel]) -> Explicit:
-    """The Markov decision process of a co-safe task: all joint targets are choices; state ``q S + s``, failure last."""
+    """Return the Markov decision process of a co-safe task over all joint targets, states ``q S + s`` and failure."""
     outcome = _outcomes(problem, models)
     n_states, n_joint = outcome.shape
     failure = n_states * n_joint
@@ -89,7 +89,7 @@ def decision_process(problem: Problem, models: Sequence[AgentModel]) -> Explicit
 
 
 def _outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:
-    """Successor (Q, S) of every automaton state in every joint cell; negative where the task fails."""
+    """Return the successor (Q, S) of every automaton state in every joint cell; negative where the task fails."""
     if problem.automaton.semantics != "co-safe":
         raise ValueError(f"`problem`: expected a co-safe task, got {problem.automaton.semantics}")
     return joint_outcomes(problem, models).reshape(problem.automaton.n_states, -1)
@@ -101,7 +101,7 @@ def _windows(model: AgentModel) -> list[range]:
 
 
 def _law_rows(model: AgentModel, policy: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Transition rows (S, S) of one agent under a policy; 0 where there is no choice."""
+    """Return the transition rows (S, S) of one agent under a policy; 0 at cells without a choice."""
     points = model.choices.points(policy)
     return np.asarray(model.kernel.tables[0].toarray()[np.maximum(points, 0)] * (points >= 0)[:, None])
 
@@ -120,7 +120,7 @@ def _kron_rows(factors: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 def _landing(
     policy: NDArray[np.float64], outcome: NDArray[np.int64], offset: int, failure: int
 ) -> scipy.sparse.csr_array:
-    """Rows (n, failure + 1) of policies over joint cells, each cell's letter read; the rest goes to the failure."""
+    """Return rows (n, failure + 1) over joint cells after reading each cell's letter; the rest is failure."""
     n_joint = len(outcome)
     kept = np.where(outcome >= 0, policy, 0.0)
     row, cell = np.nonzero(kept)
@@ -131,5 +131,5 @@ def _landing(
 
 
 def _selves(states: NDArray[np.int64], size: int) -> scipy.sparse.csr_array:
-    """Rows that stay where they are."""
+    """Return rows of states that stay where they are."""
     return scipy.sparse.csr_array((np.ones(len(states)), (np.arange(len(states)), states)), (len(states), size))

@@ -1,8 +1,8 @@
 """Measure agents of several axes and many cells: ``python benchmarks/large_agents.py [--json PATH] [ROW ...]``.
 
-Robots in the plane at 400 x 400 cells, in space at 60 x 60 x 60, agents of position and velocity, and the same robots
-split into their axes. Every row runs in a process of its own: CPU seconds of the synthesis on one thread, peak memory
-of the process, imports included, and the certified bound against rollouts.
+The rows are robots in the plane with 400 x 400 cells, robots in space with 60 x 60 x 60, agents of position and
+velocity, and the same robots split into their axes. Every row runs in a separate process and shows the CPU seconds of
+the synthesis on one thread, the peak memory of the process with its imports, and the certified bound against rollouts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EPISODES = 20_000
 
 
 def drones(n_agents: int, horizon: int = 12) -> cg.Problem:
-    """Drones in space meet in a corner, around a tower."""
+    """Drones in space fly around a tower and meet in a corner."""
     agents = cg.LinearAgent(
         name="drone",
         A=0.9 * np.eye(3),
@@ -55,7 +55,7 @@ def drones(n_agents: int, horizon: int = 12) -> cg.Problem:
 
 
 def motor() -> cg.Problem:
-    """A cart whose motor lags behind: position, velocity and force, one input."""
+    """A cart whose motor lags: position, velocity and force, with one input."""
     cart = cg.LinearAgent(
         name="cart",
         A=[[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 0.5]],
@@ -73,7 +73,7 @@ def motor() -> cg.Problem:
 
 
 def region(speed: float) -> cg.Problem:
-    """RA4 over 20 steps from the positions of the paper's RA2 region, at velocities up to ``speed``."""
+    """RA4 over 20 steps from the positions of the paper's RA2 region, with velocities up to ``speed``."""
     starts = [agent.initial for agent in cg.make_problem("reach-avoid-v0").agents]
     low, high = [[*start.low, -speed] for start in starts], [[*start.high, speed] for start in starts]
     return cg.make_problem("reach-avoid-kinematic-v0", horizon=20).replace(initial_low=low, initial_high=high)
@@ -103,7 +103,7 @@ ROWS: dict[str, Row] = {
 
 
 def measured(name: str) -> dict[str, Any]:
-    """One row."""
+    """Measure one row."""
     make, cells = ROWS[name]
     problem = make()
     seconds, found = once(lambda: cg.synthesize(problem, cells))

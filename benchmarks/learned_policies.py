@@ -1,8 +1,8 @@
 """Learned policies raw, certified and improved, beside ours: ``python benchmarks/learned_policies.py [--json PATH]``.
 
-Every task: decentralised PPO with several training seeds; each actor as it is ("raw"), wrapped on the cells
-("certified"), and improved from there ("improved"); and policies synthesized from nothing ("ours"), on the same cells.
-All meet the same episodes. Times are wall-clock seconds on one thread.
+For every task, decentralised PPO is trained with several seeds; each actor is simulated unchanged ("raw"), wrapped on
+the cells ("certified"), and improved ("improved"), beside policies synthesized without it ("ours") on the same cells.
+All policies meet the same starts and noise. Times are wall-clock seconds on one thread.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TASKS: dict[str, tuple[str, dict[str, Any], int]] = {
 
 
 def compared(name: str, seeds: list[int], steps: int | None, episodes: int) -> cg.Comparison:
-    """All policies of one task, simulated on common random numbers."""
+    """Simulate all policies of one task on common random numbers."""
     id, arguments, cells = TASKS[name]
     problem = cg.make_problem(id, **arguments)
     policies: dict[str, Any] = {}

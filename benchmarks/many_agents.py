@@ -1,8 +1,8 @@
 """Time and memory against the number of agents: ``python benchmarks/many_agents.py [--json PATH] [--plot PATH]``.
 
-Whole syntheses (abstraction, guards, search, certificate) of pairs that are to meet, each pair with starts of its own,
-of one reach-avoid task for all, and of staying in a set. CPU seconds on one thread; memory is what numpy and Python
-allocate at most, measured in a second run. Exponents are slopes over the larger half of the sizes.
+Whole syntheses (abstraction, guards, search, certificate) of three families: pairs that have to meet, each with another
+start; one reach-avoid task for all; staying in a set. CPU seconds on one thread; memory is the largest amount that
+numpy and Python allocate, measured in a second run. Exponents are slopes over the larger half of the sizes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scaling import exponent
 
 
 def pairs(n_agents: int, horizon: int = 8) -> cg.Problem:
-    """Pair k is to meet in one of two places, all are to stay safe; no two pairs start alike."""
+    """Every pair has to meet in one of two places, and all agents have to stay safe; all pairs start differently."""
     n = n_agents // 2
     drone = cg.LinearAgent(
         name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.1]], state_low=[-4.0], state_high=[4.0],
@@ -57,7 +57,7 @@ FAMILIES: dict[str, tuple[Callable[[int], cg.Problem], tuple[int, ...]]] = {
 
 
 def measured() -> Rows:
-    """One row per family and number of agents."""
+    """Measure one row per family and number of agents."""
     rows: Rows = []
     for family, (make, sizes) in FAMILIES.items():
         for n in sizes:
@@ -73,7 +73,7 @@ def measured() -> Rows:
 
 
 def exponents(rows: Rows) -> Rows:
-    """Growth of time and memory, one row per family."""
+    """Return the growth of time and memory, one row per family."""
     found: Rows = []
     for family in FAMILIES:
         own = [row for row in rows if row["task"] == family]
@@ -83,7 +83,7 @@ def exponents(rows: Rows) -> Rows:
 
 
 def plot(rows: Rows, path: str) -> None:
-    """Time and memory against the number of agents, logarithmic."""
+    """Draw time and memory against the number of agents on logarithmic axes."""
     figure, axes = new_figure(9.0, 3.4, 1, 2)
     slopes = {row["task"]: row for row in exponents(rows)}
     for panel, key in zip(axes, ("seconds", "MiB"), strict=True):

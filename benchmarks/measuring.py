@@ -1,4 +1,4 @@
-"""CPU time, tables and JSON for the scripts beside."""
+"""CPU time, tables and JSON for the scripts of this folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Rows = list[Row]
 
 
 def cpu(work: Callable[[], T], rounds: int = 3, least: float = 0.02) -> tuple[float, T]:
-    """CPU seconds of one call, the least of some rounds of at least so many seconds; and what the call returned."""
+    """Return the CPU seconds of one call, the least over rounds of at least so many seconds, and what it returned."""
     best, result = float("inf"), work()
     for _ in range(rounds):
         began, calls = time.process_time(), 0
@@ -27,7 +27,7 @@ def cpu(work: Callable[[], T], rounds: int = 3, least: float = 0.02) -> tuple[fl
 
 
 def once(work: Callable[[], T]) -> tuple[float, T]:
-    """CPU seconds of a single call, and what it returned."""
+    """Return the CPU seconds of a single call, and what it returned."""
     began = time.process_time()
     result = work()
     return time.process_time() - began, result
@@ -52,7 +52,7 @@ def _shown(value: Any) -> str:
 
 
 def options(doc: str | None, extra: Sequence[str] = ()) -> argparse.Namespace:
-    """The options that every script has, and flags of its own."""
+    """Return the options that every script has, and the flags of this one."""
     parser = argparse.ArgumentParser(description=(doc or "").split("\n", 1)[0])
     parser.add_argument("--json", metavar="PATH")
     for flag in extra:

@@ -1,4 +1,4 @@
-"""Other ways to do the same work, in the same run: ``python benchmarks/others.py [--json PATH]``.
+"""The same work done by other programs, measured in the same run: ``python benchmarks/others.py [--json PATH]``.
 
 Dense joint dynamic programming, Storm on the explicit joint model (extra `storm`), the paper's algorithm one vertex
 after the other, and an episode loop over the PettingZoo environment. Every row first compares the results.
@@ -36,7 +36,7 @@ EVERYTHING = Limits(0, 0, 0, 10**6)
 
 
 def peak_mib(work: Callable[[], T]) -> float:
-    """Memory that a call takes at its peak, MiB."""
+    """Return the peak memory of a call in MiB."""
     tracemalloc.start()
     work()
     peak = tracemalloc.get_traced_memory()[1]
@@ -45,18 +45,18 @@ def peak_mib(work: Callable[[], T]) -> float:
 
 
 def spread(terms: Terms, n_cells: tuple[int, ...], q: int) -> np.ndarray:
-    """Values of a state at all joint cells, flat."""
+    """Return the values of a state at all joint cells, flat."""
     where = np.stack(np.meshgrid(*map(np.arange, n_cells), indexing="ij"), axis=-1).reshape(-1, len(n_cells))
     return np.concatenate([terms.at(q, part) for part in np.array_split(where, 1 + len(where) // 20_000)])
 
 
 def evaluated(joint: JointModel, policies: Policies, problem: cg.Problem) -> Terms:
-    """Value of given policies as a tree, nothing dropped."""
+    """Return the value of given policies as a tree from which nothing is dropped."""
     return sweep(joint, policies, start_of(problem, joint), EVERYTHING, improve=False).terms
 
 
 def dense_row(n_agents: int, cells: int) -> Row:
-    """The same policies evaluated by the tree and on the joint grid; where the latter stops, what it needs at least."""
+    """Evaluate the same policies by the tree and on the joint grid; if the grid is too large, say what it needs."""
     problem = cg.make_problem("reach-avoid-n-v0", n_agents=n_agents)
     joint = join(problem, abstract(problem, cells, relation="exact"))
     policies = sweep(joint, resting_policies(joint), None, Limits(), improve=True).policies
@@ -79,15 +79,15 @@ def dense_row(n_agents: int, cells: int) -> Row:
 
 
 def against_dense() -> Rows:
-    """Reach-avoid tasks of more and more agents and cells."""
+    """Compare reach-avoid tasks with increasing numbers of agents and cells."""
     sizes = [(2, 50), (2, 200), (2, 800), (3, 20), (3, 50), (3, 100), (4, 20), (5, 20), (6, 20), (8, 20), (20, 20)]
     return [dense_row(*size) for size in sizes]
 
 
 def storm_rows(cells: int, horizon: int) -> Rows:
-    """Bounded reachability on the chain of our policies, and, if small, on the decision process of the abstraction.
+    """Compare bounded reachability on the chain of our policies and, if small, on the decision process.
 
-    On the process Storm finds the optimum over joint policies, ours takes one sweep of a search for decentralised ones.
+    On the process Storm computes the optimum over joint policies; we take one sweep of a search for decentralised ones.
     """
     problem = cg.make_problem("reach-avoid-v0", horizon=horizon)
     joint = join(problem, abstract(problem, cells, relation="exact"))
@@ -104,7 +104,7 @@ def storm_rows(cells: int, horizon: int) -> Rows:
 
 
 def against_storm() -> Rows:
-    """Products of two agents' cells, as far as they can be written out."""
+    """Compare products of two agents' cells, as long as they can be written out."""
     if importlib.util.find_spec("stormpy") is None:
         print("stormpy is not installed: no comparison with Storm")
         return []
@@ -112,7 +112,7 @@ def against_storm() -> Rows:
 
 
 def _in_storm(write: Callable[[], Explicit], horizon: int, ours: float, value: np.ndarray) -> Row:
-    """Times as ratios to ours: writing the product out, loading it, checking it; and the difference of the values."""
+    """Return times as ratios to ours (writing the product out, loading, checking) and the difference of the values."""
     writing, explicit = once(write)
     loading, model = once(lambda: storm_model(explicit))
     checking, found = cpu(lambda: storm_reach_within(model, horizon), 1)
@@ -122,7 +122,7 @@ def _in_storm(write: Callable[[], Explicit], horizon: int, ours: float, value: n
 
 
 def vertex_row(name: str, cells: int, horizon: int, robust: bool) -> Row:
-    """The paper's method, batched and one vertex after the other; values compared relative to the largest."""
+    """Run the paper's method batched and vertex by vertex; compare the values relative to the largest."""
     problem = cg.make_problem(name, horizon=horizon)
     joint = join(problem, abstract(problem, cells, relation="paper", epsilon=max(0.1, 25 / cells)))
     kind = "robust tree" if robust else "base"
@@ -137,14 +137,14 @@ def vertex_row(name: str, cells: int, horizon: int, robust: bool) -> Row:
 
 
 def against_vertices() -> Rows:
-    """The paper's two examples at sizes that the plain program can do."""
+    """Compare the paper's two examples at sizes that the plain program can handle."""
     cases = [("reach-avoid-v0", 1000, 10, True), ("reach-avoid-v0", 250, 10, False),
              ("package-delivery-v0", 250, 12, True), ("package-delivery-v0", 100, 12, False)]  # fmt: skip
     return [vertex_row(*case) for case in cases]
 
 
 def loop_row(name: str, cells: int, episodes: int = 100) -> Row:
-    """Episodes of the PettingZoo environment one after the other, and batched rollouts; CPU time per episode."""
+    """Compare the CPU time per episode of the PettingZoo environment with that of batched rollouts."""
     problem = cg.make_problem(name)
     controller = cg.synthesize(problem, cells, max_sweeps=1).controller
     env = cg.parallel_env(problem)
@@ -163,7 +163,7 @@ def loop_row(name: str, cells: int, episodes: int = 100) -> Row:
 
 
 def against_loop() -> Rows:
-    """Two agents over 7 steps, eight over 20."""
+    """Compare two agents over 7 steps, and eight over 20."""
     return [loop_row("reach-avoid-v0", 200), loop_row("package-delivery-v0", 100)]
 
 

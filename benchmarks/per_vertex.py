@@ -1,7 +1,8 @@
-"""The paper's algorithm as its text reads: one vertex of the tree after the other, nothing shared, nothing batched.
+"""The paper's algorithm, word by word: one vertex of the tree after the other, with nothing shared and nothing batched.
 
-Only a yardstick: `validation.paper.heuristics` computes the same, and a test compares the two. Tables are dense, every
-vertex smooths its own factors, and policies weigh vertices by the 1-norms of the other agents' factors.
+It is only a yardstick: `validation.paper.heuristics` computes the same, and a test compares both. Tables are dense, the
+factors of every vertex are smoothed separately, and policies weight vertices by the 1-norms of the other agents'
+factors.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Vertex = tuple[Array, ...]
 
 
 def per_vertex_steps(joint: JointModel, robust: bool) -> Iterator[list[list[Vertex]]]:
-    """Vertices of every automaton state for 1, 2, .. steps to go: the base heuristic, or the robust tree."""
+    """Yield the vertices of every automaton state for 1, 2, .. steps to go: the base heuristic, or the robust tree."""
     tables = [model.kernel.tables[0].toarray() for model in joint.models]
     ones = tuple(np.ones(n) for n in joint.n_cells)
     vertices = [[ones] if accepted else [] for accepted in joint.accepting]
@@ -42,7 +43,7 @@ def per_vertex_steps(joint: JointModel, robust: bool) -> Iterator[list[list[Vert
 
 
 def value_at(vertices: list[Vertex], cells: NDArray[np.int64]) -> Array:
-    """Values (M,) at joint cells (M, I)."""
+    """Return the values (M,) at joint cells (M, I)."""
     total = np.zeros(len(cells))
     for vertex in vertices:
         total += np.prod([own[cells[:, i]] for i, own in enumerate(vertex)], axis=0)
@@ -52,7 +53,7 @@ def value_at(vertices: list[Vertex], cells: NDArray[np.int64]) -> Array:
 def _children(
     joint: JointModel, tables: list[Array], vertices: list[list[Vertex]], q: int, robust: bool
 ) -> Iterator[Vertex]:
-    """Masked and smoothed child of every vertex behind every guard out of q."""
+    """Return the masked and smoothed child of every vertex behind every guard out of q."""
     guards = joint.guards
     for g in np.flatnonzero(guards.source == q):
         for vertex in vertices[guards.target[g]]:
@@ -74,7 +75,7 @@ def _menus(joint: JointModel) -> list[NDArray[np.int64]]:
 
 
 def _at(joint: JointModel, policies: list[NDArray[np.int64]], vertex: Vertex) -> Vertex:
-    """Factors of a vertex under the policies, read at the lattice points these lead to."""
+    """Return the factors of a vertex under the policies, read at the lattice points to which the policies lead."""
     pairs = zip(vertex, _menus(joint), policies)
     return tuple(own[menu[np.arange(len(policy)), policy]] for own, menu, policy in pairs)
 
@@ -84,7 +85,7 @@ def _largest(vertex: Vertex) -> float:
 
 
 def _heuristic(joint: JointModel, smoothed: list[Vertex], policies: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
-    """New policy of every agent: the other agents' 1-norms under the old policies are the weights."""
+    """Return the new policy of every agent; the weights are the other agents' 1-norms under the old policies."""
     old = [_at(joint, policies, vertex) for vertex in smoothed]
     chosen = []
     for i, menu in enumerate(_menus(joint)):

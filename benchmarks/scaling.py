@@ -1,7 +1,7 @@
 """Cost against agents, cells, horizon and rank: ``python benchmarks/scaling.py [--json PATH] [--plot PATH]``.
 
 CPU seconds of one improving sweep, or of one backup for the rank, on one thread. Exponents are slopes of least-squares
-lines through the logarithms of the larger half of the sizes, where fixed costs no longer show.
+lines through the logarithms over the larger half of the sizes, where fixed costs hardly count.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Curve = list[tuple[int, float]]
 
 
 def sweep_seconds(problem: cg.Problem, cells: int) -> float:
-    """One improving sweep from the policies of an earlier one."""
+    """Measure one improving sweep from the policies of an earlier one."""
     joint = join(problem, abstract(problem, cells, relation="exact"))
     start = start_of(problem, joint)
     policies = sweep(joint, resting_policies(joint), start, Limits(), improve=True).policies
@@ -37,7 +37,7 @@ def sweep_seconds(problem: cg.Problem, cells: int) -> float:
 
 
 def backup_seconds(rank: int) -> float:
-    """One step of the value tree of two agents on 1000 cells, ``rank`` random terms of the undecided state."""
+    """Measure one step of the value tree of two agents on 1000 cells with ``rank`` random terms."""
     problem = cg.make_problem("reach-avoid-v0")
     joint = join(problem, abstract(problem, 1000, relation="exact"))
     rng = np.random.default_rng(0)
@@ -55,7 +55,7 @@ def backup_seconds(rank: int) -> float:
 
 
 def joined_seconds(n_agents: int) -> float:
-    """Abstracting and joining: grids, kernels and guards."""
+    """Measure abstracting and joining: grids, kernels and guards."""
     problem = cg.make_problem("invariance-v0", n_agents=n_agents)
     return cpu(lambda: join(problem, abstract(problem, 100, relation="exact")), least=0.1)[0]
 
@@ -77,7 +77,7 @@ def eight_agents(cells: int = 250, horizon: int = 20) -> float:
 
 
 def curves() -> dict[str, dict[str, Curve]]:
-    """Panels of curves: size and seconds."""
+    """Return panels of curves of size and seconds."""
     many, long = (8, 16, 32, 64, 128, 256, 512), (5, 10, 20, 40, 80, 160)
     return {
         "agents": {
@@ -102,13 +102,13 @@ def _curve(seconds: Callable[[int], float], sizes: tuple[int, ...]) -> Curve:
 
 
 def exponent(curve: Curve) -> float:
-    """Slope of the logarithms over the larger half of the sizes."""
+    """Return the slope of the logarithms over the larger half of the sizes."""
     sizes, seconds = np.log(np.array(curve[-max(2, (len(curve) + 1) // 2) :])).T
     return float(np.polyfit(sizes, seconds, 1)[0])
 
 
 def table(panels: dict[str, dict[str, Curve]]) -> Rows:
-    """One row per curve: exponent, smallest and largest case."""
+    """Return one row per curve: exponent, smallest and largest case."""
     rows: list[Row] = []
     for axis, lines in panels.items():
         for name, curve in lines.items():
@@ -119,7 +119,7 @@ def table(panels: dict[str, dict[str, Curve]]) -> Rows:
 
 
 def plot(panels: dict[str, dict[str, Curve]], path: str) -> None:
-    """Logarithmic plots, one per panel, each curve labelled with its exponent."""
+    """Draw logarithmic plots, one per panel, and label each curve with its exponent."""
     figure, axes = new_figure(9.0, 6.4, 2, 2)
     for panel, (axis, lines) in zip(axes, panels.items()):
         for k, (name, curve) in enumerate(lines.items()):

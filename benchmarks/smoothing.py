@@ -1,8 +1,9 @@
 """Forms of the Gaussian box kernel, timed against the one in use: ``python benchmarks/smoothing.py [--json PATH]``.
 
-Cells have width 1, means stand on their centres. Times are ratios to the banded table of `synthesis.kernel` in the same
-run: below 1 a form is faster. `fft` and `low rank` have absolute errors: `over` is how far above the exact table they
-were seen on random values in [0, 1], and `charge` what a proof would have to take off every value.
+Cells have width 1, means lie on their centres. Times are ratios to the banded table of `synthesis.models` in the same
+run: below 1 a form is faster. `fft` and `low rank` have absolute errors: `over` is the largest excess over the exact
+table that was observed on random values in [0, 1], and `charge` is what a proof would have to subtract from every
+value.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ TAIL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A way to smooth (n, S) values, and the absolute error of one value in [0, 1] that its proof has to charge."""
+    """A way to smooth (n, S) values, and the absolute error of a value in [0, 1] that a proof has to subtract."""
 
     smooth: Smooth
     charge: float
 
 
 def axis_forms(cells: int, std: float) -> dict[str, Form]:
-    """All forms of one axis."""
+    """Return all forms of one axis."""
     means, edges = np.arange(cells) + 0.5, np.arange(cells + 1.0)
     dense, loss = gaussian_masses(means, edges, std)
     banded, banded_loss = gaussian_table(means, edges, std)
@@ -58,7 +59,7 @@ def axis_forms(cells: int, std: float) -> dict[str, Form]:
 
 
 def _fft(cells: int, std: float) -> Form:
-    """Convolution on a circle long enough not to wrap.
+    """Return the convolution on a circle that is long enough not to wrap.
 
     Each of the three transforms errs by at most ``7 u log2 N`` of the 2-norm (Higham, Theorem 24.2, rounded up).
     """
@@ -115,7 +116,7 @@ def two_axes() -> Rows:
 
 
 def sweep_row(name: str, cells: int, **settings: int) -> Row:
-    """The factors that an improving sweep really smooths, by each form: share of the sweep's time."""
+    """Smooth the factors of a real improving sweep by each form; return the shares of the sweep's time."""
     problem = cg.make_problem(name, **settings)
     joint = join(problem, abstract(problem, cells, relation="exact"))
     start = start_of(problem, joint)
@@ -134,7 +135,7 @@ def sweep_row(name: str, cells: int, **settings: int) -> Row:
 
 
 def in_a_sweep() -> Rows:
-    """The paper's two examples at their own sizes."""
+    """Measure the paper's two examples at their sizes."""
     return [sweep_row("reach-avoid-v0", 1000, horizon=7), sweep_row("package-delivery-v0", 1200)]
 
 
@@ -149,7 +150,7 @@ def _recording(met: list[Array]) -> Callable[[AxisTable, Array], Array]:
 
 
 def _on_finer_lattice(table: Array, per_cell: int) -> Smooth:
-    """The convolution's cost where each cell has several lattice points; timed only, its values are not used."""
+    """Return the convolution for several lattice points per cell; only its time is used, not its values."""
     n_lattice, cells = table.shape
     length = scipy.fft.next_fast_len(per_cell * cells + n_lattice, real=True)
     spectrum = scipy.fft.rfft(np.resize(table[n_lattice // 2], length))
@@ -163,7 +164,7 @@ def _on_finer_lattice(table: Array, per_cell: int) -> Smooth:
 
 
 def _twice(smooth: Smooth, cells: int) -> Smooth:
-    """Smooth the last axis, then the one before."""
+    """Smooth the last axis, then the one before it."""
 
     def both(values: Array) -> Array:
         square = smooth(values.reshape(-1, cells)).reshape(-1, cells, cells)
@@ -174,7 +175,7 @@ def _twice(smooth: Smooth, cells: int) -> Smooth:
 
 
 def _compared(forms: dict[str, Form], rng: np.random.Generator, shape: tuple[int, int]) -> dict[str, float]:
-    """Time of each form as a ratio to the banded one, and errors of those that are not sums of lower bounds."""
+    """Return the time of each form as a ratio to the banded one, and the errors of forms that are not lower bounds."""
     values = rng.random(shape)
     seconds, reference = cpu(lambda: forms["banded"].smooth(values))
     row = {"banded us": 1e6 * seconds}

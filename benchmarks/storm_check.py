@@ -9,7 +9,7 @@ from explicit_product import Explicit
 
 
 def storm_model(explicit: Explicit) -> object:
-    """The model in Storm's own sparse storage."""
+    """Return the model in Storm's sparse storage."""
     from stormpy.datastructures import BitVector, SparseMatrixBuilder
     from stormpy.models import SparseDtmc, SparseMdp, SparseModelComponents, StateLabeling
 
@@ -31,7 +31,7 @@ def storm_model(explicit: Explicit) -> object:
 
 
 def storm_reach_within(model: object, steps: int) -> NDArray[np.float64]:
-    """Largest probability (states,) to reach the goal within so many steps."""
+    """Return the largest probability (states,) to reach the goal within so many steps."""
     import stormpy
 
     kind = "P" if "Dtmc" in type(model).__name__ else "Pmax"

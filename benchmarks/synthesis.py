@@ -28,14 +28,14 @@ from certigym.validation.paper.heuristics import paper_steps
 
 
 def measured(work: Callable[[], Any]) -> tuple[float, Any]:
-    """CPU seconds of one call, and what it returned."""
+    """Return the CPU seconds of one call, and what it returned."""
     began = time.process_time()
     result = work()
     return time.process_time() - began, result
 
 
 def paper_method(problem: cg.Problem, cells: int) -> int:
-    """The paper's robust tree; the largest number of terms of its last step."""
+    """Run the paper's robust tree; return the largest number of terms of its last step."""
     joint = join(problem, abstract(problem, cells, relation="paper", epsilon=0.1))
     *_, last = paper_steps(joint, "robust tree")
     return last.terms.rank

@@ -1,7 +1,8 @@
-"""What one core should manage, measured: ``python benchmarks/targets.py [--json PATH]``.
+"""Times on one core against their targets: ``python benchmarks/targets.py [--json PATH]``.
 
-CPU seconds, imports included where a command is run; rollouts also as a ratio to drawing their noise, with the same
-generators and chunks. Machines differ: `unit` relates times to a product of two 1000 x 1000 matrices of the same run.
+Times are CPU seconds, with imports if a command is run. Rollouts are also shown as a ratio to drawing their noise with
+the same generators and chunks. Machines differ: `unit` relates times to a product of two 1000 x 1000 matrices of the
+same run.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ DELIVERY_START = [-17.8375, 3.2875, -16.8625, 3.2875, 1.4125, 3.2875, 3.3625, 3.
 
 
 def command(*words: str) -> float:
-    """CPU seconds of one command in a process of its own: the least of three."""
+    """Return the CPU seconds of one command in a separate process: the least of three."""
     best = float("inf")
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -45,7 +46,7 @@ def command(*words: str) -> float:
 
 
 def delivery_sweep() -> float:
-    """One improving sweep of the package delivery at the paper's size, all terms within the usual limits."""
+    """Measure one improving sweep of the package delivery at the paper's size, with the usual limits on terms."""
     problem = cg.make_problem("package-delivery-v0").replace(initial_state=DELIVERY_START)
     joint = join(problem, abstract(problem, 1200, relation="exact"))
     start = start_of(problem, joint)
@@ -54,7 +55,7 @@ def delivery_sweep() -> float:
 
 
 def guards_row(n_agents: int) -> Row:
-    """Guards of an invariance task of so many agents, beside a quarter of them: four times the work if it is linear."""
+    """Measure compiling guards for so many agents and for a quarter of them: the ratio is 4 if it is linear."""
     seconds = []
     for n in (n_agents // 4, n_agents):
         problem = cg.make_problem("invariance-v0", n_agents=n)
@@ -65,7 +66,7 @@ def guards_row(n_agents: int) -> Row:
 
 
 def noise_alone(problem: cg.Problem, episodes: int) -> None:
-    """Draw what rollouts of so many episodes draw if none is decided early, and do nothing with it."""
+    """Draw the noise of rollouts of so many episodes of which none is decided early, and do nothing with it."""
     dynamics = core.Dynamics.of(problem)
     for number in range(-(-episodes // CHUNK)):
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(number,)))
@@ -75,7 +76,7 @@ def noise_alone(problem: cg.Problem, episodes: int) -> None:
 
 @dataclass(frozen=True)
 class ToTheEnd:
-    """A controller that does not say how to select its memory: all worlds of a chunk go on until all are decided."""
+    """A controller that cannot select its memory: all worlds of a chunk are simulated until all are decided."""
 
     controller: Controller
 
@@ -106,7 +107,7 @@ COUPLED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
 
 
 def rollout_row(name: str, changes: dict[str, Any], settings: dict[str, Any], episodes: int = 100_000) -> Row:
-    """Rollouts against their noise, and the memory that numpy and Python ask for meanwhile."""
+    """Measure rollouts against drawing their noise, and the memory that numpy and Python allocate meanwhile."""
     problem = cg.make_problem(name).replace(**changes)
     result = cg.synthesize(problem, max_sweeps=1, **settings)
     controller = result.controller

@@ -27,19 +27,19 @@ LEVEL = 0.05
 
 
 def first_crossings(log_e: np.ndarray) -> np.ndarray:
-    """First index (M,) at which rows (M, n) reach the level; n if they never do."""
+    """Return the first index (M,) at which rows (M, n) reach the level; n if they never do."""
     over = log_e >= -np.log(LEVEL)
     return np.where(over.any(axis=1), over.argmax(axis=1), log_e.shape[1])
 
 
 def untruncated(k: np.ndarray, n: np.ndarray, bound: float) -> np.ndarray:
-    """The mixture over all of [0, 1]: the limits exclude a P when it crosses; no e-process against `P >= bound`."""
+    """Return the mixture over all of [0, 1], with which limits exclude a P; no e-process against `P >= bound`."""
     mixture = betaln(0.5 + k, 0.5 + n - k) - betaln(0.5, 0.5)
     return np.asarray(mixture - k * np.log(bound) - (n - k) * np.log1p(-bound))
 
 
 def sequential_rates(runs: int, length: int) -> list[dict[str, Any]]:
-    """How often sequential tests reject, and when, for true probabilities around a bound."""
+    """Measure how often sequential tests reject, and when, for true probabilities around a bound."""
     rows = []
     rng = np.random.default_rng(0)
     n = np.arange(1, length + 1)
@@ -63,7 +63,7 @@ def sequential_rates(runs: int, length: int) -> list[dict[str, Any]]:
 
 
 def loud_problem(cut: float = 0.0) -> cg.Problem:
-    """Two noisy scalar agents with a sequence of regions, cut back at each side."""
+    """Return a problem of two noisy scalar agents with a sequence of regions, cut back at each side."""
     agents = [
         cg.LinearAgent(
             name=name, A=[[0.9]], B=[[0.5]], noise_covariance=[[0.8]], state_low=[-4], state_high=[4], input_low=[-2],
@@ -77,7 +77,7 @@ def loud_problem(cut: float = 0.0) -> cg.Problem:
 
 
 def audit_rates(runs: int) -> dict[str, float]:
-    """False alarms of audits of a true, exact certificate at the level 5 %."""
+    """Measure the false alarms of audits of a true, exact certificate at the level 5 %."""
     certificate = cg.synthesize(loud_problem(), 60).certificate
     values = claimed_values(certificate)
     alarms = sum(
@@ -87,7 +87,7 @@ def audit_rates(runs: int) -> dict[str, float]:
 
 
 def needed(test: Any, most: int = 1_000_000) -> int | None:
-    """The first of 250, 500, 1000 ... episodes with which a test refutes; None if none does."""
+    """Return the first of 250, 500, 1000 ... episodes with which a test refutes; None if no number does."""
     episodes = 250
     while episodes <= most:
         if test(episodes):
@@ -97,7 +97,7 @@ def needed(test: Any, most: int = 1_000_000) -> int | None:
 
 
 def audit_power() -> list[dict[str, Any]]:
-    """Episodes until a sabotaged certificate is refuted, at false alarm 1e-6: by the audit, and at end points only."""
+    """Measure the episodes until a sabotaged certificate is refuted at false alarm 1e-6, by audit and by outcomes."""
     believed = {f"noise x {f}": (loud_problem(), loud_problem().replace(disturbance_scale=f)) for f in (0.95, 0.9, 0.8)}
     believed |= {f"regions + {cut}": (loud_problem(cut), loud_problem()) for cut in (0.01, 0.05)}
     rows = []
@@ -112,7 +112,7 @@ def audit_power() -> list[dict[str, Any]]:
 
 
 def throughput(episodes: int) -> list[dict[str, Any]]:
-    """Rollouts per second, with the executor already running."""
+    """Measure rollouts per second on executors that are already running."""
     problem = cg.make_problem("reach-avoid-v0")
     controller = cg.synthesize(problem, 200).controller
     rows, first = [], None

@@ -12,19 +12,19 @@ print(f"certified {certificate.lower_bound:.6f} on average over the start box ({
 print("from two other starts", certificate.at([[-15.0, -3.0], [-20.0, -3.0]]))
 print("from everywhere in a box", certificate.min([-12.0, -4.0], [-10.0, -3.0]))
 
-# verified by separate code, without simulation, and about this very problem
+# verified by separate code and without simulation; the second argument asks whether it is about this problem
 verified = cg.check(certificate, problem)
 print(verified)
 assert verified
 
-# tested by simulation, without proof
+# tested by simulation, which proves nothing
 report: cg.ValidationReport = cg.validate(result, episodes=20_000, seed=0)
 print(report)
 assert report.verdict != "refuted"
 rollouts: cg.Rollouts = cg.rollout(problem, result.controller, 5_000, seed=1, initial_state=[-20.0, -3.0])
 print(f"{rollouts.successes} of {rollouts.episodes} from the far corner")
 
-# written and read: a certificate is a file that can be handed on
+# written and read: a certificate is a file that can be passed on
 cg.save_certificate(certificate, "reach_avoid.npz")
 again = cg.load_certificate("reach_avoid.npz")
 assert again.lower_bound == certificate.lower_bound
@@ -37,5 +37,5 @@ controller.reset(observations, infos)
 while env.agents:
     observations, rewards, terminations, truncations, infos = env.step(controller.act(observations, infos))
 print("satisfied" if infos["agent_0"]["satisfied"] else "not satisfied")
-one: AgentController = controller.agents[0]
-print(f"{one.name} decides by {one.policy.shape} (time, automaton state, cell)")
+first: AgentController = controller.agents[0]
+print(f"{first.name} looks its input up in a table of shape {first.policy.shape} (time, automaton state, cell)")

@@ -16,7 +16,7 @@ doors = cg.LinearAgent(
     state_low=[0], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.2],
 ).copies(2)  # fmt: skip
 room: Box = cart.workspace
-print("the cart lives in", room.low, "to", room.high)
+print("the cart moves between", room.low, "and", room.high)
 
 problem = cg.Problem(
     name="two-rooms",
@@ -32,7 +32,7 @@ problem = cg.Problem(
 print(problem)
 print(f"certified {cg.synthesize(problem, cells=150).certificate.lower_bound:.6f}")
 
-# what is wrong is said where it is written
+# an error points at the place in the formula
 try:
     cg.Problem(
         name="typo", horizon=8, agents=[cart], propositions={"far": cg.Proposition("cart", [4], [10])},

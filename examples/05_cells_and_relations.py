@@ -1,4 +1,4 @@
-"""How fine, and which relation: look at the finite models, compare attempts, sweep horizons, split axes."""
+"""How many cells, and which relation: look at finite models, compare attempts and horizons, split axes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ print("attempts", bounds, "best", best.lower_bound)
 for report in cg.validate_horizons(problem, range(1, 8), 2_000, cells=100):
     print(f"T = {report.horizon}: certified {report.lower_bound:.4f}, rollouts {report.estimate:.4f}")
 
-# a robot whose axes do not depend on each other may be taken for two agents of one state each
+# a robot whose axes do not depend on each other can be treated as two agents of one state each
 planar = cg.make_problem("car-park-planar-v0", horizon=20)
 for form in (planar, cg.split_axes(planar)):
     result = cg.synthesize(form, 60)

@@ -15,13 +15,13 @@ problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
 
 def homing(x: Any, q: int, time: int) -> Any:
-    """Steer for the middle of the goal: one agent's state, the automaton state and the time to an input."""
+    """Steer for the middle of the goal; takes one agent's state, the automaton state and the time, returns an input."""
     return np.clip((2.5 - 0.9 * x) / 0.5, -5.0, 5.0)
 
 
 @vectorized
 def resting(x: Any, q: Any, time: int) -> Any:
-    """Stay near -3, for many states at once."""
+    """Stay near -3; takes many states at once."""
     return np.clip((-3.0 - 0.9 * x) / 0.5, -5.0, 5.0)
 
 

@@ -1,4 +1,4 @@
-"""Test a certificate everywhere, step by step, and in a world that is not the model."""
+"""Test a certificate at many starts, step by step, and in a world that differs from the model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ print(audited)
 # stop as soon as it is clear
 print(cg.validate(certificate, 200_000, sequential=True))
 
-# other noise, actuators and sensors: nothing is certified here, rollouts only
+# other noise, actuators and sensors: here nothing is certified, there are only rollouts
 windy = cg.Mismatch(noise_scale=1.2, delay=1)
 print(cg.validate(certificate, 10_000, mismatch=windy).verdict, "under", windy)
 stressed: cg.StressReport = cg.stress(certificate, 2_000)

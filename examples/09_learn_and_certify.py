@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import certigym as cg
 from certigym.baselines import Training, load_actor
-from certigym.synthesis.controllers.given_policies import Decentralised
+from certigym.synthesis.controllers import Decentralised
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 training: Training = cg.train(problem, "ppo", steps=10_000, seed=0)

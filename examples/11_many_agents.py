@@ -1,4 +1,4 @@
-"""A hundred agents, in pairs that are to meet: a task that falls apart is certified part by part."""
+"""A hundred agents in pairs that have to meet: a task that decomposes into independent tasks, one per pair."""
 
 from __future__ import annotations
 

@@ -10,9 +10,7 @@
 import numpy as np
 
 import certigym as cg
-from certigym.validation.figures.certificate_figures import value_figure
-from certigym.validation.figures.figure_scenes import automaton_figure, rollouts_figure
-from certigym.validation.figures.figure_style import save_figure
+from certigym.validation.figures import automaton_figure, rollouts_figure, save_figure, value_figure
 
 problem = cg.make_problem("reach-avoid-v0", horizon=6)
 print(problem.specification.formula)
@@ -34,7 +32,7 @@ certificate = result.certificate
 print(f"P >= {certificate.lower_bound} on average over the start box; exact: {certificate.exact}")
 
 # %% [markdown]
-# The bound at every start. Near -20 six steps are hardly enough.
+# The bound at every start. Near -20, six steps are hardly enough.
 
 # %%
 save_figure(value_figure(certificate), "value.png")
@@ -43,7 +41,7 @@ for start, bound in zip(starts, certificate.at(starts), strict=True):
     print(start, f"{bound:.4f}")
 
 # %% [markdown]
-# Is it true? Rollouts of the continuous system may refute it; they cannot prove it.
+# Is the bound true? Rollouts of the continuous system can refute it, but not prove it.
 
 # %%
 report = cg.validate(result, episodes=20_000)

@@ -1,7 +1,7 @@
 # %% [markdown]
-# # Given and found policies
+# # Policies by hand and by search
 #
-# A policy written by hand, what of it can be certified, and what coordinate ascent makes of it. A notebook kept as a
+# A policy written by hand, what can be certified about it, and how coordinate ascent improves it. A notebook kept as a
 # script, in `# %%` cells.
 
 # %%
@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.validation.figures.certificate_figures import value_figure
-from certigym.validation.figures.figure_style import save_figure
+from certigym.validation.figures import save_figure, value_figure
 
 problem = cg.make_problem("reach-avoid-v0", horizon=5)
 
 # %% [markdown]
-# The policy is timid: it takes half of the input it would need.
+# The policy is timid: it takes half of the input that it would need.
 
 
 # %%
@@ -25,7 +24,7 @@ def timid(x: Any, q: int, time: int) -> Any:
 
 
 # %% [markdown]
-# `certify` puts it on the cells and evaluates it there. The certificate belongs to the wrapped policy.
+# `certify` wraps the policy on cells and evaluates it there. The certificate is about the wrapped policy.
 
 # %%
 bounds = []
@@ -36,18 +35,19 @@ for cells in (25, 50, 100, 200):
 assert max(bounds) > 0.0
 
 # %% [markdown]
-# `improve` goes on from there: the agents answer each other in turn, and the bound never falls.
+# `improve` continues from there: the agents take turns with their best responses, and the bound never falls.
 
 # %%
 improved = cg.improve(problem, timid, cells=200)
-found = cg.synthesize(problem, cells=200)
-for name, one in {"given": certified, "improved": improved, "found": found}.items():
-    print(name, f"{one.certificate.lower_bound:.4f}")
-    save_figure(value_figure(one.certificate, axes=[0]), f"{name}.png")
+synthesized = cg.synthesize(problem, cells=200)
+results = {"given": certified, "improved": improved, "synthesized": synthesized}
+for name, result in results.items():
+    print(name, f"{result.certificate.lower_bound:.4f}")
+    save_figure(value_figure(result.certificate, axes=[0]), f"{name}.png")
 assert improved.certificate.lower_bound >= bounds[-1]
 
 # %% [markdown]
-# All of them on the same noise.
+# All of them, simulated on the same noise.
 
 # %%
-print(cg.compare(problem, {"raw": timid, "given": certified, "improved": improved, "found": found}, episodes=4_000))
+print(cg.compare(problem, {"raw": timid, **results}, episodes=4_000))

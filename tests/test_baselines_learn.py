@@ -191,7 +191,7 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
             cg.train(RA2, **arguments)
     with pytest.raises(ValueError, match="`horizon_ends`"):
         shared_vec_env(RA2, horizon_ends="never")
-    with pytest.raises(ValueError, match="no method"):
+    with pytest.raises(ValueError, match="no row has a method"):
         shared_vec_env(RA2, worlds=1).env_method("jump")
     network = Network((np.zeros((1, 7), np.float32),), (np.zeros(1, np.float32),), "tanh", False)
     save_actor(SharedActor(RA2, network), tmp_path / "actor.npz")

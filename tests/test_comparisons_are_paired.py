@@ -115,7 +115,7 @@ def test_wrong_comparisons_are_refused() -> None:
     other = cg.synthesize(PROBLEM.replace(horizon=2), 20, max_sweeps=0)
     cases: list[tuple[dict[str, Any], str]] = [
         ({}, "at least one policy"),
-        ({"other": other}, "speaks of another problem"),
+        ({"other": other}, "is about another problem"),
         ({"a (seed 0)": head, "a": [head, head]}, "names that differ"),
         ({"nothing": None}, "function or a table"),
     ]
@@ -161,5 +161,5 @@ def test_the_command_line_trains(task: str, tmp_path: Path, capsys: pytest.Captu
     actor = str(folder / "actor.npz")
     assert main(["compare", task, "--policies", f"{actor},ppo", "--steps", "1000", "--episodes", "100"]) == 0
     assert main(["certify", task, "--policy", actor, "--cells", "30", "--episodes", "100"]) == 0
-    assert "belong to the policies wrapped" in capsys.readouterr().out
+    assert "hold for the policies wrapped" in capsys.readouterr().out
     assert main(["train", task, "--steps", "0", "--out", str(folder)]) == 2

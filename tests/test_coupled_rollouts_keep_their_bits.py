@@ -18,7 +18,7 @@ from certigym.synthesis.relations.coupled import CoupledRelation, couple
 from certigym.synthesis.relations.rows import product, rows_of
 from certigym.validation.simulation.chunks import chunk_results, frames
 from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.rollouts import TOGETHER, rollout, stream
+from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
 from certigym.validation.simulation.streams import Streams
 from problems import cart, cart_reach, two_agents
 
@@ -77,7 +77,7 @@ def test_coupled_worlds_leave_and_no_outcome_changes(name: str) -> None:
     assert 0.3 < np.mean(settled) and 0 < sum(part.success.sum() for part in parts) < 1000
     (alone,) = chunk_results(loop, [(3, 150)])
     np.testing.assert_array_equal(alone.success, parts[3].success)
-    assert TOGETHER // (150 * problem.n_states) > 3  # they were side by side
+    assert NUMBERS_SIDE_BY_SIDE // (150 * problem.n_states) > 3  # they were side by side
 
 
 def anywhere(problem: cg.Problem, rng: np.random.Generator, n_worlds: int) -> core.Worlds:
@@ -88,7 +88,7 @@ def anywhere(problem: cg.Problem, rng: np.random.Generator, n_worlds: int) -> co
 
 
 class Defined:
-    """Memory and inputs of one agent in one world, number by number, as THEORY section 6 has them."""
+    """Memory and inputs of one agent in one world, number by number (docs/theory/relations.md, "Errors")."""
 
     def __init__(self, controller: Controller, i: int) -> None:
         self.agent = controller.agents[i]

@@ -147,7 +147,7 @@ def test_sequential_validation_stops_early_and_for_the_right_reason(certificate:
     modest = replace(certificate, lower_bound=0.5 * certificate.lower_bound, gap=None, exact=False)
     early = cg.validate(modest, 100_000, seed=1, sequential=True)
     assert early.verdict == CONFIRMED and early.episodes < 500
-    assert early.details["sequential"] and "(sequential)" in str(early)
+    assert early.details["sequential"] and "tested after every episode" in str(early)
     wrong = cg.validate(inflated(certificate, 1.1), 100_000, seed=1, sequential=True)
     assert wrong.verdict == REFUTED and wrong.episodes < 20_000 and wrong.ci_high < wrong.lower_bound + 0.02
     right = cg.validate(certificate, 20_000, seed=1, sequential=True, confidence=CONFIDENCE)

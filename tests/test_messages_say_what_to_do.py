@@ -211,7 +211,7 @@ def test_problem_files_name_file_and_key(text: str, remedy: str, tmp_path: Path)
 def test_a_certificate_for_another_problem_does_not_check() -> None:
     report = cg.check(RESULT.certificate, PROBLEM.replace(horizon=4))
     assert not report and "made for another problem" in str(report)
-    with pytest.raises(ValueError, match=r"speaks of another problem .* give its controller alone"):
+    with pytest.raises(ValueError, match=r"is about another problem .* give its controller alone"):
         cg.compare(PROBLEM.replace(horizon=4), {"ours": RESULT})
     with pytest.raises(ValueError, match="reset the controller of this environment's own problem"):
         RESULT.controller.reset(cg.parallel_env("invariance-4-v0").reset(seed=0)[0])

@@ -115,7 +115,7 @@ def test_archives_work_where_they_are_installed(kind: str, tmp_path: Path, reque
     report = said(
         command, "run", "reach-avoid-v0", "--horizon", "2", "--cells", "30", "--episodes", "500", "--out", "c.npz"
     )
-    assert "certified    P >= 0.2" in report and "verdict      consistent" in report
+    assert "certified     P >= 0.2" in report and "verdict       consistent" in report
     assert "valid" in said(command, "check", "c.npz")
 
 

@@ -98,7 +98,7 @@ def test_agents_of_one_team_have_different_relations(tmp_path: Path) -> None:
     cg.save_certificate(found.certificate, tmp_path / "c.npz")
     loaded = cg.load_certificate(tmp_path / "c.npz")
     assert loaded.settings["relations_tried"] == tried_of(found)
-    assert f"tried        exact for car, {kinds[1]} for cart_0: P >= " in str(cg.validate(loaded, 200))
+    assert f"tried         exact for car, {kinds[1]} for cart_0: P >= " in str(cg.validate(loaded, 200))
 
 
 def test_what_is_passed_over_would_not_have_been_better() -> None:

@@ -23,7 +23,7 @@ from certigym.validation.audits.step_tests import audit
 from certigym.validation.reports.gathering import report
 from certigym.validation.simulation.cluster import dask_cluster, executor_for, processes
 from certigym.validation.simulation.loop import Loop
-from certigym.validation.simulation.rollouts import TOGETHER, stream
+from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, stream
 from certigym.validation.simulation.spread import in_order
 from certigym.validation.verdicts.fields import find_weakest, validate_field
 from certigym.validation.verdicts.stress_test import stress
@@ -91,7 +91,7 @@ def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(
                 os.kill(victims.pop(), signal.SIGKILL)
                 victims.clear()
 
-        with pytest.warns(RuntimeWarning, match="going on in this process"):
+        with pytest.warns(RuntimeWarning, match="continuing in this process"):
             np.testing.assert_array_equal(runs(certificate, pool, kill), alone)
 
 
@@ -139,7 +139,7 @@ def test_memory_does_not_grow_with_the_number_of_rollouts(certificate: Certifica
         return most
 
     peak(CHUNK)
-    few, many = peak(TOGETHER), peak(8 * TOGETHER)
+    few, many = peak(NUMBERS_SIDE_BY_SIDE), peak(8 * NUMBERS_SIDE_BY_SIDE)
     assert many < 1.2 * few + 50_000
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import html.parser
 import json
 import re
@@ -15,7 +16,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.envs.pictures import edges
 from certigym.synthesis.certificates.certificate import Certificate
+from certigym.validation.reports.page import _automaton
 from certigym.validation.reports.svg import ticks
 from certigym.validation.verdicts.success_rate import ValidationReport
 from certigym.validation.verdicts.sweeps import each_report
@@ -176,6 +179,18 @@ def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
     content = cg.report(cg.synthesize(one, 40), tmp_path / "r.html", 500)
     assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
     assert "middle of the initial box" in (tmp_path / "r.html").read_text()
+
+
+def test_the_page_says_when_the_automaton_moves() -> None:
+    """The table has the short guards of the other drawings, and the picture a circle for every state."""
+    for name, states in (("meeting-v0", 4), ("door-formation-v0", 9)):
+        problem = cg.make_problem(name)
+        text = html.unescape(_automaton(problem))
+        assert problem.automaton.n_states == states and text.count("<circle") == states + 1  # one is accepting
+        assert text.count("<tr>") == len(edges(problem)) + 1
+        assert "<code>otherwise</code>" in text and "<code>any letter</code>" in text
+    text = html.unescape(_automaton(cg.make_problem("meeting-v0")))
+    assert "!any(pillar)" in text and "all(lab) or all(cafe)" in text and "..." not in text
 
 
 def test_a_refuted_certificate_is_reported_as_such(certificate: Certificate, tmp_path: Path) -> None:

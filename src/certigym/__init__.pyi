@@ -1,4 +1,4 @@
-"""What `certigym` offers; the names are loaded when they are first used (SPEC 1, `lazy_loader`)."""
+"""The public names of `certigym`, which are loaded when they are first used (SPEC 1, `lazy_loader`)."""
 
 from .envs.agents import LinearAgent as LinearAgent
 from .envs.agents import Proposition as Proposition

@@ -1,4 +1,4 @@
-"""Policies to compare with: learners of Stable-Baselines3 (the extra ``rl``), random ones, ones that do nothing."""
+"""Policies to compare with: learners of Stable-Baselines3 (the extra ``rl``), random inputs, and no effort at all."""
 
 from .validation.policies import ALGORITHMS, IdleController, RandomController, Training, load_actor, train
 

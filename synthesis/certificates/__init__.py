@@ -1,10 +1,10 @@
 """The certified claim, everything it rests on, and its file."""
 
-from .certificate import EXACT_GAP, Certificate, checked_certificate
+from .certificate import Certificate, checked_certificate
 from .certificate_file import load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .claim import Claim
-from .digits import rounded_down, rounded_up, shown_bound, significant_down, significant_up
+from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import as_certificate, of_one_task
 from .part import AgentPart
 from .product import ProductCertificate, nameless, product_certificate, relations_tried

@@ -2,8 +2,8 @@
 
 A certificate speaks of one problem (dynamics, regions, automaton, horizon, start: its fingerprint) and one set of
 policies. It holds the value tree's skeleton (which vertices were kept), so that the bound can be computed again from
-the policies by a short separate program (``check``), and the value function at time 0, so that other starts can be
-asked for: at every state the value there is a lower bound too (THEORY section 5).
+the policies by a short separate program (``check``). It also holds the value function at time 0, so that other starts
+can be asked for: at every state the value there is a lower bound, too (docs/theory/bounds.md, "Other starts").
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import AgentController, Controller
@@ -23,13 +24,14 @@ from ..values import Guards, Rounding, Skeleton, Terms, Trains
 from .claim import Claim, with_early_acceptance
 from .part import AgentPart
 from .regrown_trains import BrokenTrainError, regrow_trains
+from .summaries import certificate_facts, certificate_html
 
-EXACT_GAP = 1e-6
-"""A value is called exact when lower bound and upper bound of the closed loop are closer than this."""
+CORRECTION_INFLATION = 1 + 1e-9
+"""Factor on what lost relations may cost, far above its rounding."""
 
 
 def checked_certificate(value: Any) -> Certificate:
-    """Return a certificate, or raise ValueError with what to do."""
+    """Return a certificate of one task, or raise ValueError with what to do."""
     if isinstance(value, Certificate):
         return value
     inside = isinstance(getattr(value, "certificate", None), Certificate)
@@ -39,7 +41,7 @@ def checked_certificate(value: Any) -> Certificate:
     raise ValueError(f"`certificate`: expected a Certificate, got {type(value).__name__}; {remedy}")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
     """A certified lower bound on the satisfaction probability of the continuous closed loop.
 
@@ -106,17 +108,16 @@ class Certificate:
     settings: dict[str, Any]
     rounding: Rounding | None = None
 
+    def __repr__(self) -> str:
+        return tree_text(f"Certificate of {self.problem.name!r}", certificate_facts(self))
+
+    def _repr_html_(self) -> str:
+        return certificate_html(f"Certificate of {self.problem.name}", self)
+
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the problem."""
         return self.problem.fingerprint
-
-    @cached_property
-    def controller(self) -> Controller:
-        """The controllers the bound belongs to."""
-        parts = zip(self.problem.agents, self.agents, self._relations, strict=True)
-        controllers = (AgentController(a.name, p.grid, p.lattice, r, p.policy, p.menu) for a, p, r in parts)
-        return Controller(self.problem, tuple(controllers))
 
     @property
     def stationary(self) -> bool:
@@ -127,75 +128,21 @@ class Certificate:
     def unbounded(self) -> float | None:
         """Lower bound on satisfying a co-safe task at any time, without a deadline; None for other tasks.
 
-        What is satisfied by the horizon stays satisfied. Afterwards controllers go on with their last choices, those of
-        stationary policies as before.
+        What is satisfied by the horizon stays satisfied. Afterwards controllers repeat their last choices; those of
+        stationary policies are the same at all times.
         """
         return self.lower_bound if self.problem.automaton.is_co_safe else None
 
     @property
     def delta(self) -> float:
         """Upper bound on the probability, per step, that any relation is lost."""
-        return joint_delta([relation.delta for relation in self._relations])
-
-    @cached_property
-    def _relations(self) -> tuple[Relation, ...]:
-        return tuple(part.relation_of(a) for a, part in zip(self.problem.agents, self.agents, strict=True))
-
-    @cached_property
-    def claim(self) -> Claim:
-        """The value function of the certificate, read with all reserves taken off."""
-        automaton, horizon = self.problem.automaton, self.problem.horizon
-        correction = self.delta * horizon * (1 + 1e-9) if self.bound == "a-posteriori" else 0.0
-        value = self.value
-        if correction > 0.0 and isinstance(value, Terms):
-            value = with_early_acceptance(value, self.skeleton, self.guards, automaton, horizon, self.delta)
-        start = self.start_target, self.start_mask
-        pairs = zip(self.problem.agents, self._relations, self.agents, strict=True)
-        per_step = sum(relation.execution_loss(agent, part.grid.edges) for agent, relation, part in pairs)
-        correction += per_step * horizon * (1 + 1e-9)
-        return Claim(self.problem, self.agents, self._relations, *start, value, self.relative_rounding, correction)
+        return joint_delta([relation.delta for relation in _relations(self)])
 
     @property
     def guards(self) -> Guards:
         """The guards over the cells of each agent."""
         masks = tuple(part.masks for part in self.agents)
         return Guards(masks, self.guard_source, self.guard_target, self.guard_mask)
-
-    def at(self, states: Any) -> FloatArray:
-        """Lower bounds (M,) on the satisfaction probability from each of M joint initial states.
-
-        Parameters
-        ----------
-        states : array_like, shape (M, D) or (D,), or mapping from agent name to (d_i,) vector
-            Joint states in agent order, ``D = sum d_i``, in state units. A single state gives an array of length 1.
-
-        Raises
-        ------
-        ValueError
-            If the shape does not fit.
-        """
-        return self.claim.at(states)
-
-    def mean(self, low: Any, high: Any) -> float:
-        """Lower bound on the satisfaction probability from a start drawn uniformly from the box ``[low, high)``.
-
-        Parameters
-        ----------
-        low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
-            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
-            the letters that are certain in it.
-        """
-        return self.claim.mean(low, high)
-
-    def min(self, low: Any, high: Any) -> float:
-        """Lower bound on the satisfaction probability from every start in the box: the smallest value of its cells.
-
-        Raises
-        ------
-        ValueError
-            If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
-        """
-        return self.claim.min(low, high)
 
     @property
     def tree(self) -> Terms:
@@ -216,8 +163,91 @@ class Certificate:
     @cached_property
     def value(self) -> Terms | Trains:
         """Value function at time 0: the stored terms, or the tensor trains grown from the policies on first use."""
-        if self.terms is not None:
-            return self.terms
-        if self.rounding is None:
-            raise BrokenTrainError("it has a value tree and no tensor trains")
-        return regrow_trains(self.problem, self.agents, self.guards, self.rounding)
+        return _value(self)
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controllers the bound belongs to."""
+        return _controller(self)
+
+    @cached_property
+    def claim(self) -> Claim:
+        """The value function of the certificate, read with all reserves taken off."""
+        return _claim(self)
+
+    def at(self, states: Any) -> FloatArray:
+        """Return lower bounds (M,) on the satisfaction probability from each of M joint initial states.
+
+        Parameters
+        ----------
+        states : array_like, shape (M, D) or (D,), or mapping from agent name to (d_i,) vector
+            Joint states in agent order, ``D = sum d_i``, in state units. A single state gives an array of length 1.
+
+        Raises
+        ------
+        ValueError
+            If the shape does not fit.
+        """
+        return self.claim.at(states)
+
+    def mean(self, low: Any, high: Any) -> float:
+        """Return a lower bound on the satisfaction probability from a start drawn uniformly from ``[low, high)``.
+
+        Parameters
+        ----------
+        low, high : array_like, shape (D,), or mappings from agent name to (d_i,) vector
+            Corners in joint state space; equal coordinates are points. The box is averaged cell by cell, each cell with
+            the letters that are certain in it.
+        """
+        return self.claim.mean(low, high)
+
+    def min(self, low: Any, high: Any) -> float:
+        """Return a lower bound on the satisfaction probability from every start in the box: the least of its cells.
+
+        Raises
+        ------
+        ValueError
+            If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
+        """
+        return self.claim.min(low, high)
+
+
+def _controller(certificate: Certificate) -> Controller:
+    """Return controllers that carry out the policies of a certificate, their relations computed anew."""
+    controllers = []
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        relation = part.relation_of(agent)
+        controllers.append(AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.menu))
+    return Controller(certificate.problem, tuple(controllers))
+
+
+def _relations(certificate: Certificate) -> tuple[Relation, ...]:
+    """Return the relation of each agent: those of the controllers, so that they are computed once."""
+    return tuple(agent.relation for agent in certificate.controller.agents)
+
+
+def _value(certificate: Certificate) -> Terms | Trains:
+    """Return the value function at time 0, tensor trains grown from the policies."""
+    if certificate.terms is not None:
+        return certificate.terms
+    if certificate.rounding is None:
+        raise BrokenTrainError("it has a value tree and no tensor trains")
+    return regrow_trains(certificate.problem, certificate.agents, certificate.guards, certificate.rounding)
+
+
+def _claim(certificate: Certificate) -> Claim:
+    """Return the claim of a certificate about every start."""
+    problem, value, correction = certificate.problem, certificate.value, 0.0
+    # Under the a-posteriori bound a run that is undecided to the end may lose its relation at every step.
+    if certificate.bound == "a-posteriori":
+        correction = certificate.delta * problem.horizon * CORRECTION_INFLATION
+    if correction > 0.0 and isinstance(value, Terms):
+        skeleton, guards, automaton = certificate.skeleton, certificate.guards, problem.automaton
+        value = with_early_acceptance(value, skeleton, guards, automaton, problem.horizon, certificate.delta)
+    # The controllers carry out their policies up to rounding, which moves the means a little at every step.
+    relations = _relations(certificate)
+    triples = zip(problem.agents, relations, certificate.agents, strict=True)
+    per_step = sum(relation.execution_loss(agent, part.grid.edges) for agent, relation, part in triples)
+    correction += per_step * problem.horizon * CORRECTION_INFLATION
+    start = certificate.start_target, certificate.start_mask
+    return Claim(problem, certificate.agents, relations, *start, value, certificate.relative_rounding, correction)

@@ -2,9 +2,9 @@
 
 Arrays are stored once each under a number, and the header says which number is what; a thousand agents with one grid
 store one grid. Reading trusts nothing: the version, the shapes and the ranges of all indices are checked before an
-array is used, and files larger than ``MAX_BYTES`` when unpacked are refused before they are. A digest of everything
-in the file tells accidents and careless changes; it is no signature: whoever changes a file can renew it, and only
-``check`` says whether a certificate is true.
+array is used, and files that would unpack to more than ``MAX_BYTES`` are refused before they are unpacked. A digest of
+everything in the file shows accidents and careless changes. It is no signature: whoever changes a file can renew it,
+and only ``check`` says whether a certificate is true.
 """
 
 from __future__ import annotations
@@ -24,28 +24,47 @@ from numpy.typing import NDArray
 
 from ...envs.agents import write_bytes
 from ...envs.problem import problem_from_dict
-from ..values import Skeleton
+from ..values import Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
-from .certificate_reader import NUMBERS, CertificateReader
+from .certificate_reader import CLAIM_FIELDS, CertificateReader
 from .part import AgentPart
 from .product import ProductCertificate, product_certificate
 from .result import Synthesis
 
 FORMAT = "certigym-certificate"
+"""What the header of every file says."""
+
 VERSION = 1
+"""Version of the format that is written, and the only one that is read."""
+
 MAX_BYTES = 2 * 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
 
+UNREADABLE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    EOFError,
+    NotImplementedError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What unpacking, parsing and checking may raise when a file was damaged or made up."""
+
 
 def save_certificate(certificate: Synthesis | Certificate | ProductCertificate, path: str | Path) -> None:
-    """Write the certificate, or that of a synthesis, to ``path`` (``.npz``); ValueError if it is neither."""
+    """Write a certificate, or that of a synthesis, to ``path`` (``.npz``), or raise ValueError if it is neither."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
     write_bytes(path, data)
 
 
 def _packed_product(product: ProductCertificate) -> bytes:
-    """Bytes of a file that holds the files of all parts, those that differ in names alone once."""
+    """Return the bytes of a file that holds the files of all parts, those that differ in names alone once."""
     pool = _Pool()
     files = {}
     for same in product.alike:
@@ -62,41 +81,29 @@ def _packed_product(product: ProductCertificate) -> bytes:
 
 
 def _packed(certificate: Certificate) -> bytes:
-    """Bytes of the file of a single certificate."""
+    """Return the bytes of the file of a single certificate."""
     checked_certificate(certificate)
     pool = _Pool()
+    terms, rounding = certificate.terms, certificate.rounding
     header = {
         "format": FORMAT,
         "version": VERSION,
         "problem": certificate.problem.to_dict(),
         "fingerprint": certificate.fingerprint,
-        **{name: getattr(certificate, name) for name in NUMBERS},
+        **{name: getattr(certificate, name) for name in CLAIM_FIELDS},
         "settings": certificate.settings,
         "agents": [_put_agent(pool, part) for part in certificate.agents],
         "guards": [pool.put(a) for a in (certificate.guard_source, certificate.guard_target, certificate.guard_mask)],
         "start_guards": [pool.put(certificate.start_target), pool.put(certificate.start_mask)],
         "skeleton": [_put_skeleton(pool, step) for step in certificate.skeleton],
-        "terms": None
-        if certificate.terms is None
-        else {
-            "factors": [pool.put(a) for a in certificate.terms.factors],
-            "index": [pool.put(a) for a in certificate.terms.index],
-        },
-        "rounding": None
-        if certificate.rounding is None
-        else {
-            "tolerance": certificate.rounding.tolerance,
-            "visited": [
-                None if c is None else [pool.put(own.astype(np.int32)) for own in c]
-                for c in certificate.rounding.visited
-            ],
-        },
+        "terms": None if terms is None else _put_terms(pool, terms),
+        "rounding": None if rounding is None else _put_rounding(pool, rounding),
     }
     return _archived(header, pool)
 
 
 def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
-    """Bytes of an archive of a header, its digest added, and arrays."""
+    """Return the bytes of an archive of a header, to which its digest is added, and arrays."""
     header["digest"] = _digest(header, pool.arrays)
     text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8)
     file = io.BytesIO()
@@ -105,9 +112,9 @@ def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
 
 
 def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
-    """Read a certificate; it is well-formed then, but not yet checked (see ``check``).
+    """Return the certificate in a file; it is well-formed then, but not yet checked (see ``check``).
 
-    A file of independent tasks gives a ``ProductCertificate``.
+    From a file of independent tasks a ``ProductCertificate`` is returned.
 
     Parameters
     ----------
@@ -118,7 +125,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
     Raises
     ------
     ValueError
-        If the file is no certificate, of another version, damaged, or inconsistent.
+        If the file holds no certificate, or one of another version, damaged, or inconsistent.
     OSError
         If it cannot be read.
     """
@@ -131,16 +138,15 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         if "parts" in header:
             return _product(header, arrays, max_bytes)  # type: ignore[return-value]
         return CertificateReader(header, arrays).certificate()
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError, EOFError,
-            NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+    except UNREADABLE as error:
         message = str(error) or type(error).__name__
         raise ValueError(
-            f"`{path}`: expected a certigym certificate of version {VERSION}, got a file that is none: {message}"
+            f"`{path}`: expected a certigym certificate of version {VERSION}, got a file that is not one: {message}"
         ) from error
 
 
 def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """Header and arrays of an archive, their digest checked."""
+    """Return header and arrays of an archive, after their digest was checked."""
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         _check_sizes(archive, max_bytes)
     with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
@@ -152,29 +158,30 @@ def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, N
 
 
 def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) -> ProductCertificate:
-    """Certificates of independent tasks; which these are is found out again from the problem."""
+    """Return the certificates of independent tasks; the problem itself says which tasks these are."""
     problem = problem_from_dict(header["problem"])
     if header["fingerprint"] != problem.fingerprint:
         raise ValueError("the fingerprint does not belong to the problem in it")
     if not problem.groups:
-        raise ValueError("its problem does not fall apart into independent tasks")
-    found: dict[str, Certificate] = {}
-    left = max_bytes
+        raise ValueError("its problem does not decompose into independent tasks")
+    certificates: dict[str, Certificate] = {}
+    bytes_left = max_bytes
     for name, array in arrays.items():
-        own, inner = _unarchived(array.astype(np.uint8).tobytes(), left)
-        left -= sum(a.nbytes for a in inner.values())
-        if "parts" in own:
-            raise ValueError("a part falls apart again")
-        found[name] = CertificateReader(own, inner).certificate()
-    return product_certificate(problem, tuple(found[str(int(number))] for number in header["parts"]))
+        part_header, part_arrays = _unarchived(array.astype(np.uint8).tobytes(), bytes_left)
+        bytes_left -= sum(a.nbytes for a in part_arrays.values())
+        if "parts" in part_header:
+            raise ValueError("a part of it has parts again")
+        certificates[name] = CertificateReader(part_header, part_arrays).certificate()
+    return product_certificate(problem, tuple(certificates[str(int(number))] for number in header["parts"]))
 
 
 def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
-    """Refuse archives whose arrays would need more memory than they have bytes for."""
+    """Raise ValueError if an archive would unpack to too much, or its arrays announce more numbers than they hold."""
     if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
         raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
     if len(set(archive.namelist())) != len(archive.namelist()):
         raise ValueError("it holds two arrays of one name")
+    # Read the headers of all arrays before numpy reserves memory for any.
     for entry in archive.infolist():
         with archive.open(entry) as file:
             version = np.lib.format.read_magic(file)
@@ -187,6 +194,7 @@ def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
 
 
 def _check_version(header: Any) -> None:
+    """Raise ValueError unless a header is that of a certificate of this version."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError("its header does not say it is one")
     if header.get("version") != VERSION:
@@ -194,9 +202,9 @@ def _check_version(header: Any) -> None:
 
 
 def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
-    """SHA-256 over the header, but for the digest itself, and all arrays with their types and shapes."""
-    rest = {name: value for name, value in header.items() if name != "digest"}
-    state = hashlib.sha256(json.dumps(rest, sort_keys=True, allow_nan=False).encode())
+    """Return the SHA-256 over the header, but for the digest itself, and all arrays with their types and shapes."""
+    content = {name: value for name, value in header.items() if name != "digest"}
+    state = hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode())
     for array in arrays:
         state.update(f"{array.dtype.str}{array.shape}".encode())
         state.update(np.ascontiguousarray(array).tobytes())
@@ -204,6 +212,7 @@ def _digest(header: dict[str, Any], arrays: list[NDArray]) -> str:
 
 
 def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Raise ValueError if the digest is not that of header and arrays."""
     if set(arrays) != {str(k) for k in range(len(arrays))}:
         raise ValueError("its arrays are not numbered")
     if header.get("digest") != _digest(header, [arrays[str(k)] for k in range(len(arrays))]):
@@ -212,21 +221,23 @@ def _check_digest(header: dict[str, Any], arrays: dict[str, NDArray]) -> None:
 
 @dataclass
 class _Pool:
-    """Arrays by content."""
+    """Arrays, each stored once, and the number of each by its content."""
 
     arrays: list[NDArray] = field(default_factory=list)
-    known: dict[tuple[str, tuple[int, ...], bytes], int] = field(default_factory=dict)
+    numbers: dict[tuple[str, tuple[int, ...], bytes], int] = field(default_factory=dict)
 
     def put(self, array: NDArray) -> int:
+        """Return the number of an array, stored under a new one if no equal array is there."""
         array = np.ascontiguousarray(array)
         key = (array.dtype.str, array.shape, array.tobytes())
-        if key not in self.known:
-            self.known[key] = len(self.arrays)
+        if key not in self.numbers:
+            self.numbers[key] = len(self.arrays)
             self.arrays.append(array)
-        return self.known[key]
+        return self.numbers[key]
 
 
 def _put_agent(pool: _Pool, part: AgentPart) -> dict[str, Any]:
+    """Return the entry of an agent, its arrays put into the pool."""
     return {
         "edges": [pool.put(a) for a in part.grid.edges],
         "coordinates": pool.put(part.coordinates),
@@ -239,7 +250,22 @@ def _put_agent(pool: _Pool, part: AgentPart) -> dict[str, Any]:
     }
 
 
+def _put_terms(pool: _Pool, terms: Terms) -> dict[str, Any]:
+    """Return the entry of a value tree, its arrays put into the pool."""
+    return {"factors": [pool.put(a) for a in terms.factors], "index": [pool.put(a) for a in terms.index]}
+
+
+def _put_rounding(pool: _Pool, rounding: Rounding) -> dict[str, Any]:
+    """Return the entry of how trains were rounded, its arrays put into the pool."""
+    visited = [
+        None if cells is None else [pool.put(numbers.astype(np.int32)) for numbers in cells]
+        for cells in rounding.visited
+    ]
+    return {"tolerance": rounding.tolerance, "visited": visited}
+
+
 def _put_skeleton(pool: _Pool, step: Skeleton) -> list[list[int]]:
+    """Return the entry of one time of the tree, its arrays put into the pool."""
     states = zip(step.origin, step.merges, step.kept, strict=True)
     small = np.int32
     return [

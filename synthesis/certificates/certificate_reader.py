@@ -1,7 +1,7 @@
-"""A certificate out of the header and the arrays of its file; nothing in them is trusted.
+"""From the header and the arrays of a file to a certificate; nothing in them is trusted.
 
-Shapes, ranges of all indices and numbers are checked before they are used. Whether the certificate is true, ``check``
-says.
+Shapes, ranges of all indices and numbers are checked before they are used. Only ``check`` says whether the certificate
+is true.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate
 from .part import AgentPart
 
-NUMBERS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
-"""What a header says about the claim, under the names that it has in the certificate."""
+CLAIM_FIELDS = ("method", "bound", "bounds", "start", "lower_bound", "gap", "exact", "relative_rounding", "rank")
+"""Fields of a certificate about its claim, which the header holds under the same names."""
+
+LARGEST_ROUNDING = 1e-3
+"""Largest relative reserve for floating point that makes sense: more of it would hide a wrong value."""
 
 
 class CertificateReader:
@@ -39,11 +42,12 @@ class CertificateReader:
         self.n_agents, self.n_states = self.problem.n_agents, self.problem.automaton.n_states
 
     def certificate(self) -> Certificate:
-        """Everything, or ValueError (KeyError, TypeError, .. where the header has another form)."""
+        """Return the certificate, or raise ValueError (KeyError, TypeError, .. if the header has another form)."""
         header = self.header
         if header["fingerprint"] != self.problem.fingerprint:
             raise ValueError("the fingerprint does not belong to the problem in it")
         agents = self._each(header["agents"], self.n_agents, self._agent)
+        # Guards point at automaton states and at the masks of the agents.
         source, target = (self._integers(header["guards"][k], (None,), self.n_states) for k in (0, 1))
         mask = self._integers(header["guards"][2], (len(source), self.n_agents), None)
         if len(target) != len(source) or any(mask[:, i].max(initial=-1) >= len(a.masks) for i, a in enumerate(agents)):
@@ -52,8 +56,9 @@ class CertificateReader:
         start_mask = self._integers(header["start_guards"][1], (len(start_target), self.n_agents), None)
         if any(start_mask[:, i].max(initial=-1) >= len(a.start_masks) for i, a in enumerate(agents)):
             raise ValueError("its start guards are inconsistent")
-        numbers = {name: header[name] for name in NUMBERS}
-        _check_numbers(numbers)
+        claim = {name: header[name] for name in CLAIM_FIELDS}
+        _check_claim(claim)
+        # The value function is either a tree with its skeleton, or trains with their rounding.
         trains = header.get("rounding") is not None
         if trains and (header["terms"] is not None or header["skeleton"]):
             raise ValueError("it holds a value tree beside its tensor trains")
@@ -69,10 +74,11 @@ class CertificateReader:
             terms=None if trains else self._terms(agents),
             rounding=self._rounding(agents) if trains else None,
             settings=dict(header["settings"]),
-            **numbers,
+            **claim,
         )
 
     def _each(self, items: Any, count: int, read: Any) -> list[Any]:
+        """Return what ``read`` makes of each of ``count`` items, their number kept in ``_position``."""
         if not isinstance(items, list) or len(items) != count:
             raise ValueError(f"a list of {count} entries is missing")
         self._position = 0
@@ -82,6 +88,7 @@ class CertificateReader:
         return result
 
     def _array(self, number: Any, kinds: str, shape: tuple[int | None, ...]) -> NDArray:
+        """Return the array with a number, read-only, of given kinds of dtype and shape (None: any length)."""
         array = self.arrays[str(int(number))]
         fits = array.ndim == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
         if array.dtype.kind not in kinds or not fits:
@@ -92,12 +99,14 @@ class CertificateReader:
         return array
 
     def _integers(self, number: Any, shape: tuple[int | None, ...], below: int | None, least: int = 0) -> NDArray:
+        """Return the array of whole numbers with a number, all in ``least .. below - 1`` (None: without an end)."""
         array = self._array(number, "iu", shape)
         if array.size and (array.min() < least or (below is not None and array.max() >= below)):
             raise ValueError(f"array {number} holds indices out of range")
         return array
 
     def _agent(self, entry: dict[str, Any]) -> AgentPart:
+        """Return what is stored of one agent."""
         d = self.problem.agents[self._position].n_states
         if len(entry["edges"]) != d or len(entry["lattice"]) != d:
             raise ValueError("an agent has the wrong number of axes")
@@ -106,6 +115,7 @@ class CertificateReader:
         points = math.prod(len(axis) for axis in lattice)
         times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
         shape = (times, self.n_states, grid.n_cells)
+        # Choices are lattice points, or inputs of a menu whose entries are lattice points.
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
         if (entry["relation"]["kind"] != "exact") != (menu is not None):
@@ -122,6 +132,7 @@ class CertificateReader:
         )
 
     def _step(self, entry: Any) -> Skeleton:
+        """Return one time of the tree."""
         if len(entry) != self.n_states:
             raise ValueError("the tree has the wrong number of states")
         origins, merges, kept = [], [], []
@@ -137,6 +148,7 @@ class CertificateReader:
         return Skeleton(tuple(origins), tuple(merges), tuple(kept))
 
     def _rounding(self, agents: list[AgentPart]) -> Rounding:
+        """Return how trains were rounded; that the cells increase is left to whoever grows them again."""
         entry = self.header["rounding"]
         tolerance = entry["tolerance"]
         if not isinstance(tolerance, float) or not 0 < tolerance < 1:
@@ -156,6 +168,7 @@ class CertificateReader:
         return Rounding(tolerance, tuple(visited))
 
     def _terms(self, agents: list[AgentPart]) -> Terms:
+        """Return the value function at time 0."""
         entry = self.header["terms"]
         if len(entry["factors"]) != self.n_agents or len(entry["index"]) != self.n_states:
             raise ValueError("the value function has the wrong size")
@@ -164,30 +177,25 @@ class CertificateReader:
         )
         index = tuple(self._integers(k, (None, self.n_agents), None) for k in entry["index"])
         for rows in index:
-            if len(rows) and any(rows[:, i].max() >= len(own) for i, own in enumerate(factors)):
+            if len(rows) and any(rows[:, i].max() >= len(distinct) for i, distinct in enumerate(factors)):
                 raise ValueError("the value function points at factors that are not there")
         return Terms(factors, index)
 
 
-def _check_numbers(numbers: dict[str, Any]) -> None:
-    """Types and ranges of the numbers in the header."""
-    lower, gap, relative = numbers["lower_bound"], numbers["gap"], numbers["relative_rounding"]
-    texts = all(isinstance(numbers[k], str) for k in ("method", "bound", "start"))
-    bounds = numbers["bounds"]
+def _check_claim(claim: dict[str, Any]) -> None:
+    """Raise ValueError unless the fields of a claim have the right types and ranges."""
+    lower, gap, relative = claim["lower_bound"], claim["gap"], claim["relative_rounding"]
+    texts = all(isinstance(claim[k], str) for k in ("method", "bound", "start"))
+    bounds = claim["bounds"]
     if any(isinstance(value, bool) for value in (lower, gap)):
-        raise ValueError("its bound is no number")
+        raise ValueError("its bound is not a number")
     if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
-        raise ValueError("its bounds are no numbers")
-    if (
-        not texts
-        or not isinstance(numbers["exact"], bool)
-        or isinstance(numbers["rank"], bool)
-        or not isinstance(numbers["rank"], int)
-    ):
+        raise ValueError("its bounds are not numbers")
+    is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool)
+    if not texts or not isinstance(claim["exact"], bool) or not is_rank:
         raise ValueError("its header holds values of the wrong type")
-    if not (
-        isinstance(lower, float | int) and 0 <= lower <= 1 and isinstance(relative, float) and 0 <= relative <= 1e-3
-    ):
-        raise ValueError("its bound is no probability")
+    is_probability = isinstance(lower, float | int) and 0 <= lower <= 1
+    if not is_probability or not (isinstance(relative, float) and 0 <= relative <= LARGEST_ROUNDING):
+        raise ValueError("its bound is not a probability")
     if gap is not None and not (isinstance(gap, float | int) and 0 <= gap <= 1):
-        raise ValueError("its gap is no probability")
+        raise ValueError("its gap is not a probability")

@@ -1,8 +1,8 @@
 """What a certificate claims of every start: the value function behind it, read with all reserves taken off.
 
-At every state the value at time 0 is a lower bound, not only at the problem's start (THEORY section 5). A claim holds
-what is needed to read it: the value function, the guards of the first letter, the rounding of floating point and, under
-the a-posteriori bound, what lost relations may cost.
+At every state the value at time 0 is a lower bound, not only at the problem's start (docs/theory/bounds.md, "Other
+starts"). A claim holds what is needed to read it: the value function, the guards of the first letter, the rounding of
+floating point and, under the a-posteriori bound, what lost relations may cost.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..cells import FloatArray, start_share
+from ..cells import FloatArray, alike_text, shape_text, start_share
 from ..relations import Relation
-from ..values import Guards, Skeleton, Terms, Trains, Unread, term_depths
+from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
 from .part import AgentPart
 
 MAX_JOINT_CELLS = 20_000_000
 """Largest number of joint cells over which ``min`` is taken cell by cell."""
 
 NUMBERS_AT_ONCE = 2_000_000
-"""Most numbers that reading the value at many joint cells holds at once."""
+"""Most numbers that reading the value at many joint cells holds at once: 16 MB."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Claim:
     """Lower bounds on the satisfaction probability, from every start.
 
@@ -38,13 +39,14 @@ class Claim:
     problem : Problem
     agents : tuple of AgentPart
     relations : tuple of Relation
-        Of each agent; they say in which coordinates its cells lie.
+        Relation of each agent; it says in which coordinates the cells lie.
     start_target : (G0,) int array
         Automaton state after the letter of time 0, per start guard.
     start_mask : (G0, I) int array
         Factor of each agent in each start guard, an index into ``agents[i].start_masks``.
-    value : Terms or Trains
-        Value function at time 0, each term with what accepting early saves (``with_early_acceptance``).
+    value : ValueFunction
+        Value function at time 0, terms or trains; each term with what accepting early saves
+        (``with_early_acceptance``).
     relative_rounding : float
         Relative reserve for floating point.
     correction : float
@@ -57,12 +59,20 @@ class Claim:
     relations: tuple[Relation, ...]
     start_target: NDArray[np.int32]
     start_mask: NDArray[np.int32]
-    value: Terms | Trains
+    value: ValueFunction
     relative_rounding: float
     correction: float
 
+    def __repr__(self) -> str:
+        rows = [
+            ("cells", alike_text(shape_text(part.grid.shape) for part in self.agents)),
+            ("value", self.value),
+            ("taken off", f"{self.relative_rounding:.2g} of the value and {self.correction:.2g}"),
+        ]
+        return tree_text(f"Claim about every start of {self.problem.name!r}", rows)
+
     def at(self, states: Any) -> FloatArray:
-        """Lower bounds (M,) on the satisfaction probability from each of M joint initial states.
+        """Return lower bounds (M,) on the satisfaction probability from each of M joint initial states.
 
         Parameters
         ----------
@@ -78,12 +88,13 @@ class Claim:
         automaton = self.problem.automaton
         cells = np.empty((len(joint), len(self.agents)), dtype=np.int64)
         inside = np.ones(len(joint), dtype=bool)
-        split = np.split(joint, np.cumsum([a.n_states for a in self.problem.agents])[:-1], axis=1)
         holds = []
-        for i, (agent, part, own) in enumerate(zip(self.problem.agents, self.agents, split, strict=True)):
-            inside &= np.all((agent.workspace.low <= own) & (own <= agent.workspace.high), axis=1)
-            cells[:, i] = part.grid.cell_of(self.relations[i].to_grid(own.T))
-            holds.append(self.problem.labeling.class_at(i, own.T))
+        for i, (agent, part) in enumerate(zip(self.problem.agents, self.agents, strict=True)):
+            x = joint[:, self.problem.columns[i]]
+            inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)
+            cells[:, i] = part.grid.cell_of(self.relations[i].to_grid(x.T))
+            holds.append(self.problem.labeling.class_at(i, x.T))
+        # The true letter of each state decides the automaton state in which the value is read.
         q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
         values = np.zeros(len(joint))
         for state in np.unique(q):
@@ -93,7 +104,7 @@ class Claim:
         return self._certified(values)
 
     def mean(self, low: Any, high: Any) -> float:
-        """Lower bound on the satisfaction probability from a start drawn uniformly from the box ``[low, high)``.
+        """Return a lower bound on the satisfaction probability from a start drawn uniformly from ``[low, high)``.
 
         Parameters
         ----------
@@ -105,60 +116,65 @@ class Claim:
         return float(self._certified(np.array([self._unread.total(0, weights)]))[0])
 
     def min(self, low: Any, high: Any) -> float:
-        """Lower bound on the satisfaction probability from every start in the box: the smallest value of its cells.
+        """Return a lower bound on the satisfaction probability from every start in the box: the least of its cells.
 
         Raises
         ------
         ValueError
             If the box holds more than ``MAX_JOINT_CELLS`` joint cells.
         """
-        cells = [np.flatnonzero(w) for w in self._box(low, high)]
-        shape = tuple(len(own) for own in cells)
+        cells = [np.flatnonzero(weights) for weights in self._box(low, high)]
+        shape = tuple(len(numbers) for numbers in cells)
         count = float(np.prod(shape, dtype=float))
         if count > MAX_JOINT_CELLS:
             raise ValueError(
                 f"`low`, `high`: expected at most {MAX_JOINT_CELLS} joint cells, got {count:.3g}; ask for a smaller box"
             )
+        # All joint cells of the box, chunk by chunk in C order.
         smallest, chunk = np.inf, max(1, NUMBERS_AT_ONCE // max(1, self._unread.work(0)))
         for first in range(0, int(count), chunk):
-            numbers = np.unravel_index(np.arange(first, min(first + chunk, int(count))), shape)
-            joint = np.column_stack([own[n] for own, n in zip(cells, numbers, strict=True)])
+            places = np.unravel_index(np.arange(first, min(first + chunk, int(count))), shape)
+            joint = np.column_stack([numbers[place] for numbers, place in zip(cells, places, strict=True)])
             smallest = min(smallest, float(self._unread.at(0, joint).min()))
         return float(self._certified(np.array([smallest if count else 0.0]))[0])
 
     @cached_property
-    def _unread(self) -> Terms | Unread:
-        """Value before the first letter is read, as terms of a single state: the start guards and what they lead to."""
-        initial, terms = self.problem.automaton.initial, self.value
-        if isinstance(terms, Trains):
-            if self.problem.automaton.finished[initial]:
+    def _unread(self) -> ValueFunction:
+        """Value before the first letter is read, as that of a single state: the start guards and what they lead to."""
+        initial, value = self.problem.automaton.initial, self.value
+        # An initial state that accepts has no start guards: the value is its own.
+        accepted = bool(self.problem.automaton.finished[initial])
+        if isinstance(value, Trains):
+            if accepted:
                 everywhere = tuple(np.ones((1, part.grid.n_cells)) for part in self.agents)
-                return Unread(terms, np.array([initial]), np.zeros((1, len(self.agents)), dtype=int), everywhere)
-            return Unread(terms, self.start_target, self.start_mask, tuple(part.start_masks for part in self.agents))
-        if self.problem.automaton.finished[initial]:
-            return Terms(terms.factors, (terms.index[initial],))
-        counts = [len(terms.index[q]) for q in self.start_target]
+                return Unread(value, np.array([initial]), np.zeros((1, len(self.agents)), dtype=int), everywhere)
+            return Unread(value, self.start_target, self.start_mask, tuple(part.start_masks for part in self.agents))
+        assert isinstance(value, Terms)
+        if accepted:
+            return Terms(value.factors, (value.index[initial],))
+        # Pair every start guard with every term of its target, and mask each distinct factor once.
+        counts = [len(value.index[q]) for q in self.start_target]
         guard = np.repeat(np.arange(len(counts)), counts)
-        none = np.zeros((0, len(self.agents)), dtype=np.int64)
-        child = np.concatenate([terms.index[q] for q in self.start_target] or [none])
+        no_terms = np.zeros((0, len(self.agents)), dtype=np.int64)
+        child = np.concatenate([value.index[q] for q in self.start_target] or [no_terms])
         factors, rows = [], np.zeros(child.shape, dtype=np.int64)
         for i, part in enumerate(self.agents):
-            key = self.start_mask[guard, i].astype(np.int64) * len(terms.factors[i]) + child[:, i]
+            key = self.start_mask[guard, i].astype(np.int64) * len(value.factors[i]) + child[:, i]
             pairs, rows[:, i] = np.unique(key, return_inverse=True)
-            mask, factor = np.divmod(pairs, max(1, len(terms.factors[i])))
-            factors.append(part.start_masks[mask] * terms.factors[i][factor])
+            mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
+            factors.append(part.start_masks[mask] * value.factors[i][factor])
         return Terms(tuple(factors), (rows,))
 
     def _certified(self, values: FloatArray) -> FloatArray:
-        """Certified values: rounding and, under the a-posteriori bound, lost relations taken off."""
+        """Return values with rounding and, under the a-posteriori bound, lost relations taken off: lower bounds."""
         return np.clip(values * (1.0 - self.relative_rounding) - self.correction, 0.0, 1.0)
 
     def _box(self, low: Any, high: Any) -> list[FloatArray]:
-        """Share of the box in each agent's cells; it sums to 1 where the box lies inside the workspace."""
-        corners = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
-        splits = np.cumsum([a.n_states for a in self.problem.agents])[:-1]
+        """Return the share of the box in each agent's cells; it sums to 1 if the box lies inside the workspace."""
+        first, last = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
         weights = []
-        for i, (a, b) in enumerate(zip(*(np.split(corner, splits) for corner in corners), strict=True)):
+        for i, columns in enumerate(self.problem.columns):
+            a, b = first[columns], last[columns]
             if np.any(a > b):
                 raise ValueError(
                     f"`low`, `high`: expected low <= high for agent `{self.problem.agent_names[i]}`, got {a} and {b}"
@@ -170,24 +186,24 @@ class Claim:
 def with_early_acceptance(
     terms: Terms, skeleton: Sequence[Skeleton], guards: Guards, automaton: Automaton, horizon: int, delta: float
 ) -> Terms:
-    """Terms of a co-safe task, each with ``delta`` more per step that accepting early saves.
+    """Return the terms of a co-safe task, each with ``delta`` more per step that accepting early saves.
 
-    Under the a-posteriori bound a run loses ``delta`` at every step that finds it undecided; the terms know by their
-    depth when they accept (paper, Theorem 1). ``delta`` is rounded down here, since it adds.
+    Under the a-posteriori bound a run loses ``delta`` at every step that finds it undecided; the depth of a term says
+    when it accepts (docs/theory/bounds.md, "A-posteriori"). ``delta`` is rounded down here, since it adds.
     """
     depths = term_depths(skeleton, guards, automaton.accepting, automaton.absorbing)
     worth = delta * (1 - 1e-9) if automaton.is_co_safe else 0.0
     gains = [np.asarray(1.0 + worth * (horizon - depth)) for depth in depths]
+    # Terms with equal factors may differ in depth: give the first agent a factor for each term.
     factors, index = list(terms.factors), [rows.astype(np.int64) for rows in terms.index]
     scaled = [factors[0][rows[:, 0]] * np.reshape(gain, (-1, 1)) for rows, gain in zip(index, gains, strict=True)]
-    ends = np.cumsum([0, *(len(part) for part in scaled)])
-    for rows, first in zip(index, ends, strict=False):
-        rows[:, 0] = first + np.arange(len(rows))
+    for rows, places in zip(index, slices_of(map(len, scaled)), strict=True):
+        rows[:, 0] = np.arange(places.start, places.stop)
     return Terms((np.concatenate(scaled), *factors[1:]), tuple(index))
 
 
 def joint_states(problem: Problem, states: Any) -> FloatArray:
-    """States as an (M, D) array: joint states (M, D) or (D,), or a mapping from agent name to (d_i,) vector."""
+    """Return states as an array (M, D): joint states (M, D) or (D,), or a mapping from agent name to (d_i,) vector."""
     if isinstance(states, Mapping):
         missing = sorted(set(problem.agent_names) ^ set(states))
         if missing:

@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
-from .certificate import EXACT_GAP
+EXACT_GAP = 1e-6
+"""A value is called exact when lower bound and upper bound of the closed loop are closer than this."""
+
+NEXT_TO_AN_END = 1e-12
+"""Bounds nearer to 0 or 1 than this have no leading digits to count: they get a fixed number."""
+
+LEAST_DIGITS = 6
+"""Digits after the point that are always printed."""
 
 
 def rounded_down(value: float, digits: int = 6) -> str:
-    """The largest number with that many digits after the point which is not above the value.
+    """Return the largest number with that many digits after the point which is not above the value.
 
     Examples
     --------
@@ -20,7 +27,7 @@ def rounded_down(value: float, digits: int = 6) -> str:
 
 
 def rounded_up(value: float, digits: int = 6) -> str:
-    """The smallest number with that many digits after the point which is not below the value.
+    """Return the smallest number with that many digits after the point which is not below the value.
 
     Examples
     --------
@@ -31,7 +38,7 @@ def rounded_up(value: float, digits: int = 6) -> str:
 
 
 def significant_down(value: float, digits: int) -> str:
-    """The largest number with that many significant digits which is not above the value.
+    """Return the largest number with that many significant digits which is not above the value.
 
     Examples
     --------
@@ -42,7 +49,7 @@ def significant_down(value: float, digits: int) -> str:
 
 
 def significant_up(value: float, digits: int) -> str:
-    """The smallest number with that many significant digits which is not below the value.
+    """Return the smallest number with that many significant digits which is not below the value.
 
     Examples
     --------
@@ -53,23 +60,27 @@ def significant_up(value: float, digits: int) -> str:
 
 
 def _to_places(value: float, digits: int, rounding: str) -> str:
+    """Return a value with that many digits after the point; decimals round the binary number exactly."""
     return f"{Decimal(float(value)).quantize(Decimal(1).scaleb(-digits), rounding):f}"
 
 
 def _to_digits(value: float, digits: int, rounding: str) -> str:
+    """Return a value with that many significant digits, in scientific notation if it is small."""
     exact = Context(prec=digits, rounding=rounding).create_decimal_from_float(float(value))
     return f"{exact:f}" if exact.adjusted() >= -4 else f"{exact:.{digits - 1}e}"
 
 
 def shown_bound(lower: float, gap: float | None) -> str:
-    """A claim in words, its digits rounded away from what is claimed so that what is printed holds too."""
-    if lower <= 1e-12:
+    """Return a claim in words, its digits rounded to the safe side so that what is printed holds too."""
+    if lower <= NEXT_TO_AN_END:
         claim = significant_down(lower, 3)
     else:
-        digits = 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if lower < 1.0 - 1e-12 else 12
-        if gap is not None and gap <= EXACT_GAP:  # what is exact is worth more digits
+        # Three significant digits of the bound, or of its distance from 1 if that is smaller.
+        digits = 3 - math.floor(math.log10(min(lower, 1.0 - lower))) if lower < 1.0 - NEXT_TO_AN_END else 12
+        # What is exact is worth more digits: as many as the gap leaves.
+        if gap is not None and gap <= EXACT_GAP:
             digits = max(digits, -math.floor(math.log10(max(gap, 1e-15))))
-        claim = rounded_down(lower, max(6, digits))
+        claim = rounded_down(lower, max(LEAST_DIGITS, digits))
     if gap is None or (gap > EXACT_GAP and lower + gap >= 1.0):
         return f"P >= {claim}"
     if gap > EXACT_GAP:

@@ -1,4 +1,4 @@
-"""Whatever stands for a certificate, as one: a synthesis, a certificate of either kind, or the path of a file."""
+"""The certificate that a synthesis, a certificate of either kind, or the path of a file stands for."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
     Raises
     ------
     ValueError
-        If it is none of these, or the file holds no certificate.
+        If `value` is none of these, or if the file holds no certificate.
     """
     if isinstance(value, Synthesis):
         return value.certificate
@@ -37,7 +37,7 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
 
 
 def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
-    """Return the certificate of the task that an agent has a part in, and the agent's number there.
+    """Return the certificate of the task that an agent takes part in, and the agent's number there.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
     Raises
     ------
     ValueError
-        If it stands for no certificate, or there is no such agent.
+        If `value` stands for no certificate, or if there is no such agent.
     """
     certificate = as_certificate(value)
     if not 0 <= agent < certificate.problem.n_agents:
@@ -58,4 +58,4 @@ def of_one_task(value: Any, agent: int = 0) -> tuple[Certificate, int]:
     for group, part in zip(certificate.problem.groups, certificate.parts, strict=True):
         if agent in group.agents:
             return part, group.agents.index(agent)
-    raise AssertionError("every agent has a part in one task")
+    raise AssertionError("every agent takes part in one task")

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid
+from ...envs.agents import LinearAgent, tree_text
+from ..cells import FloatArray, Grid, shape_text
 from ..relations import Relation, relation_from
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AgentPart:
     """What a certificate stores of one agent: grid, relation, lattice, guards' masks on the cells, policy.
 
@@ -43,12 +43,23 @@ class AgentPart:
     policy: NDArray[np.int32]
     menu: NDArray[np.int32] | None = None
 
+    def __repr__(self) -> str:
+        times, states, _ = self.policy.shape
+        choices = "lattice points" if self.menu is None else f"{self.menu.shape[1]} inputs"
+        rows = [
+            ("grid", self.grid),
+            ("lattice", f"{shape_text(self.lattice_shape)} means"),
+            ("policy", f"{times} times, {states} automaton states; choices are {choices}"),
+            ("masks", f"{len(self.masks)} for arriving, {len(self.start_masks)} for starting"),
+        ]
+        return tree_text(f"AgentPart: {self.relation['kind']} relation", rows)
+
     def relation_of(self, agent: LinearAgent) -> Relation:
-        """The relation of ``agent`` that is described, its numbers computed anew."""
+        """Return the relation of ``agent`` that is described, its numbers computed anew."""
         return relation_from(self.relation, agent, self.grid, self.coordinates)
 
     def points(self, t: int, q: int) -> NDArray[Any]:
-        """Lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
+        """Return the lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""
         policy = self.policy[min(t, len(self.policy) - 1), q]
         if self.menu is None:
             return policy

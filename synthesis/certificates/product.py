@@ -1,9 +1,9 @@
 """Certificates of independent tasks, multiplied.
 
-Where a task falls apart into tasks of disjoint groups of agents (``envs.independent``), every group is certified on its
-own, and the product of the lower bounds is a lower bound for the whole: noises, starts and policies of different groups
-are independent. Time and memory are sums over the groups, so they grow linearly with the number of agents; groups that
-differ in nothing but names are synthesized once.
+Where a task decomposes into tasks of disjoint groups of agents (``envs.problem.groups``), every group is certified
+separately, and the product of the lower bounds is a lower bound for the whole: noises, starts and policies of different
+groups are independent. Time and memory are sums over the groups, so that they grow linearly with the number of agents;
+groups that differ in nothing but names are synthesized once.
 """
 
 from __future__ import annotations
@@ -16,23 +16,26 @@ from typing import Any
 
 import numpy as np
 
+from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..controllers import ProductController
 from ..values import UNIT
-from .certificate import EXACT_GAP, Certificate
+from .certificate import Certificate
 from .claim import joint_states
+from .digits import EXACT_GAP
 from .part import AgentPart
+from .summaries import certificate_facts, certificate_html
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProductCertificate:
-    """A certified lower bound for a task that falls apart: the product of the bounds of its parts.
+    """A certified lower bound for a task that decomposes: the product of the bounds of its independent tasks.
 
     Parameters
     ----------
     problem : Problem
-        The whole.
+        The whole problem.
     parts : tuple of Certificate
         One for each of ``problem.tasks``, in order.
     """
@@ -40,16 +43,22 @@ class ProductCertificate:
     problem: Problem
     parts: tuple[Certificate, ...]
 
+    def __repr__(self) -> str:
+        return tree_text(f"ProductCertificate of {self.problem.name!r}", certificate_facts(self))
+
+    def _repr_html_(self) -> str:
+        return certificate_html(f"Certificate of {self.problem.name}", self)
+
     @property
     def lower_bound(self) -> float:
         """Certified lower bound at the problem's start."""
-        return self._down(math.prod(part.lower_bound for part in self.parts))
+        return _less_rounding(self, math.prod(part.lower_bound for part in self.parts))
 
     @property
     def gap(self) -> float | None:
         """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller.
 
-        None for co-safe tasks, whose parts ask for more than the whole does.
+        None for co-safe tasks, since their parts ask for more than the whole does.
         """
         gaps = [part.gap for part in self.parts if part.gap is not None]
         if len(gaps) < len(self.parts) or self.problem.specification.is_co_safe:
@@ -86,10 +95,10 @@ class ProductCertificate:
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of the parts: each that occurs, and which parts have it."""
-        found: dict[str, dict[str, Any]] = {}
+        by_text: dict[str, dict[str, Any]] = {}
         for k, part in enumerate(self.parts):
-            found.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
-        return {"parts": list(found.values())}
+            by_text.setdefault(json.dumps(part.settings), {"settings": part.settings, "parts": []})["parts"].append(k)
+        return {"parts": list(by_text.values())}
 
     @property
     def fingerprint(self) -> str:
@@ -109,7 +118,7 @@ class ProductCertificate:
         return tuple(stored[i] for i in range(self.problem.n_agents))
 
     def at(self, states: Any) -> FloatArray:
-        """Lower bounds (M,) from each of M joint initial states, in any form that ``Certificate.at`` takes."""
+        """Return lower bounds (M,) from each of M joint initial states, in any form that ``Certificate.at`` takes."""
         joint = joint_states(self.problem, states)
         values = np.ones(len(joint))
         for part, columns in zip(self.parts, self._columns, strict=True):
@@ -117,51 +126,53 @@ class ProductCertificate:
         return np.maximum(0.0, values * (1.0 - 4.0 * len(self.parts) * UNIT))
 
     def mean(self, low: Any, high: Any) -> float:
-        """Lower bound from a start drawn uniformly from the box ``[low, high)``; forms as for ``Certificate.mean``."""
-        return self._down(math.prod(part.mean(*box) for part, box in self._boxes(low, high)))
+        """Return a lower bound from a start drawn uniformly from ``[low, high)``; forms as for ``Certificate.mean``."""
+        return _less_rounding(self, math.prod(part.mean(*box) for part, box in _boxes(self, low, high)))
 
     def min(self, low: Any, high: Any) -> float:
-        """Lower bound from every start in the box; forms as for ``Certificate.min``."""
-        return self._down(math.prod(part.min(*box) for part, box in self._boxes(low, high)))
+        """Return a lower bound from every start in the box; forms as for ``Certificate.min``."""
+        return _less_rounding(self, math.prod(part.min(*box) for part, box in _boxes(self, low, high)))
 
     @cached_property
     def alike(self) -> tuple[tuple[int, ...], ...]:
         """Numbers of the parts, those that differ in nothing but names together."""
-        found: dict[object, list[int]] = {}
+        by_content: dict[object, list[int]] = {}
         for k, part in enumerate(self.parts):
-            rest = tuple(id(getattr(part, field.name)) for field in fields(part) if field.name != "problem")
-            found.setdefault((rest, nameless(part.problem)), []).append(k)
-        return tuple(tuple(same) for same in found.values())
+            content = tuple(id(getattr(part, field.name)) for field in fields(part) if field.name != "problem")
+            by_content.setdefault((content, nameless(part.problem)), []).append(k)
+        return tuple(tuple(same) for same in by_content.values())
 
-    def _down(self, value: float) -> float:
-        """The value less what rounding of the product may have added."""
-        return max(0.0, value * (1.0 - 4.0 * len(self.parts) * UNIT))
+    def split(self, state: Any) -> list[tuple[Certificate, FloatArray]]:
+        """Return each part with its share of a joint state, in any form that ``at`` takes."""
+        joint = joint_states(self.problem, state)[0]
+        return [(part, joint[columns]) for part, columns in zip(self.parts, self._columns, strict=True)]
 
     @cached_property
     def _columns(self) -> tuple[Any, ...]:
         """Components of each part's agents in a joint state."""
-        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
-        own = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-        return tuple(np.concatenate([own[i] for i in group.agents]) for group in self.problem.groups)
+        components = np.arange(self.problem.n_states)
+        of_agent = [components[columns] for columns in self.problem.columns]
+        return tuple(np.concatenate([of_agent[i] for i in group.agents]) for group in self.problem.groups)
 
-    def split(self, state: Any) -> list[tuple[Certificate, FloatArray]]:
-        """Each part with its share of a joint state, in any form that ``at`` takes."""
-        joint = joint_states(self.problem, state)[0]
-        return [(part, joint[own]) for part, own in zip(self.parts, self._columns, strict=True)]
 
-    def _boxes(self, low: Any, high: Any) -> list[tuple[Certificate, tuple[FloatArray, FloatArray]]]:
-        """Each part with its share of a box."""
-        first, last = joint_states(self.problem, low)[0], joint_states(self.problem, high)[0]
-        return [(part, (first[own], last[own])) for part, own in zip(self.parts, self._columns, strict=True)]
+def _less_rounding(product: ProductCertificate, value: float) -> float:
+    """Return a product over the parts less what its rounding may have added: a lower bound."""
+    return max(0.0, value * (1.0 - 4.0 * len(product.parts) * UNIT))
+
+
+def _boxes(product: ProductCertificate, low: Any, high: Any) -> list[tuple[Certificate, tuple[FloatArray, FloatArray]]]:
+    """Return each part with its share of a box."""
+    corners = zip(product.split(low), product.split(high), strict=True)
+    return [(part, (first, last)) for (part, first), (_, last) in corners]
 
 
 def product_certificate(problem: Problem, parts: tuple[Certificate, ...]) -> ProductCertificate:
-    """Put certificates of the parts together, each given the names of its agents.
+    """Return the product of certificates, each given the names of its agents.
 
     Raises
     ------
     ValueError
-        If a certificate is not of the part it stands for, up to names.
+        If a certificate is not of the task it stands for, up to names.
     """
     tasks = problem.tasks
     if len(parts) != len(tasks):
@@ -175,7 +186,7 @@ def product_certificate(problem: Problem, parts: tuple[Certificate, ...]) -> Pro
 
 
 def nameless(problem: Problem) -> str:
-    """Everything that a certificate of the problem depends on: problems that differ in names alone are equal here."""
+    """Return everything that a certificate of the problem depends on, as text: names of agents are left out."""
     agents = [agent.to_dict() for agent in problem.agents]
     places = {agent.name: i for i, agent in enumerate(problem.agents)}
     for agent in agents:
@@ -189,12 +200,12 @@ def nameless(problem: Problem) -> str:
 
 
 def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, float | str]:
-    """The bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
+    """Return the bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
     if isinstance(certificate, Certificate):
         return dict(certificate.settings.get("relations_tried", {}))
-    found: dict[str, float | str] = {}
+    tried: dict[str, float | str] = {}
     for same in certificate.alike:
         part = certificate.parts[same[0]]
         name = part.problem.agent_names[0]
-        found |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
-    return found
+        tried |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
+    return tried

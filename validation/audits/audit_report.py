@@ -1,4 +1,8 @@
-"""What an audit found, and where."""
+"""What an audit found, and where.
+
+``report_of`` turns the sums of a ledger into tests and findings; ``joined_report`` puts the audits of independent tasks
+together.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...envs.agents import write_json
+from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
-from ..simulation import Plan
+from ..simulation import INTERRUPTED, Plan, Rows, html_table, labelled_lines
 from ..statistics import CONSISTENT, REFUTED, holm
 
 if TYPE_CHECKING:
     from .ledger import Ledger
 
+MOST_FINDINGS = 8
+"""Findings that are printed; the first ones have the most evidence."""
+
+NEARLY_EQUAL = 1e-9
+"""Difference of logarithmic e-values that counts as none: of agents with equal evidence the first one is named."""
+
 
 @dataclass(frozen=True)
 class Finding:
-    """A pair (time, automaton state) at which the value function falls in expectation, and who stands where then.
+    """A pair (time, automaton state) at which the value function falls in expectation, and which agent lets it fall.
 
     Parameters
     ----------
@@ -30,18 +40,18 @@ class Finding:
         The step from ``time`` to ``time + 1``.
     automaton_state : str
     episodes : int
-        Undecided episodes that were in this state at this time.
+        Number of undecided episodes in this state at this time.
     mean_increment : float
-        Mean of ``Y_{t+1} - Y_t``; at least 0 in a true certificate.
+        Mean of ``Y_{t+1} - Y_t``, an estimate; its expectation is at least 0 if the certificate is true.
     log_e, p_value : float
         Logarithmic e-value and Holm-adjusted p-value.
     agent, region : str
-        The agent, and the propositions that held for it before the step, whose part of the step has the most evidence.
+        The agent whose share of the step has the most evidence, and the propositions that held for it before the step.
     region_episodes, region_mean_increment, region_log_e
-        The same figures of that part.
+        The same figures for that share.
     contradictions : int
-        Episodes in which the value fell although the moves of all agents had left it high: overlapping guards or
-        wrong labels.
+        Number of episodes in which the value fell although the moves of all agents had left it high: guards overlap,
+        or labels are wrong.
     """
 
     time: int
@@ -62,35 +72,38 @@ class Finding:
             where = f"guards or labels are wrong in {self.contradictions} of them"
         else:
             where = (
-                f"most by {self.agent} in {self.region} ({self.region_mean_increment:.4g} over {self.region_episodes})"
+                f"most of it is due to {self.agent} in {self.region} "
+                f"({self.region_mean_increment:+.4g} over {counted(self.region_episodes, 'episode')})"
             )
         return (
-            f"t={self.time} {self.automaton_state}: mean increment {self.mean_increment:.4g} over {self.episodes} "
-            f"episodes (adjusted p {self.p_value:.2g}); {where}"
+            f"at time {self.time} in task state {self.automaton_state} the value changes by "
+            f"{self.mean_increment:+.4g} on average over {counted(self.episodes, 'episode')} "
+            f"(adjusted p = {self.p_value:.2g}); {where}"
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AuditReport:
-    """Outcome of an audit.
+    """The tests of a certificate step by step, and what they found.
 
     Parameters
     ----------
     problem, horizon, episodes, seed, chunk, confidence
         What was run.
     tests : int
-        Pairs (t, q) that were met, and the start.
+        Number of tests: one for each pair (t, q) that was met, and one for the start.
     overall_log_e, overall_p : float
-        Evidence of all steps together.
+        Evidence of all steps together against the certificate.
     start_p : float
         Holm-adjusted p-value of "the value at the start is at least the certified bound".
     contradictions : int
-        Episodes of all pairs that contradict the tree outright; 0 in a true certificate, always.
+        Number of episodes, over all pairs, that contradict the tree outright; always 0 if the certificate is true.
     findings : tuple of Finding
-        Rejected or contradicted pairs, the most evidence first.
+        Rejected or contradicted pairs, those with the most evidence first.
     log_e, worlds, mean_increments : (T, Q) arrays
-        All pairs.
+        Evidence, number of episodes and mean increment of every pair.
     interrupted : bool
+        Whether Ctrl-C ended the audit early.
     """
 
     problem: str
@@ -112,7 +125,7 @@ class AuditReport:
 
     @property
     def refuted(self) -> bool:
-        """Whether any test rejects, or an episode contradicts the tree; by chance with at most ``1 - confidence``."""
+        """Whether a test rejects or an episode contradicts the tree; false with probability at most 1 - confidence."""
         level = 0.5 * (1.0 - self.confidence)
         return bool(self.findings) or self.overall_p <= level or self.start_p <= level
 
@@ -122,11 +135,11 @@ class AuditReport:
         return REFUTED if self.refuted else CONSISTENT
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON values."""
-        plain = ("problem", "horizon", "episodes", "seed", "chunk", "confidence", "tests", "overall_log_e",
-                 "overall_p", "start_p", "contradictions", "interrupted", "verdict")  # fmt: skip
+        """Return everything as JSON values."""
+        sizes = ("problem", "horizon", "episodes", "seed", "chunk", "confidence", "tests")
+        results = ("overall_log_e", "overall_p", "start_p", "contradictions", "interrupted", "verdict")
         return {
-            **{name: getattr(self, name) for name in plain},
+            **{name: getattr(self, name) for name in (*sizes, *results)},
             "findings": [vars(finding) for finding in self.findings],
             **{name: getattr(self, name).tolist() for name in ("log_e", "worlds", "mean_increments")},
         }
@@ -136,21 +149,41 @@ class AuditReport:
         write_json(path, self.to_dict())
 
     def __str__(self) -> str:
-        lines = [
-            f"audit        {self.problem}, horizon {self.horizon}, {self.episodes} episodes, {self.tests} tests",
-            f"all steps    log e-value {self.overall_log_e:.2f}, p {self.overall_p:.2g}; start p {self.start_p:.2g}",
-            *(f"finding      {finding}" for finding in self.findings[:8]),
+        return labelled_lines([("audit", self._title()), *self._rows(MOST_FINDINGS)])
+
+    def __repr__(self) -> str:
+        rows = [(label, shortened(text, 160)) for label, text in self._rows(3)]
+        return tree_text(f"AuditReport: {self._title()}", rows)
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Audit: {self._title()}", self._rows(MOST_FINDINGS))
+
+    def _title(self) -> str:
+        """Return what was run."""
+        return f"{self.problem}, horizon {self.horizon}, {counted(self.episodes, 'episode')}"
+
+    def _rows(self, most: int) -> Rows:
+        """Return what was tested, the evidence, at most so many findings, and the verdict."""
+        together = f"p = {self.overall_p:.2g} for all steps together, p = {self.start_p:.2g} for the start"
+        meaning = "the rollouts contradict the certificate" if self.refuted else "nothing contradicts the certificate"
+        more = len(self.findings) - most
+        return [
+            ("tested", f"{counted(self.tests, 'claim')} that the value does not fall in expectation"),
+            ("evidence", f"{together}; small values speak against the certificate"),
+            *(("finding", str(finding)) for finding in self.findings[:most]),
+            *([("findings", f"{more} more")] if more > 0 else []),
+            *([("interrupted", INTERRUPTED)] if self.interrupted else []),
+            ("verdict", f"{self.verdict}: {meaning}"),
         ]
-        if len(self.findings) > 8:
-            lines.append(f"... and {len(self.findings) - 8} more findings")
-        return "\n".join([*lines, f"verdict      {self.verdict}"])
 
 
 def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: float) -> AuditReport:
-    """The audits of independent tasks as one, in which each has had its share of the probability of a false alarm.
+    """Return the audits of independent tasks as one report.
 
-    States of all tasks stand side by side; p-values over the tasks are adjusted by Bonferroni.
+    Each audit has had its share of the probability of a false alarm. The states of all tasks stand side by side; the
+    p-values over the tasks are adjusted by Bonferroni's method.
     """
+    # The strongest evidence of any task decides, at the price of the number of tasks.
     first, n = reports[0], len(reports)
     strongest = max(reports, key=lambda report: report.overall_log_e)
     return AuditReport(
@@ -174,23 +207,39 @@ def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: 
 
 
 def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -> AuditReport:
-    """Tests and findings from the sums of an audit."""
+    """Return the tests and findings that the sums of an audit give."""
+    # A wealth W gives the p-value 1 / W. The pairs that were met and the start are adjusted together, by Holm's method.
     log_e, start = _log_e(ledger.wealth), float(_log_e(ledger.start))
     met = ledger.worlds > 0
     raw = np.exp(-np.maximum(np.append(log_e[met], start), 0.0))
     adjusted = holm(raw)
     p_values = np.ones(log_e.shape)
     p_values[met] = adjusted[:-1]
+    # The product of the wealth over all steps sees defects that are too thin for any single pair.
     overall = float(_log_e(ledger.wealth.sum(axis=(0, 1)) + ledger.start))
+    # A pair is a finding if its test rejects at half of the level, or if a single episode contradicts the tree.
     rejected = np.argwhere((p_values <= 0.5 * (1.0 - plan.confidence)) | (ledger.contradictions > 0))
     rejected = rejected[np.argsort(-log_e[tuple(rejected.T)], kind="stable")]
     means = ledger.increments / np.maximum(ledger.worlds, 1)
-    findings = tuple(
-        Finding(int(t), problem.automaton.state_names[q], int(ledger.worlds[t, q]), float(means[t, q]),
-                float(log_e[t, q]), float(p_values[t, q]), *_where(problem, ledger, int(t), int(q)),
-                int(ledger.contradictions[t, q]))
-        for t, q in rejected
-    )  # fmt: skip
+    findings = []
+    for t, q in rejected.tolist():
+        agent, region, episodes, mean, evidence = _where(problem, ledger, t, q)
+        findings.append(
+            Finding(
+                time=t,
+                automaton_state=problem.automaton.state_names[q],
+                episodes=int(ledger.worlds[t, q]),
+                mean_increment=float(means[t, q]),
+                log_e=float(log_e[t, q]),
+                p_value=float(p_values[t, q]),
+                agent=agent,
+                region=region,
+                region_episodes=episodes,
+                region_mean_increment=mean,
+                region_log_e=evidence,
+                contradictions=int(ledger.contradictions[t, q]),
+            )
+        )
     return AuditReport(
         problem=problem.name,
         horizon=problem.horizon,
@@ -203,7 +252,7 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -
         overall_p=float(np.exp(-max(overall, 0.0))),
         start_p=float(adjusted[-1]),
         contradictions=int(ledger.contradictions.sum()),
-        findings=findings,
+        findings=tuple(findings),
         log_e=log_e,
         worlds=ledger.worlds.astype(np.int64),
         mean_increments=means,
@@ -212,27 +261,27 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -
 
 
 def _log_e(wealth: NDArray[Any]) -> NDArray[Any]:
-    """Logarithm of the average over the stakes (last axis)."""
+    """Return the logarithm of the average wealth over the stakes (last axis): an e-value, too."""
     return np.asarray(logsumexp(wealth, axis=-1) - np.log(wealth.shape[-1]))
 
 
 def _where(problem: Problem, ledger: Ledger, t: int, q: int) -> tuple[str, str, int, float, float]:
-    """Agent and region with the most evidence at (t, q), with their figures."""
-    best: tuple[float, int, int] = (-np.inf, 0, 0)
+    """Return agent and region with the most evidence at (t, q): their names, episodes, mean increment, log e-value."""
+    # Over all agents and classes: the class in which the bets against the agent's share have won most.
+    strongest: tuple[float, int, int] = (-np.inf, 0, 0)
     for i, split in enumerate(ledger.split):
         evidence = np.where(ledger.split_worlds[i][t, q] > 0, _log_e(split[t, q]), -np.inf)
-        if (found := float(evidence.max())) > best[0] + 1e-9:
-            best = (found, i, int(evidence.argmax()))
-    log_e, i, c = best
+        if (most := float(evidence.max())) > strongest[0] + NEARLY_EQUAL:
+            strongest = (most, i, int(evidence.argmax()))
+    log_e, i, c = strongest
     worlds = ledger.split_worlds[i][t, q, c]
-    return (
-        problem.agent_names[i], region_name(problem, i, c), int(worlds),
-        float(ledger.split_increments[i][t, q, c] / max(worlds, 1)), log_e,
-    )  # fmt: skip
+    mean = float(ledger.split_increments[i][t, q, c] / max(worlds, 1))
+    return problem.agent_names[i], region_name(problem, i, c), int(worlds), mean, log_e
 
 
 def region_name(problem: Problem, i: int, c: int) -> str:
-    """The propositions of class c of agent i, in words."""
-    own = problem.labeling.agent_propositions[i]
+    """Return the propositions of class c of agent i in words."""
+    propositions = problem.labeling.agent_propositions[i]
     holds = problem.labeling.classes[i][c]
-    return " & ".join(problem.labeling.names[p] for p, yes in zip(own, holds, strict=True) if yes) or "no region"
+    names = (problem.labeling.names[p] for p, yes in zip(propositions, holds, strict=True) if yes)
+    return " & ".join(names) or "no region"

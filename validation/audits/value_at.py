@@ -1,7 +1,7 @@
-"""The value functions behind a certificate at every time, read at the cells its controller stands on.
+"""The value functions behind a certificate at every time, read at the cells on which its controller stands.
 
-A certificate stores its value function at time 0 only; those of later times are grown again from its policies and its
-tree (``synthesis.check.regrow``), for the audit and for the curve of bounds against the steps that are left.
+A certificate stores only the value function at time 0. The value functions of later times are computed again from its
+policies and its tree (``synthesis.checking.regrow``), for the audit and for the curve of bounds against steps left.
 """
 
 from __future__ import annotations
@@ -17,21 +17,24 @@ from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
 from ...synthesis.certificates import Certificate, regrow_trains
 from ...synthesis.checking import regrow
-from ...synthesis.values import Terms, Trains, term_depths
+from ...synthesis.values import Terms, Trains, ValueFunction, term_depths
 
 PRODUCTS = 4_000_000
-"""Most products of factors that are formed at once."""
+"""Most products of factors that are formed at once: 32 MB of float64."""
+
+CHARGE_MARGIN = 1e-9
+"""Relative allowance for rounding in a charge: far above the error of its sums, far below what a test can see."""
 
 
 class Charge(Protocol):
-    """What a bound subtracts from the value, ``Delta * Theta``, an upper bound; 0 for exact relations."""
+    """An amount that a bound subtracts from the value: ``Delta * Theta``, an upper bound; 0 for exact relations."""
 
     def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        """Charges (M,) with ``T - time`` steps to go, in automaton states (M,) and joint cells (M, I)."""
+        """Return the charges (M,) with ``T - time`` steps to go, in automaton states (M,) at joint cells (M, I)."""
 
 
 def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
-    """Value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, and the regrown others.
+    """Return the value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, others regrown.
 
     Raises
     ------
@@ -45,56 +48,64 @@ def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
             certificate.problem, certificate.agents, certificate.guards, certificate.rounding, trains.__setitem__
         )
         return tuple(trains[time] for time in range(horizon))
+    # At time 0 keep the stored value, which is the one that the bound is read from.
     values: list[Terms | Trains] = [certificate.value] * horizon
 
-    def keep(time: int, terms: Terms) -> None:
+    def note(time: int, terms: Terms) -> None:
         if time > 0:
             values[time] = terms
 
-    regrow(certificate, keep)
+    regrow(certificate, note)
     return tuple(values)
 
 
-def values_at(terms: Terms | Trains, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-    """Values (M,) in automaton states (M,) at joint cells (M, I)."""
+def values_at(terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+    """Return the values (M,) in automaton states (M,) at joint cells (M, I)."""
     values = np.zeros(len(q))
     for state in np.unique(q):
         here = np.flatnonzero(q == state)
-        parts = max(1, -(-len(here) * terms.work(int(state)) // PRODUCTS))
-        for rows in np.array_split(here, parts):
+        pieces = max(1, -(-len(here) * terms.work(int(state)) // PRODUCTS))
+        for rows in np.array_split(here, pieces):
             values[rows] = terms.at(int(state), cells[rows])
     return values
 
 
-def charge_of(certificate: Certificate, values: Sequence[Terms | Trains]) -> Charge | None:
-    """What the certificate's bound subtracts, ``Delta Theta`` read off the depths of its tree; None if nothing."""
+def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Charge | None:
+    """Return what the certificate's bound subtracts: ``Delta Theta``, an upper bound; None if it subtracts nothing.
+
+    For trees, Theta is read off the depths of the terms (docs/theory/bounds.md, "A-posteriori").
+    """
     if certificate.bound != "a-posteriori":
         return None
     automaton, horizon = certificate.problem.automaton, certificate.problem.horizon
     trees = [value for value in values if isinstance(value, Terms)]
+    # Trains have no terms with depths: every step that is left is charged.
     if len(trees) < len(values):
-        return StepCharge(certificate.delta * (1 + 1e-9), horizon)
+        return StepCharge(certificate.delta * (1 + CHARGE_MARGIN), horizon)
     settled = automaton.accepting, automaton.absorbing
     depths = [tuple(term_depths(certificate.skeleton[t:], certificate.guards, *settled)) for t in range(horizon)]
-    worth = certificate.delta * (1 + 1e-9)
+    worth = certificate.delta * (1 + CHARGE_MARGIN)
     return DepthCharge(tuple(trees), tuple(depths), worth, horizon, automaton.is_co_safe)
 
 
 @dataclass(frozen=True, eq=False)
 class StepCharge:
-    """``Delta`` for every step that is left: the bound of tensor trains."""
+    """``Delta`` for every step that is left: the charge of tensor trains."""
 
     delta: float
     horizon: int
 
     def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        """Charges (M,); see ``Charge``."""
+        """Return the charges (M,); see ``Charge``."""
         return np.full(len(q), self.delta * (self.horizon - time))
 
 
 @dataclass(frozen=True, eq=False)
 class DepthCharge:
-    """``Delta Theta`` with ``Theta = (T - t) - sum_z v(z) (T - t - depth z)``; without the sum for finite traces."""
+    """``Delta Theta`` with ``Theta = (T - t) - sum_z v(z) (T - t - depth z)``; without the sum for finite traces.
+
+    An accepted run of depth d saves ``T - t - d`` steps. The saving is rounded down, so that the charge is rounded up.
+    """
 
     values: tuple[Terms, ...]
     depths: tuple[tuple[NDArray[Any], ...], ...]
@@ -103,8 +114,9 @@ class DepthCharge:
     co_safe: bool
 
     def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        """Charges (M,); see ``Charge``."""
+        """Return the charges (M,); see ``Charge``."""
         left, terms = self.horizon - time, self.values[time]
+        # Sum over the terms of a state: value at the cells times the steps that the term's runs save.
         saved = np.zeros(len(q))
         for state in np.unique(q) if self.co_safe else ():
             here, rows = np.flatnonzero(q == state), terms.index[state]
@@ -112,43 +124,43 @@ class DepthCharge:
             for i, factors in enumerate(terms.factors):
                 product = product * factors[rows[:, i]][:, cells[here, i]].T
             saved[here] = product @ (left - np.reshape(self.depths[time][state], -1))
-        return np.asarray(self.delta * (left - saved * (1 - 1e-9)))
+        return np.asarray(self.delta * (left - saved * (1 - CHARGE_MARGIN)))
 
 
 def standing_cells(
     certificate: Certificate, dynamics: Dynamics, worlds: Worlds, policy: Any, memory: Any
 ) -> NDArray[Any]:
-    """Joint cells (M, I) that the controller acts on: those it remembers where it does, else those of the states."""
+    """Return the joint cells (M, I) on which the controller acts: those it remembers, otherwise those of the states."""
     cells = cells_of(certificate, core.joint(dynamics, worlds))
     if remembers(memory):
         for block, groups, memories in zip(dynamics.blocks, policy.blocks, memory.groups, strict=True):
-            for group, own in zip(groups, memories, strict=True):
-                if own is not None:
-                    cells[:, block.agents[group.members]] = own.cells.T
+            for group, memory_of_group in zip(groups, memories, strict=True):
+                if memory_of_group is not None:
+                    cells[:, block.agents[group.members]] = memory_of_group.cells.T
     return cells
 
 
 def remembers(memory: Any) -> bool:
-    """Whether any agent has a memory."""
-    return any(own is not None for groups in getattr(memory, "groups", ()) for own in groups)
+    """Return whether any agent has a memory."""
+    return any(of_group is not None for groups in getattr(memory, "groups", ()) for of_group in groups)
 
 
 def cells_of(certificate: Certificate, states: NDArray[Any]) -> NDArray[Any]:
-    """Joint cells (M, I) that hold the joint states (M, D); states outside the grids count with the nearest cell."""
-    ends = np.cumsum([agent.n_states for agent in certificate.problem.agents])[:-1]
-    own = np.split(states, ends, axis=1)
-    agents = certificate.controller.agents
-    return np.stack([a.grid.cell_of(a.project(x.T)) for a, x in zip(agents, own, strict=True)], axis=1)
+    """Return the joint cells (M, I) of joint states (M, D); a state outside a grid counts as in the nearest cell."""
+    pairs = zip(certificate.controller.agents, certificate.problem.columns, strict=True)
+    return np.stack([agent.grid.cell_of(agent.project(states[:, columns].T)) for agent, columns in pairs], axis=1)
 
 
-def bound_by_steps_left(certificate: Certificate, values: Sequence[Terms | Trains], state: Any) -> NDArray[Any]:
-    """Lower bounds (T,) from one joint state when the last 1, 2, .., T steps of the policies are played."""
+def bound_by_steps_left(certificate: Certificate, values: Sequence[ValueFunction], state: Any) -> NDArray[Any]:
+    """Return lower bounds (T,) from one joint state if only the last 1, 2, .., T steps of the policies are played."""
     state = np.atleast_2d(np.asarray(state, dtype=float))
     problem = certificate.problem
-    own = np.split(state[0], np.cumsum([agent.n_states for agent in problem.agents])[:-1])
+    # The automaton reads the letter of the start before the first step.
     initial = np.asarray(problem.automaton.initial)
-    q = np.atleast_1d(problem.automaton.next_state(initial, problem.labeling.letter(own)))
+    letter = problem.labeling.letter([state[0, columns] for columns in problem.columns])
+    q = np.atleast_1d(problem.automaton.next_state(initial, letter))
     cells = cells_of(certificate, state)
+    # With k steps left the policies of time T - k are played first, so the value at that time is the bound.
     charge, bounds = charge_of(certificate, values), []
     for time in reversed(range(len(values))):
         bound = values_at(values[time], q, cells)[0] * (1.0 - certificate.relative_rounding)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
-    """Write success rates with their limits, and certified bounds as marks that point to what they allow.
+    """Draw and write success rates with their limits, and certified lower bounds as marks that point upwards.
 
     Raises
     ------
@@ -21,13 +21,14 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
         If matplotlib is not installed or the format is unknown.
     """
     check_format(path)
-    entries = list(reversed(comparison.entries))
+    entries = list(reversed(comparison.entries))  # matplotlib counts rows from below
     figure, (axes,) = new_figure(7.0, 1.5 + 0.35 * len(entries))
     rows = range(len(entries))
     rates = [entry.rate for entry in entries]
     reach = [[e.rate - e.ci_low for e in entries], [e.ci_high - e.rate for e in entries]]
     label = f"success rate, {100 * comparison.confidence:g} % limits"
     axes.errorbar(rates, rows, xerr=reach, fmt="o", color=ESTIMATE, markersize=4, capsize=3, label=label)
+    # Bounds stand a little below the estimate of their policy.
     bounds = [(e.lower_bound, row - 0.25) for row, e in enumerate(entries) if e.lower_bound is not None]
     if bounds:
         x, y = zip(*bounds, strict=True)
@@ -42,7 +43,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
 
 
 def draw_curves(trainings: Sequence[Training], path: str | Path) -> None:
-    """Write the success rate while training against the world steps, a line per training.
+    """Draw and write the success rate while training against the world steps, one line per training.
 
     Raises
     ------

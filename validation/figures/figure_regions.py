@@ -1,4 +1,4 @@
-"""Regions beside and inside maps of starts, and the panels of rollouts over regions."""
+"""Regions along the edges and inside of maps of starts, and panels of rollouts over regions."""
 
 from __future__ import annotations
 
@@ -17,31 +17,33 @@ if TYPE_CHECKING:
 
 Interval = tuple[float, float]
 
+MOST_LABELS = 8
+"""Agents of a panel up to which a legend names them: two lines of it."""
+
 
 def intervals(problem: Problem, k: int) -> dict[str, Interval]:
-    """Regions that restrict joint state coordinate k, by name, cut to the workspace."""
-    first = 0
-    for agent in problem.agents:
-        if k < first + agent.n_states:
-            break
-        first += agent.n_states
-    low, high = float(agent.state_low[k - first]), float(agent.state_high[k - first])
-    found = {}
+    """Return the regions that restrict joint state coordinate k, by name, cut to the workspace."""
+    i = next(i for i, columns in enumerate(problem.columns) if k < columns.stop)
+    agent, axis = problem.agents[i], k - problem.columns[i].start
+    low, high = float(agent.state_low[axis]), float(agent.state_high[axis])
+    intervals_of_regions = {}
     for name, region in problem.propositions.items():
         if region.agent != agent.name:
             continue
+        # An output that is the coordinate itself restricts it; other outputs are no intervals of one coordinate.
         for row, a, b in zip(agent.output_matrix, region.low, region.high, strict=True):
-            if row[k - first] == 1.0 and np.count_nonzero(row) == 1:
+            if row[axis] == 1.0 and np.count_nonzero(row) == 1:
                 cut = max(low, float(a)), min(high, float(b))
                 if cut != (low, high):
-                    found[name] = cut
-    return found
+                    intervals_of_regions[name] = cut
+    return intervals_of_regions
 
 
 def bands(plot: Axes, problem: Problem, k: int, across: bool) -> int:
-    """Draw the regions of joint coordinate k as bars along the upper (``across``) or right edge; returns their rows."""
+    """Draw the regions of joint coordinate k as bars along the upper (``across``) or right edge; return their rows."""
     taken: list[tuple[int, float, float]] = []
     for number, (name, (a, b)) in enumerate(intervals(problem, k).items()):
+        # The lowest row in which the bar overlaps no other.
         level = next(n for n in range(len(taken) + 1) if all(n != m or b <= c or d <= a for m, c, d in taken))
         taken.append((level, a, b))
         place, color = 1.015 + 0.055 * level, REGIONS[number % len(REGIONS)]
@@ -59,9 +61,8 @@ def bands(plot: Axes, problem: Problem, k: int, across: bool) -> int:
 
 
 def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | None:
-    """Outline the regions where both coordinates belong to one agent; None if they do not."""
-    owner = np.repeat(np.arange(problem.n_agents), [agent.n_states for agent in problem.agents])
-    if owner[shown[0]] != owner[shown[1]]:
+    """Outline the regions if both coordinates belong to one agent and return 0; return None if they do not."""
+    if not any(columns.start <= min(shown) and max(shown) < columns.stop for columns in problem.columns):
         return None
     from matplotlib.patches import Rectangle
 
@@ -76,18 +77,17 @@ def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | No
     return 0
 
 
-def rollouts_panel(
-    plot: Axes, panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], horizon: int
-) -> None:  # fmt: skip
-    """Paths (T + 1, M, D) of episodes over the regions of a panel; those that fail end in a cross."""
+def rollouts_panel(plot: Axes, panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], horizon: int) -> None:
+    """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes end in a cross."""
     _regions(plot, panel)
     for curve in panel.curves:
         track = states @ curve.rows.T
         color = SERIES[curve.number % len(SERIES)]
         for m in range(track.shape[1]):
+            # States are NaN after the decision; successful paths are thin, so that failures stand out.
             here = track[~np.isnan(track[:, m]).any(axis=1), m]
             x = here[:, 0] if panel.is_map else np.arange(len(here))
-            label = curve.name if m == 0 and len(panel.curves) <= 8 else None
+            label = curve.name if m == 0 and len(panel.curves) <= MOST_LABELS else None
             line: dict[str, Any] = {"linewidth": 1.0, "alpha": 0.55, "label": label}
             mark: dict[str, Any] = {"color": color, "marker": "o", "ms": 3.5, "mew": 0.5}
             if not success[m]:
@@ -106,11 +106,12 @@ def rollouts_panel(
         plot.set_xlabel("control step")
         plot.set_ylabel("position (state units)")
     plot.set_ylim(panel.low[-1], panel.high[-1])
-    if len(panel.curves) <= 8:
+    if len(panel.curves) <= MOST_LABELS:
         legend_above(plot, 4)
 
 
 def _regions(plot: Axes, panel: Panel) -> None:
+    """Draw the regions of a panel with their names: boxes on a map, bands over time."""
     from matplotlib.patches import Rectangle
 
     for number, region in enumerate(panel.regions):

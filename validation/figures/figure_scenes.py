@@ -1,4 +1,4 @@
-"""Figures of what happens: rollouts over the regions, the task automaton, the value tree behind a bound."""
+"""Figures of rollouts over the regions, of the task automaton, and of the value tree behind a bound."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, as_certificate, of_one_task, shown_bound
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
-from .figure_style import FAILURE, INK, SERIES, SOFT, legend_above, new_figure
+from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,14 +20,29 @@ if TYPE_CHECKING:
     from matplotlib.patches import Circle
 
 MOST_PANELS = 4
-"""Panels of one figure; agents beyond are left out, and the title says so."""
+"""Panels of one figure; the panels of further agents are left out, and the title says so."""
 
 MOST_VERTICES = 400
-"""Largest value tree that is drawn."""
+"""Vertices of the largest value tree that is drawn: more could not be told apart."""
+
+PIXELS_PER_INCH = 62.0
+"""Turns the places of states, which are made for pictures in pixels, into inches of a figure."""
+
+FEW_STATES = 5
+"""States up to which they stand in columns, and arrows to dead states are drawn."""
+
+NUMBERED_STATES = 9
+"""States up to which arrows carry numbers, and arrows from a state to itself are drawn."""
+
+MOST_LINES = 14
+"""Transitions that are listed below an automaton."""
+
+LINE_LENGTH = 88
+"""Characters of a listed transition: the width of the figure."""
 
 
 def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figure:
-    """Episodes of the continuous system under the certified controllers, over the regions.
+    """Draw episodes of the continuous system under the certified controllers, over the regions.
 
     Planar agents are drawn on a map, others over time. Episodes that do not satisfy the task end in a cross.
 
@@ -36,6 +51,11 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
     certificate : Synthesis, Certificate, ProductCertificate or path
     episodes : int
     seed : int
+
+    Raises
+    ------
+    ValueError
+        If there is no episode to draw, or matplotlib is missing.
     """
     if episodes < 1:
         raise ValueError(f"`episodes`: expected at least 1, got {episodes}")
@@ -46,6 +66,7 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
     shown = all_panels[:MOST_PANELS]
     columns = 1 if len(shown) == 1 or not shown[0].is_map else 2
     rows = -(-len(shown) // columns)
+    # Sizes in inches; a single map gets the proportions of its workspace.
     height = 2.6 * rows + 0.6
     if shown[0].is_map and len(shown) == 1:
         sides = np.subtract(shown[0].high, shown[0].low)
@@ -64,20 +85,21 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
 
 
 def automaton_figure(problem: Any) -> Figure:
-    """The task automaton: states, transitions with their numbers, and the letters that take them below.
+    """Draw the task automaton: states, numbered transitions, and below them the letters that take each transition.
 
-    Accepting states have a double rim, states without a way to acceptance are grey. The transitions are those that a
-    letter of the workspace can take; long guards are cut. Of independent tasks the first one is drawn.
+    Accepting states have a double rim; states from which acceptance cannot be reached are grey. The transitions are
+    those that a letter of the workspace can take; long guards are cut off. Of independent tasks the first one is drawn.
     """
     problem = as_problem(problem)
     problem = problem.tasks[0] if problem.groups else problem
     drawn, automaton = edges(problem), problem.automaton
-    spots = {q: (x / 62.0, -y / 62.0) for q, (x, y) in places(automaton, drawn).items()}
+    # The list of transitions below the picture decides on the width and the foot of the figure; one unit is an inch.
+    spots = {q: (x / PIXELS_PER_INCH, -y / PIXELS_PER_INCH) for q, (x, y) in places(automaton, drawn).items()}
     low, high = np.min(list(spots.values()), axis=0), np.max(list(spots.values()), axis=0)
     words = [_guard_line(n, e.guard, automaton.state_names, e.source, e.target) for n, e in enumerate(drawn, 1)]
-    words = [*words[:14], *(["..."] if len(words) > 14 else [])]
+    words = [*words[:MOST_LINES], *(["..."] if len(words) > MOST_LINES else [])]
     width = float(max(high[0] - low[0] + 2.2, 0.075 * max(map(len, words)) + 0.3))
-    foot = 0.9 + 0.155 * len(words)  # one unit is an inch
+    foot = 0.9 + 0.155 * len(words)
     figure, (plot,) = new_figure(width, float(high[1] - low[1]) + 1.35 + foot)
     figure.set_layout_engine("none")
     plot.set_position((0.0, 0.0, 1.0, 1.0))
@@ -85,11 +107,12 @@ def automaton_figure(problem: Any) -> Figure:
     plot.set_xlim(low[0] - 1.1, low[0] - 1.1 + width)
     plot.set_ylim(low[1] - foot, high[1] + 1.35)
     disks = {q: _state(plot, *spots[q], automaton, q) for q in spots}
-    numbered = automaton.n_states <= 9
+    few, numbered = automaton.n_states <= FEW_STATES, automaton.n_states <= NUMBERED_STATES
     for number, edge in enumerate(drawn, 1):
-        if (automaton.n_states > 5 and automaton.dead[edge.target]) or (not numbered and edge.source == edge.target):
+        if (not few and automaton.dead[edge.target]) or (not numbered and edge.source == edge.target):
             continue
-        past = automaton.n_states <= 5 and abs(spots[edge.source][0] - spots[edge.target][0]) > 3.0
+        # An arrow that skips a column of states bends the other way, past the states between.
+        past = few and abs(spots[edge.source][0] - spots[edge.target][0]) > 3.0
         _arrow(plot, disks[edge.source], disks[edge.target], str(number) if numbered else "", -0.32 if past else 0.2)
     x, y = spots[automaton.initial]
     plot.annotate("", (x - 0.31, y), (x - 0.85, y), arrowprops={"arrowstyle": "-|>", "color": INK})
@@ -100,12 +123,13 @@ def automaton_figure(problem: Any) -> Figure:
 
 
 def _guard_line(number: int, guard: str, names: Any, source: int, target: int) -> str:
+    """Return the text of a transition, cut off if it is long."""
     words = f"{number:>2}  {names[source]} -> {names[target]}: {guard}"
-    return words if len(words) <= 88 else words[:84] + " ..."
+    return words if len(words) <= LINE_LENGTH else words[: LINE_LENGTH - 4] + " ..."
 
 
 def _state(plot: Axes, x: float, y: float, automaton: Automaton, q: int) -> Circle:
-    """The disk of a state, with its name."""
+    """Draw and return the disk of a state, with its name in it or below it."""
     from matplotlib.patches import Circle
 
     accepting, dead, name = automaton.accepting[q], automaton.dead[q], automaton.state_names[q]
@@ -120,7 +144,7 @@ def _state(plot: Axes, x: float, y: float, automaton: Automaton, q: int) -> Circ
 
 
 def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
-    """An arrow between two states; a negative bend takes it below those on the way."""
+    """Draw an arrow between two states; with a negative bend it passes below the states on the way."""
     from matplotlib.patches import FancyArrowPatch
 
     style: dict[str, Any] = {"arrowstyle": "-|>", "color": SOFT, "mutation_scale": 11, "linewidth": 1.1, "zorder": 2}
@@ -130,6 +154,7 @@ def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
         plot.add_patch(FancyArrowPatch(left, right, connectionstyle="arc3,rad=-1.9", **style))
         spot = (x0, y0 + 0.63)
     else:
+        # Patches shorten the arrow to the rims of both disks; the number stands at the top of the arc.
         style |= {"patchA": a, "patchB": b, "shrinkA": 1, "shrinkB": 1}
         plot.add_patch(FancyArrowPatch((x0, y0), (x1, y1), connectionstyle=f"arc3,rad={-bend}", **style))
         spot = (0.5 * (x0 + x1) - 0.5 * bend * (y1 - y0), 0.5 * (y0 + y1) + 0.5 * bend * (x1 - x0))
@@ -139,10 +164,11 @@ def _arrow(plot: Axes, a: Circle, b: Circle, number: str, bend: float) -> None:
 
 
 def tree_figure(certificate: Any) -> Figure:
-    """The value tree: a vertex per kept term, right to left from acceptance, an edge per guard, coloured by state.
+    """Draw the value tree: a vertex per kept term, coloured by automaton state, and an edge per guard.
 
-    A term of the value function with k steps left is a guard applied to a term with k - 1 steps left; the bound is the
-    sum over the terms on the left. Of independent tasks the first one is drawn.
+    A term of the value function with k steps left is a guard applied to a term with k - 1 steps left. The tree grows
+    from acceptance on the right; the bound is the sum over the terms on the left. Of independent tasks the first one is
+    drawn.
 
     Raises
     ------
@@ -159,24 +185,17 @@ def tree_figure(certificate: Any) -> Figure:
             "synthesize it with a shorter horizon"
         )
     figure, (plot,) = new_figure(6.8, max(3.0, min(8.0, 0.24 * max(map(len, layers)) + 1.6)))
+    # One column per time, its vertices centred; edges first, so that vertices cover their ends.
     row = [{vertex: r - 0.5 * (len(layer) - 1) for r, vertex in enumerate(layer)} for layer in layers]
     for t, layer in enumerate(layers[:-1]):
         for vertex in layer:
             for child in layer[vertex]:
-                plot.plot([t, t + 1], [row[t][vertex], row[t + 1][child]], color="#b6bcc6", linewidth=0.8, zorder=1)
+                plot.plot([t, t + 1], [row[t][vertex], row[t + 1][child]], color=PALE, linewidth=0.8, zorder=1)
     names = problem.automaton.state_names
     for number, q in enumerate(sorted({q for layer in layers for q, _ in layer})):
-        points = np.array([(t, r) for t, own in enumerate(row) for (s, _), r in own.items() if s == q])
-        color = SERIES[number % len(SERIES)]
-        plot.scatter(
-            points[:, 0],
-            points[:, 1],
-            s=46,
-            color=color,
-            edgecolor="white",
-            zorder=3,
-            label=f"automaton state {names[q]}",
-        )
+        points = np.array([(t, r) for t, rows in enumerate(row) for (s, _), r in rows.items() if s == q])
+        color, label = SERIES[number % len(SERIES)], f"automaton state {names[q]}"
+        plot.scatter(points[:, 0], points[:, 1], s=46, color=color, edgecolor="white", zorder=3, label=label)
     plot.set_yticks([])
     plot.spines["left"].set_visible(False)
     plot.grid(visible=False)
@@ -189,25 +208,26 @@ def tree_figure(certificate: Any) -> Figure:
 
 
 Vertex = tuple[int, int]
+"""Automaton state and number of the term."""
 
 
 def _layers(certificate: Certificate) -> list[dict[Vertex, list[Vertex]]]:
-    """Per time the vertices (automaton state, term) that the start leads to, each with its children."""
+    """Return per time the vertices (automaton state, term) to which the start leads, each with its children."""
     automaton, skeleton = certificate.problem.automaton, certificate.skeleton
-    roots = [(int(q), k) for q in dict.fromkeys(certificate.start_target.tolist())
-             for k in range(len(certificate.tree.index[q]))]  # fmt: skip
+    started = dict.fromkeys(certificate.start_target.tolist())
+    roots = [(int(q), k) for q in started for k in range(len(certificate.tree.index[q]))]
     layers: list[dict[Vertex, list[Vertex]]] = [{root: [] for root in roots}]
+    # Follow the terms forward in time; only those that the start needs are drawn.
     for step in skeleton:
         following: dict[Vertex, list[Vertex]] = {}
         for (q, k), children in layers[-1].items():
             if automaton.finished[q]:
                 children.append((q, 0))
             else:
-                kept = int(step.kept[q][k])
-                merged = [
-                    b for a, b in zip(step.merges[q].into.tolist(), step.merges[q].absorbed.tolist()) if a == kept
-                ]
-                for row in (kept, *merged):
+                # A kept term stands for its candidate and for all candidates that were united with it.
+                candidate, merges = int(step.kept[q][k]), step.merges[q]
+                merged = [b for a, b in zip(merges.into.tolist(), merges.absorbed.tolist()) if a == candidate]
+                for row in (candidate, *merged):
                     guard, term = (int(v) for v in step.origin[q][row])
                     children.append((int(certificate.guard_target[guard]), term))
             following.update({child: [] for child in children})

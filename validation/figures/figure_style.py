@@ -1,8 +1,8 @@
-"""The common look of all figures: matplotlib, loaded when the first figure is made, and never its global state.
+"""The common look of all figures; matplotlib is loaded with the first figure, and its global state is never used.
 
-Colours are those of Okabe and Ito, which readers with any of the usual colour deficiencies can tell apart; maps use
-``cividis``. A certified lower bound is a dark solid line with the range that it leaves open above it tinted, so that it
-reads as a bound and not as an estimate; what rollouts show are points with limits.
+The colours are those of Okabe and Ito, which readers with any of the usual colour deficiencies can tell apart; maps use
+``cividis``. A certified lower bound is a solid line, and the range that it leaves open above it is tinted, so that it
+reads as a bound and not as an estimate. Results of rollouts are points with limits.
 """
 
 from __future__ import annotations
@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-INK, SOFT = "#1b1f24", "#6b7280"
+INK, SOFT, PALE = "#1b1f24", "#6b7280", "#b6bcc6"
+"""Colours of text, of notes and arrows, and of lines in the background."""
 BOUND, ESTIMATE, FAILURE = "#0072B2", "#D55E00", "#B00020"
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+"""Colours of lines, in the order in which they are used."""
 REGIONS = ("#009E73", "#D55E00", "#56B4E9", "#E69F00", "#CC79A7", "#0072B2")
+"""Colours of regions: the same ones in another order, so that the first agent and the first region differ."""
 MARKS = ("o", "s", "^", "D", "v", "P")
 AT_LEAST = "^"
 """Triangle that points up, the mark of a lower bound."""
@@ -29,18 +32,19 @@ MAP = "cividis"
 
 
 def new_figure(width: float = 6.4, height: float = 4.0, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure with rows x columns axes, sizes in inches; it belongs to no window and no pyplot state.
+    """Return a figure and its rows x columns axes, sizes in inches; it belongs to no window and no pyplot state.
 
     Raises
     ------
     ValueError
-        Without matplotlib.
+        If matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Sheet
     except ImportError as error:
         raise ValueError('figures need matplotlib; install it with `pip install "certigym[viz]"`') from error
+    # A canvas instead of pyplot: no global state, and no window.
     figure = Sheet(figsize=(width, height), layout="constrained", dpi=120, facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -51,27 +55,28 @@ def new_figure(width: float = 6.4, height: float = 4.0, rows: int = 1, columns: 
 
 
 def check_format(path: str | Path, argument: str = "path") -> None:
-    """Refuse a file name that is no PNG, SVG or PDF, before anything is computed.
+    """Check the ending of a file name, before anything is computed.
 
     Raises
     ------
     ValueError
-        If the name ends in anything else.
+        If the name does not end in .png, .svg or .pdf.
     """
     if Path(path).suffix.lower() not in FORMATS:
         raise ValueError(f"`{argument}`: expected a file name that ends in {', '.join(FORMATS)}, got {str(path)!r}")
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, SVG or PDF; ValueError if the name ends in anything else."""
+    """Write a figure as PNG, SVG or PDF; raise ValueError if the name ends in anything else."""
     check_format(path)
+    # Without a date, equal figures are equal files.
     figure.savefig(path, metadata={"Date": None} if Path(path).suffix.lower() == ".svg" else None)
 
 
 def draw_bound(axes: Axes, x: Any, lower: Any, label: str, color: str = BOUND, upper: Any = 1.0, **style: Any) -> None:
-    """A lower bound over x: a solid line, and the range up to ``upper`` (1 unless known better) tinted.
+    """Draw a lower bound over x: a solid line, and tinted the range up to ``upper``, which is 1 by default.
 
-    ``upper=None`` leaves the tint out, where several bounds share the axes.
+    ``upper=None`` leaves the tint out, for several bounds on the same axes.
     """
     lower = np.asarray(lower, dtype=float)
     if upper is not None:
@@ -81,28 +86,27 @@ def draw_bound(axes: Axes, x: Any, lower: Any, label: str, color: str = BOUND, u
 
 
 def draw_estimates(axes: Axes, x: Any, estimate: Any, low: Any, high: Any, label: str, color: str = ESTIMATE) -> None:
-    """Success rates of rollouts with their limits."""
+    """Draw success rates of rollouts with their limits."""
     middle = np.asarray(estimate, dtype=float)
     reach = np.maximum([middle - np.asarray(low), np.asarray(high) - middle], 0.0)
     axes.errorbar(x, middle, yerr=reach, fmt="o", markersize=4, color=color, capsize=3, linewidth=1.2, label=label)
 
 
 def legend_above(axes: Axes, columns: int = 3) -> None:
-    """A legend over the axes, where it covers no data."""
-    axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2, fontsize=8.5,
-        columnspacing=1.4, handlelength=1.8,
-    )  # fmt: skip
+    """Put a legend over the axes, where it covers no data."""
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
+    axes.legend(**place, ncols=columns, fontsize=8.5, columnspacing=1.4, handlelength=1.8)
 
 
 def whole_ticks(axis: Axis) -> None:
-    """Ticks at whole numbers only."""
+    """Put ticks at whole numbers only."""
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _dress(axes: Axes) -> None:
+    """Give axes the common look: no frame above and to the right, soft lines, a grid behind the data."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):

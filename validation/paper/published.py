@@ -1,16 +1,16 @@
 """The published computation of Fig. 3, step by step: **a reproduction, not a certificate**.
 
 The paper's reach-avoid figures come out to six digits if, and only if, the kernel is built with the *variance* .25 in
-the place of the standard deviation .5 while delta belongs to the standard deviation .5: two different systems in one
-computation (THEORY section 11). Nothing here is a claim about any system unless ``kernel_deviation`` is the standard
-deviation of the noise; ``certigym.synthesize`` makes certificates.
+the place of the standard deviation .5, while delta belongs to the standard deviation .5: two different systems in one
+computation (docs/published_results.md, "Fig. 3: reach-avoid, two agents"). Nothing here is a claim about any system
+unless ``kernel_deviation`` is the standard deviation of the noise; ``certigym.synthesize`` makes certificates.
 
-Conventions of the published computation, each needed for the digits: cells of equal width and inputs
-``linspace(-5, 5, 10)``; delta = .002; guards as products of literals, each literal shrunk by epsilon at region
+The published computation has the following conventions, each of which the digits need: cells of equal width and inputs
+``linspace(-5, 5, 10)``; delta = .002; guards are products of literals, and each literal is shrunk by epsilon at region
 boundaries but not at the edge of the workspace; the plain operator ``max(0, P[mask v] - delta)``; one policy per agent,
-chosen anew at every step for both agents at once by the 1-norm weights of the other agent's factors under the policies
-of the step before, where only terms count that are alive under those policies; ties to the first input; the reported
-mean reads the start through the shrunk guards.
+chosen anew at every step for both agents at once, with the 1-norms of the other agent's factors as weights, under the
+policies of the step before; only terms count that are alive under those policies; ties go to the first input; the
+reported mean reads the start through the shrunk guards.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from scipy.special import ndtr
 from ...synthesis.cells import FloatArray, Grid
 
 LOW, HIGH, CELLS, EPSILON, A, B = -20.0, 5.0, 1000, 0.1, 0.9, 0.5
+"""Workspace, cells, epsilon and dynamics ``x' = A x + B u`` of both agents, as published."""
 INPUTS = np.linspace(-5.0, 5.0, 10)
 DELTA = 0.002
 """Published failure probability per agent; the closed form is .0019947."""
@@ -33,10 +34,13 @@ VARIANCE = 0.25
 REGION = (slice(0, 800), slice(600, 700))
 """Cells over which the figure averages: x1 in [-20, 0], x2 in [-5, -2.5]."""
 
+SLACK_OF_EDGES = 1e-9
+"""Tolerance with which a cell touches a boundary: far above rounding, far below the cell width .025."""
+
 
 @dataclass(frozen=True, eq=False)
 class PublishedStep:
-    """Outcome at one horizon.
+    """The published computation at one horizon.
 
     Parameters
     ----------
@@ -58,13 +62,13 @@ class PublishedStep:
 def published_curve(
     horizon: int, kernel_deviation: float = VARIANCE, delta: float = DELTA, correction: str = "robust tree"
 ) -> list[PublishedStep]:
-    """The published computation for horizons 1 .. ``horizon`` (a reproduction, see the module).
+    """Return the published computation for horizons 1 .. ``horizon``: a reproduction, in general no bound.
 
     Parameters
     ----------
     horizon : int
     kernel_deviation : float
-        Standard deviation the kernel is built with; published: the variance .25. The stated noise has .5.
+        Standard deviation with which the kernel is built; the paper used the variance .25, the stated noise has .5.
     delta : float
         Failure probability per agent.
     correction : str
@@ -80,12 +84,14 @@ def published_curve(
     history: list[NDArray[Any]] = []
     steps = []
     for t in range(1, horizon + 1):
+        # Apply the guards to the terms of the step before, and smooth the factors by the kernel.
         grown = [(reach[0] * 1.0, reach[1] * 1.0, 1)]
         grown += [(m1 * v1, m2 * v2, depth + 1) for m1, m2 in stay for v1, v2, depth in terms]
         depths = np.array([depth for _, _, depth in grown])
         shape = (len(grown), CELLS, len(INPUTS))
         factors = [np.array([g[i] for g in grown]) for i in (0, 1)]
-        smoothed = [np.maximum(0.0, (own @ kernel).reshape(shape) - loss) for own in factors]
+        smoothed = [np.maximum(0.0, (masked @ kernel).reshape(shape) - loss) for masked in factors]
+        # Choose new policies with weights from the old ones, and keep the terms that are alive under the new ones.
         old = [_chosen(smoothed[i], policies[i]) for i in (0, 1)]
         alive = (old[0].max(axis=1) * old[1].max(axis=1) > 1e-15) * (1.0 + joint_loss * (t - depths))
         weights = [old[1].sum(axis=1) * alive, old[0].sum(axis=1) * alive]
@@ -100,7 +106,7 @@ def published_curve(
 
 
 def _kernel(deviation: float) -> FloatArray:
-    """Masses (S, S * inputs) of every cell around the mean of each cell and input, as plain differences of a CDF."""
+    """Return the masses (S, S * inputs) of every cell for each cell and input, as plain differences of a CDF."""
     edges = np.linspace(LOW, HIGH, CELLS + 1)
     centres = 0.5 * (edges[:-1] + edges[1:])
     means = (A * centres[:, None] + B * INPUTS).ravel()
@@ -108,10 +114,11 @@ def _kernel(deviation: float) -> FloatArray:
 
 
 def _guards() -> tuple[tuple[FloatArray, FloatArray], list[tuple[FloatArray, FloatArray]]]:
-    """Shrunk masks of ``p1`` and of the two products ``!p1 & !p3``, ``!p1 & !p2 & p3`` that stay undecided."""
+    """Return the shrunk masks of ``p1`` and of the two undecided products ``!p1 & !p3`` and ``!p1 & !p2 & p3``."""
     edges = np.linspace(LOW, HIGH, CELLS + 1)
-    centres, slack = 0.5 * (edges[:-1] + edges[1:]), 1e-9
+    centres, slack = 0.5 * (edges[:-1] + edges[1:]), SLACK_OF_EDGES
     low, high = centres - EPSILON, centres + EPSILON
+    # A literal holds in a cell if it holds everywhere within epsilon of the centre.
     p1, not_p1 = low >= -slack, high <= slack
     not_p2 = (high <= -5.0 + slack) | p1
     p3, not_p3 = high <= -15.0 + slack, low >= -15.0 - slack
@@ -119,14 +126,18 @@ def _guards() -> tuple[tuple[FloatArray, FloatArray], list[tuple[FloatArray, Flo
 
 
 def _chosen(smoothed: FloatArray, policy: NDArray[Any]) -> FloatArray:
-    """Values (n, S) of smoothed factors (n, S, inputs) at the chosen inputs."""
+    """Return the values (n, S) of smoothed factors (n, S, inputs) at the chosen inputs."""
     return smoothed[:, np.arange(CELLS), policy]
 
 
 def _field(
     stay: list[tuple[FloatArray, FloatArray]], terms: list[tuple[FloatArray, FloatArray, int]], loss: float, t: int
 ) -> FloatArray:
-    """Value (800, 100) on the region, the start read through the shrunk guards; corrected a posteriori if asked for."""
+    """Return the value (800, 100) on the region, the start read through the shrunk guards.
+
+    With a joint ``loss`` per step above 0 it is corrected a posteriori.
+    """
+    # Values are products of one factor per agent, so the field is a product of two matrices.
     rows, columns = REGION
     first = np.array([m1 * v1 * (1.0 + loss * (t - depth)) for m1, _ in stay for v1, _, depth in terms])
     second = np.array([m2 * v2 for _, m2 in stay for _, v2, _ in terms])
@@ -135,5 +146,5 @@ def _field(
 
 
 def published_grid() -> Grid:
-    """The grid of both agents."""
+    """Return the grid of both agents."""
     return Grid((np.linspace(LOW, HIGH, CELLS + 1),))

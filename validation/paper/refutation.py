@@ -1,8 +1,8 @@
 """The published T = 6 certificate of Fig. 3 against the continuous system at the stated noise.
 
 The published value at a cell is a claim about the satisfaction probability from the states of that cell under the
-published policy. Its policy is carried out on the continuous system, each agent using the input of the cell of its
-state, and the claim at many initial states is tested at once (Holm over the states).
+published policy. Here this policy is carried out on the continuous system: each agent uses the input of the cell of its
+state. The claims at many initial states are tested at once (Holm's method over the states).
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betainc
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
 from ...envs.suite import make_problem
 from ...synthesis.cells import FloatArray
 from ...synthesis.synthesize import synthesize
-from ..statistics import REFUTED, holm
+from ..statistics import REFUTED, holm, p_at_least
 from ..verdicts import validate
 from .published import INPUTS, PublishedStep, published_curve, published_grid
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedPolicy:
-    """The published policies: the input of the cell of each agent's state, as long as the task is undecided."""
+    """The published policies as a controller: each agent uses the input of the cell of its state."""
 
     policies: NDArray[Any]
 
     def batch(self, dynamics: Dynamics) -> PublishedPolicy:
-        """The policy itself serves batches."""
+        """Return the policy itself, which serves batches."""
         return self
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
-        """Nothing is remembered."""
+        """Return no memory."""
 
     def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
-        """Inputs (1, 2, M)."""
+        """Return the inputs (1, 2, M) of both agents."""
+        # States outside the workspace have failed; they count as in the nearest cell.
         grid = published_grid()
         (states,) = worlds.states
         edges = grid.edges[0]
@@ -53,19 +53,21 @@ def refute_published(
     seed: int = 0,
     confidence: float = 0.999,
 ) -> dict[str, Any]:
-    """Test the published certificate and ours at the right noise; the numbers of ``certigym reproduce refutation``.
+    """Test the published certificate, and certificates of this package at the stated noise, by rollouts.
+
+    These are the numbers of ``certigym reproduce refutation``.
 
     Parameters
     ----------
     horizon : int
-        T of the certificate.
+        Horizon T of the certificate.
     states : (int, int)
         Initial states per agent, evenly spread over the region x1 in [-20, 0], x2 in [-5, -2.5] (cell centres).
     episodes : int
         Rollouts per initial state.
     seed : int
     confidence : float
-        A true field of claims is refuted anywhere with probability at most ``1 - confidence`` (Holm).
+        If all claims are true, any is refuted with probability at most ``1 - confidence`` (Holm).
 
     Returns
     -------
@@ -76,11 +78,8 @@ def refute_published(
     step = published_curve(horizon)[-1]
     starts, claims = _field(step, states)
     successes = _simulate(step, starts, episodes, seed)
-    # p-value of "P >= claim": probability of so few successes if P were the claim
-    p_values = np.where(
-        successes == episodes, 1.0, betainc(episodes - successes, successes + 1.0, 1.0 - np.minimum(claims, 1.0))
-    )
-    refuted = holm(p_values) <= 1.0 - confidence
+    refuted = holm(p_at_least(successes, episodes, np.minimum(claims, 1.0))) <= 1.0 - confidence
+    # Where the success rate is furthest below the claim.
     estimates = successes / episodes
     excess = claims - estimates
     worst = int(np.argmax(excess))
@@ -107,16 +106,17 @@ def refute_published(
 
 
 def _field(step: PublishedStep, states: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Initial states (N, 2), centres of cells of the region, and the published claim at each."""
+    """Return initial states (N, 2), centres of cells of the region, and the published claims (N,) there."""
     centres = published_grid().centres[:, 0]
     first = np.linspace(0, 799, states[0]).round().astype(int)
     second = np.linspace(0, 99, states[1]).round().astype(int)
-    rows, columns = (own.ravel() for own in np.meshgrid(first, second, indexing="ij"))
+    rows, columns = (numbers.ravel() for numbers in np.meshgrid(first, second, indexing="ij"))
     return np.column_stack([centres[rows], centres[600 + columns]]), step.field[rows, columns]
 
 
 def _simulate(step: PublishedStep, starts: FloatArray, episodes: int, seed: int) -> NDArray[np.int64]:
-    """Successes (N,) of ``episodes`` rollouts from each start, at the stated noise; one generator per start."""
+    """Return the successes (N,) of ``episodes`` rollouts from each start, at the stated noise; one generator each."""
+    # Chunks would mix starts; here every start has one batch of worlds and one generator.
     dynamics = Dynamics.of(make_problem("reach-avoid-v0", horizon=step.horizon))
     policy = PublishedPolicy(step.policies)
     successes = np.empty(len(starts), dtype=np.int64)
@@ -131,11 +131,14 @@ def _simulate(step: PublishedStep, starts: FloatArray, episodes: int, seed: int)
 
 
 def _right_noise(horizon: int, episodes: int, seed: int, confidence: float) -> dict[str, Any]:
-    """Certificates at the stated noise, the paper's relation and ours, tested in the same way over the region."""
+    """Return the tests of certificates at the stated noise, under the paper's relation and the exact one.
+
+    They are tested by rollouts whose starts are uniform in the region.
+    """
     problem = make_problem("reach-avoid-v0", horizon=horizon)
-    found = {}
+    outcomes = {}
     for relation in ("paper", "exact"):
         report = validate(synthesize(problem, 1000, relation=relation), episodes, seed=seed, confidence=confidence)
-        found[relation] = {"lower_bound": report.lower_bound, "estimate": report.estimate, "verdict": report.verdict}
-    wrong = [own["verdict"] for own in found.values() if own["verdict"] == REFUTED]
-    return {"verdict": REFUTED if wrong else found["paper"]["verdict"], **found}
+        outcomes[relation] = {"lower_bound": report.lower_bound, "estimate": report.estimate, "verdict": report.verdict}
+    wrong = [outcome["verdict"] for outcome in outcomes.values() if outcome["verdict"] == REFUTED]
+    return {"verdict": REFUTED if wrong else outcomes["paper"]["verdict"], **outcomes}

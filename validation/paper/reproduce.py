@@ -1,8 +1,8 @@
 """The paper's figures and tables, recomputed: published values beside ours.
 
-Each function writes numbers (CSV) and, where matplotlib is installed, a figure (PNG) into a folder, and returns the
-rows. What is a certificate for the continuous system at the stated noise and what only reproduces a published number
-is said in the name of each column:
+Each function writes numbers (CSV) and, if matplotlib is installed, a figure (PNG) into a folder, and returns the rows.
+The name of each column says whether a number is a certificate for the continuous system at the stated noise, or only
+reproduces a published number:
 
 ``published``                     read off the paper's figure or its public data
 ``robust_tree_variance_as_std``   the published computation, kernel built from the variance: **not a certificate**
@@ -52,11 +52,11 @@ FIGURE_4_CELLS = (40, 45, 50, 55, 59)
 
 
 def _quiet(text: str) -> None:
-    """Report nothing."""
+    """Do nothing with a message about the progress."""
 
 
 def fig3(out: Path, horizon: int = 16, cells: int = 1000, progress: Progress = _quiet) -> list[Row]:
-    """Fig. 3, reach-avoid: bounds averaged over the region x1 in [-20, 0], x2 in [-5, -2.5] against the horizon."""
+    """Recompute Fig. 3, reach-avoid: bounds, averaged over x1 in [-20, 0], x2 in [-5, -2.5], against the horizon."""
     published = published_curve(horizon)
     stated = published_curve(horizon, kernel_deviation=0.5)
     rows = []
@@ -64,15 +64,15 @@ def fig3(out: Path, horizon: int = 16, cells: int = 1000, progress: Progress = _
         problem = make_problem("reach-avoid-v0", horizon=t)
         exact = synthesize(problem, cells).certificate
         paper = synthesize(problem, cells, relation="paper", epsilon=0.1).certificate
-        known = FIGURE_3[t - 1] if t <= len(FIGURE_3) else (None, None)
+        robust, a_posteriori = FIGURE_3[t - 1] if t <= len(FIGURE_3) else (None, None)
         rows.append(
             {
                 "T": t,
-                "published": known[0],
+                "published": robust,
                 "robust_tree_variance_as_std": published[t - 1].mean,
                 "robust_tree": stated[t - 1].mean,
                 "robust_tree_certified": paper.bounds.get("robust tree"),
-                "a_posteriori_published": known[1],
+                "a_posteriori_published": a_posteriori,
                 "a_posteriori": paper.bounds.get("a-posteriori"),
                 "exact": exact.lower_bound,
             }
@@ -84,7 +84,7 @@ def fig3(out: Path, horizon: int = 16, cells: int = 1000, progress: Progress = _
 
 
 def fig4(out: Path, horizon: int = 7, progress: Progress = _quiet) -> list[Row]:
-    """Fig. 4, invariance of 4 and 20 agents, in both settings: mean over five start cells against the horizon."""
+    """Recompute Fig. 4, invariance of 4 and 20 agents in both settings: mean over five start cells by horizon."""
     rows: list[Row] = [{"T": t} for t in range(1, horizon + 1)]
     for setting in ("A", "B"):
         for n in (4, 20):
@@ -92,6 +92,7 @@ def fig4(out: Path, horizon: int = 7, progress: Progress = _quiet) -> list[Row]:
             joint = join(problem, abstract(problem, 100, relation="paper", epsilon=0.1))
             q = int(np.flatnonzero(~joint.absorbing)[0])
             starts = np.array([[cell] * n for cell in FIGURE_4_CELLS])
+            # The paper's method gives all horizons in one pass, the exact relation one certificate per horizon.
             for row, step in zip(rows, paper_steps(joint, "robust tree"), strict=True):
                 row[f"robust_tree_{setting}_{n}"] = float(np.mean(step.terms.at(q, starts)))
             for row in rows:
@@ -106,17 +107,18 @@ def fig4(out: Path, horizon: int = 7, progress: Progress = _quiet) -> list[Row]:
 
 
 def table1(out: Path, progress: Progress = _quiet) -> list[Row]:
-    """Table 1: bytes of the value function, joint against one term of the tree (computed and measured)."""
+    """Recompute Table 1: bytes of a joint value function against one term of the tree, computed and measured."""
     rows = []
     for name, cells, published in (
         ("reach-avoid-v0", 1000, (2.4e7, 1.6e4)),
         ("invariance-20-v0", 100, (2.4e41, 1.6e4)),
         ("package-delivery-v0", 1200, (1.02e26, 7.7e4)),
     ):
+        # A short horizon and one sweep are enough to count bytes.
         problem = make_problem(name)
         small = problem.replace(horizon=min(problem.horizon, 7))
         certificate = synthesize(small, cells, max_sweeps=1).certificate
-        sizes = [part.grid.n_cells for part in certificate.agents]
+        sizes = [agent.grid.n_cells for agent in certificate.agents]
         measured = sum(factors.nbytes for factors in certificate.tree.factors)
         terms = sum(len(index) for index in certificate.tree.index)
         rows.append(
@@ -139,15 +141,17 @@ def table1(out: Path, progress: Progress = _quiet) -> list[Row]:
 
 
 def table2(out: Path, cells: int = 1200, episodes: int = 400_000, progress: Progress = _quiet) -> list[Row]:
-    """Table 2, package delivery of four robots: published, the paper's method with disjoint letters, and ours."""
+    """Recompute Table 2, package delivery of four robots: the paper's method with disjoint letters, and ours."""
     rows = []
     problem = make_problem("package-delivery-v0")
+    # The paper's method does not depend on the start, so one run serves all points.
     joint = join(problem, abstract(problem, cells, relation="paper", epsilon=0.1))
     began = time.perf_counter()
     *_, last = paper_steps(joint, "robust tree")
     progress(f"the paper's method at the stated noise: {time.perf_counter() - began:.1f} s")
     for point, published in TABLE_2:
         for name in ("package-delivery-v0", "package-delivery-eased-v0"):
+            # Our certificates are synthesized from each point, and tested by rollouts from there.
             here = make_problem(name).replace(initial_state=list(point))
             eased = name != "package-delivery-v0"
             result = synthesize(here, cells)
@@ -175,6 +179,7 @@ def table2(out: Path, cells: int = 1200, episodes: int = 400_000, progress: Prog
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV; missing numbers are empty."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
@@ -183,7 +188,7 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _curves(path: Path, rows: Sequence[Row], x: str, label: str, title: str) -> None:
-    """Plot every column against ``x`` if matplotlib is there."""
+    """Draw every column against ``x``, if matplotlib is installed."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

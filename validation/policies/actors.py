@@ -1,8 +1,8 @@
-"""Trained actors as plain numbers: evaluated by numpy, stored as ``.npz`` with a JSON header, no pickle.
+"""Trained actors as plain numbers: evaluated by numpy, stored as ``.npz`` with a JSON header and without pickle.
 
-An actor is the deterministic part of a learned policy, a small network from a row of its view (``views``) to an action
-in [-1, 1]. The shared actor is a decentralised policy (``synthesis.decentralised``), so it can be certified; the
-central one sees all states and cannot.
+An actor is the deterministic part of a learned policy: a small network from a row of its view (``views``) to an action
+in [-1, 1]. The shared actor is a decentralised policy (``synthesis.controllers.decentralised``), so it can be
+certified. The central actor sees the states of all agents and cannot be certified.
 """
 
 from __future__ import annotations
@@ -29,10 +29,13 @@ Array = NDArray[Any]
 VIEWS = {"shared": SharedView, "central": CentralView}
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
+ACTOR_FORMAT = "certigym actor 1"
+"""Name and version of the file format."""
+
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers ``x -> x W' + b`` with an activation between them.
+    """A feed-forward network: layers ``x -> x W' + b`` with an activation between them.
 
     Parameters
     ----------
@@ -49,7 +52,8 @@ class Network:
     squashed: bool
 
     def actions(self, rows: Array) -> Array:
-        """Actions (N, m) in [-1, 1] for observations (N, n)."""
+        """Return actions (N, m) in [-1, 1] for observations (N, n)."""
+        # In single precision, as torch computes them.
         hidden, apply = np.asarray(rows, dtype=np.float32), ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = apply(hidden @ weight.T + bias)
@@ -59,7 +63,7 @@ class Network:
 
 @dataclass(frozen=True, eq=False)
 class SharedActor:
-    """One network for all agents of a problem, each with its own row: a decentralised policy.
+    """One network that serves all agents of a problem, each with its row: a decentralised policy.
 
     Parameters
     ----------
@@ -74,13 +78,13 @@ class SharedActor:
     information = SharedView.information
 
     def inputs(self, agent: int, states: Array, q: Array, time: int) -> Array:
-        """Inputs (m, N) of one agent at states (d, N)."""
+        """Return the inputs (m, N) of one agent at states (d, N), automaton states (N,) and a time."""
         rows = SharedView(self.problem).agent_rows(agent, states, q, time)
-        own = self.problem.agents[agent]
-        return inputs_of(own, self.network.actions(rows)[:, : own.n_inputs].T.astype(float))
+        moved = self.problem.agents[agent]
+        return inputs_of(moved, self.network.actions(rows)[:, : moved.n_inputs].T.astype(float))
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
-        """The policy for batched rollouts."""
+        """Return the policy for batched rollouts."""
         return as_controller(self.problem, self).batch(dynamics)
 
 
@@ -101,12 +105,14 @@ class CentralActor:
     information = CentralView.information
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
-        """The policy for batched rollouts."""
+        """Return the policy for batched rollouts."""
         return _CentralBatch(self, dynamics)
 
 
 @dataclass(frozen=True, eq=False)
 class _CentralBatch:
+    """A central actor arranged for batches; nothing is remembered."""
+
     actor: CentralActor
     dynamics: Dynamics
 
@@ -114,11 +120,11 @@ class _CentralBatch:
         return None
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
-        agents = self.dynamics.problem.agents
-        rows = CentralView(self.dynamics.problem).observations(joint(self.dynamics, worlds), worlds.q, worlds.time)
+        problem = self.dynamics.problem
+        rows = CentralView(problem).observations(joint(self.dynamics, worlds), worlds.q, worlds.time)
         actions = self.actor.network.actions(rows).astype(float).T
-        ends = np.cumsum([0, *(agent.n_inputs for agent in agents)])
-        inputs = [inputs_of(agent, actions[a:b]) for agent, a, b in zip(agents, ends[:-1], ends[1:], strict=True)]
+        pairs = zip(problem.agents, problem.input_columns, strict=True)
+        inputs = [inputs_of(agent, actions[columns]) for agent, columns in pairs]
         return tuple(np.stack([inputs[i] for i in block.agents], axis=1) for block in self.dynamics.blocks), None
 
 
@@ -126,37 +132,43 @@ Actor = SharedActor | CentralActor
 
 
 def actor_of(view: View, network: Network) -> Actor:
-    """The actor of a view."""
+    """Return the actor with this network that sees what the view shows."""
     return (SharedActor if isinstance(view, SharedView) else CentralActor)(view.problem, network)
 
 
 def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
-    """Write an actor as ``.npz``; ``header`` is kept as JSON beside the numbers."""
+    """Write an actor as ``.npz``; the facts in ``header`` are stored as JSON beside the numbers."""
     network = actor.network
-    kept = {
-        **header, "format": "certigym actor 1", "view": actor.view, "activation": network.activation,
-        "squashed": network.squashed, "problem": actor.problem.name, "fingerprint": actor.problem.fingerprint,
-    }  # fmt: skip
+    facts = {
+        **header,
+        "format": ACTOR_FORMAT,
+        "view": actor.view,
+        "activation": network.activation,
+        "squashed": network.squashed,
+        "problem": actor.problem.name,
+        "fingerprint": actor.problem.fingerprint,
+    }
+    # The archive is made in memory, so that the file is written completely or not at all.
     arrays = {f"weight_{k}": w for k, w in enumerate(network.weights)}
     arrays |= {f"bias_{k}": b for k, b in enumerate(network.biases)}
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(kept)), **arrays)
+    np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(facts)), **arrays)
     write_bytes(path, file.getvalue())
 
 
 class NotAnActor(ValueError):
-    """A file holds no actor at all; it may hold something else."""
+    """A file holds no actor; it may hold something else, such as a certificate."""
 
 
 def load_actor(path: str | Path, problem: Any) -> Actor:
     """Read an actor for ``problem`` (a Problem, an id or a path).
 
-    It may have been trained on another problem (another horizon, another start) as long as its sizes fit.
+    The actor may have been trained on another problem (another horizon or start, say) if its sizes fit.
 
     Raises
     ------
     ValueError
-        If the file holds no actor (``NotAnActor``), or its sizes are not those of the problem.
+        If the file holds no actor (``NotAnActor``), or if the sizes of the actor do not fit the problem.
     """
     try:
         with np.load(path, allow_pickle=False) as stored:
@@ -166,8 +178,10 @@ def load_actor(path: str | Path, problem: Any) -> Actor:
             biases = tuple(stored[f"bias_{k}"] for k in range(count))
     except (KeyError, ValueError, EOFError) as error:
         raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)") from error
+    # Certificates are .npz files, too: a file without the fields of an actor is not an actor.
     if not count or header.get("view") not in VIEWS or header.get("activation") not in ACTIVATIONS:
         raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)")
+    # The first layer fixes the size of observations, the last one that of actions.
     problem = as_problem(problem)
     view: View = VIEWS[header["view"]](problem)  # type: ignore[assignment]
     sizes = (weights[0].shape[1], weights[-1].shape[0])

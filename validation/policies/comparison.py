@@ -1,51 +1,56 @@
 """Policies compared on one problem with common random numbers.
 
-All policies meet the same starts and the same noise (``rollout``: one seed, one chunk size), so that their outcomes are
-paired, episode by episode. Per policy: success rate with exact limits (Clopper-Pearson), the certified bound if there
-is one, the time it took to train or to synthesize, and what information it uses. Per pair: the exact McNemar test,
-which looks only at the episodes that one of the two wins alone; Holm's method over all pairs.
+All policies meet the same starts and the same noise (``rollout``: one seed, one chunk size), so their outcomes are
+paired, episode by episode. For each policy the comparison shows the success rate with exact limits (Clopper-Pearson),
+the certified bound if there is one, the time of training or synthesis, and what information the policy uses. For each
+pair it shows the exact McNemar test, which looks only at the episodes in which exactly one of the two succeeds, with
+Holm's method over all pairs (docs/theory/evidence.md, "Two policies").
 
-A learner trained with several seeds is given as a sequence: one row per seed, and a line with mean and range.
+A learner trained with several seeds is given as a sequence: the table has one row per seed, and one line states mean
+and range.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 
-from ...envs.agents import write_json
+from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, Synthesis, as_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
-from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, planned, rollout
+from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
 from ..statistics import clopper_pearson, holm, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
 
+ENTRIES_SHOWN = 8
+"""Policies that a short form lists, with which it stays within a dozen lines."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Contestant:
-    """A policy and what is known of it before it is simulated.
+    """A policy and the facts that are known before it is simulated.
 
     Parameters
     ----------
     group, name : str
         Names; several seeds of one learner share a group.
     information : str
-        What its agents see, in words.
+        What the agents of the policy see, in words.
     controller : object with ``batch(dynamics)``
     lower_bound, gap : float or None
-        Certified bound, and the width of an exact one.
+        Certified lower bound, and how far above it the probability can be if that is certified, too.
     seconds : float or None
-        To train or to synthesize.
+        Time of training or synthesis.
     seed : int or None
-        Of the training.
+        Seed of the training.
     """
 
     group: str
@@ -57,12 +62,15 @@ class Contestant:
     seconds: float | None = None
     seed: int | None = None
 
+    def __repr__(self) -> str:
+        return f"Contestant({self.name!r}, {type(self.controller).__name__})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Entry:
-    """One policy's row: see ``Contestant``; and ``rate`` with exact two-sided limits ``ci_low``, ``ci_high``.
+    """The row of one policy: the fields of ``Contestant``, and its ``rate`` with exact limits ``ci_low``, ``ci_high``.
 
-    ``inadmissible`` counts episodes in which an input beyond the input box was asked for; there it saturated.
+    ``inadmissible`` counts the episodes in which the policy asked for an input beyond the input box, which saturated.
     """
 
     group: str
@@ -78,10 +86,21 @@ class Entry:
     seed: int | None
     inadmissible: int
 
+    def __repr__(self) -> str:
+        names = ("success", "certified", "seconds", "sees")
+        rows = [(name, text) for name, text in zip(names, self.texts(), strict=True) if text != "-"]
+        return tree_text(f"Entry {self.name!r}", rows)
+
+    def texts(self) -> tuple[str, str, str, str]:
+        """Return success rate with limits, certified bound, seconds and information in words; "-" for none."""
+        bound = "-" if self.lower_bound is None else shown_bound(self.lower_bound, self.gap)
+        seconds = "-" if self.seconds is None else f"{self.seconds:.1f}"
+        return f"{self.rate:.5f}   [{self.ci_low:.5f}, {self.ci_high:.5f}]", bound, seconds, self.information
+
 
 @dataclass(frozen=True)
 class Pair:
-    """Two policies: episodes that each won alone, exact two-sided McNemar p-value, and the same by Holm's method."""
+    """Two policies: episodes in which each alone succeeds, exact two-sided McNemar p-value, and its Holm adjustment."""
 
     first: str
     second: str
@@ -91,7 +110,7 @@ class Pair:
     adjusted: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Policies side by side on one problem.
 
@@ -100,7 +119,7 @@ class Comparison:
     problem, fingerprint : str
     horizon, episodes, seed, chunk : int
     confidence : float
-        Of the limits of each entry.
+        Confidence of the limits of each entry.
     entries : tuple of Entry
     pairs : tuple of Pair
         All pairs of entries.
@@ -117,11 +136,11 @@ class Comparison:
     pairs: tuple[Pair, ...]
 
     def entry(self, name: str) -> Entry:
-        """The row of one policy; KeyError if there is none."""
+        """Return the row of one policy; raise KeyError if there is no policy of this name."""
         return {entry.name: entry for entry in self.entries}[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON values."""
+        """Return everything as JSON values."""
         return {**asdict(self), "entries": [asdict(e) for e in self.entries], "pairs": [asdict(p) for p in self.pairs]}
 
     def save(self, path: str | Path) -> None:
@@ -132,20 +151,33 @@ class Comparison:
         width = max(len("policy"), *(len(entry.name) for entry in self.entries))
         limits = f"{100 * self.confidence:g} % limits"
         lines = [
-            f"{self.problem}, horizon {self.horizon}: {self.episodes} episodes each, common random numbers (seed "
-            f"{self.seed})",
-            f"{'policy':<{width}}  success   {limits:<20} {'certified':<28} {'seconds':>8}  information",
+            f"{self._title()}, common random numbers (seed {self.seed})",
+            f"{'policy':<{width}}  success   {limits:<20} {'certified':<28} {'seconds':>8}  what agents see",
         ]
-        for e in self.entries:
-            bound = "-" if e.lower_bound is None else shown_bound(e.lower_bound, e.gap)
-            seconds = "-" if e.seconds is None else f"{e.seconds:.1f}"
-            lines.append(
-                f"{e.name:<{width}}  {e.rate:.5f}   [{e.ci_low:.5f}, {e.ci_high:.5f}]   {bound:<28} {seconds:>8}  "
-                f"{e.information}"
-            )
+        for entry in self.entries:
+            rate, bound, seconds, information = entry.texts()
+            lines.append(f"{entry.name:<{width}}  {rate}   {bound:<28} {seconds:>8}  {information}")
         return "\n".join([*lines, *self._groups(), *self._tests()])
 
+    def __repr__(self) -> str:
+        rows = [
+            (shortened(entry.name, 40), "   ".join(text for text in entry.texts()[:2] if text != "-"))
+            for entry in self.entries[:ENTRIES_SHOWN]
+        ]
+        more = len(self.entries) - ENTRIES_SHOWN
+        rows += [("...", counted(more, "more policy", "more policies"))] if more > 0 else []
+        return tree_text(f"Comparison: {self._title()}", rows)
+
+    def _repr_html_(self) -> str:
+        head = ("policy", f"success, {100 * self.confidence:g} % limits", "certified", "seconds", "what agents see")
+        return html_table(self._title(), [(entry.name, *entry.texts()) for entry in self.entries], head)
+
+    def _title(self) -> str:
+        """Return what was run."""
+        return f"{self.problem}, horizon {self.horizon}: {counted(self.episodes, 'episode')} per policy"
+
     def _groups(self) -> list[str]:
+        """Return a line for every learner that was trained with several seeds."""
         lines = []
         for group in dict.fromkeys(entry.group for entry in self.entries):
             rates = [entry.rate for entry in self.entries if entry.group == group]
@@ -155,9 +187,10 @@ class Comparison:
         return lines
 
     def _tests(self) -> list[str]:
+        """Return a line for every pair of policies."""
         return [
-            f"{p.first} / {p.second}: {p.only_first} / {p.only_second} episodes won alone, exact McNemar p "
-            f"{_shown_p(p.p_value)} (Holm {_shown_p(p.adjusted)})"
+            f"{p.first} against {p.second}: {p.only_first} episodes won by the first alone, {p.only_second} by the "
+            f"second alone; exact McNemar p {_shown_p(p.p_value)}, Holm-adjusted p {_shown_p(p.adjusted)}"
             for p in self.pairs
         ]
 
@@ -174,8 +207,8 @@ def compare(
     ----------
     problem : Problem, id or path
     policies : mapping from name to policy
-        Syntheses and certificates of this problem, trainings, actors, controllers, any form of
-        ``synthesis.decentralised``, anything with ``batch(dynamics)``; or a sequence of these (several training seeds).
+        Syntheses and certificates of this problem, trainings, actors, controllers, decentralised policies in any form
+        that ``certify`` takes, objects with ``batch(dynamics)``; or a sequence of these (several training seeds).
     plan, **trial
         Episodes (default 10,000), seed, confidence of the two-sided limits of each policy (.99), chunk, executor,
         progress; see ``TrialPlan``.
@@ -183,7 +216,9 @@ def compare(
     Raises
     ------
     ValueError
-        If there is no policy, one has an unknown form, or a certificate speaks of another problem.
+        If there is no policy, if one has an unknown form, or if a certificate is about another problem.
+    KeyboardInterrupt
+        On Ctrl-C: policies can be compared only over the same episodes.
 
     Examples
     --------
@@ -194,6 +229,7 @@ def compare(
     >>> [entry.name for entry in result.entries], len(result.pairs)
     (['centre', 'idle'], 1)
     """
+    # The names must differ, because pairs and rows are found by them.
     problem, settled = as_problem(problem), planned(plan, trial, 10_000, 0.99)
     contestants = [c for name, policy in policies.items() for c in contestants_of(problem, name, policy)]
     if not contestants:
@@ -201,6 +237,7 @@ def compare(
     names = [contestant.name for contestant in contestants]
     if len(set(names)) < len(names):
         raise ValueError(f"`policies`: expected names that differ, got {', '.join(names)}")
+    # One plan for all: the same seed and chunks give all policies the same starts and noise.
     runs = [rollout(problem, contestant.controller, settled) for contestant in contestants]
     entries = tuple(_entry(c, run, settled.confidence) for c, run in zip(contestants, runs, strict=True))
     return Comparison(
@@ -217,81 +254,86 @@ def compare(
 
 
 def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]:
-    """The contestants that a value of ``policies`` stands for."""
+    """Return the contestants for which a value of ``policies`` stands: one, or one per element of a sequence."""
     if isinstance(policy, str):
         raise ValueError(
             f"`policies`: expected a policy, certificate or training for {name!r}, got the text {policy!r}; load "
             "it with `load_certificate` or `load_actor`"
         )
+    # Several training seeds: one contestant each, which share the name as their group.
     if isinstance(policy, Sequence):
         if len(policy) == 1:
             return contestants_of(problem, name, policy[0])
-        parts = [contestants_of(problem, name, one)[0] for one in policy]
-        marks = [k if part.seed is None else part.seed for k, part in enumerate(parts)]
+        members = [contestants_of(problem, name, member)[0] for member in policy]
+        seeds = [k if member.seed is None else member.seed for k, member in enumerate(members)]
         return [
-            Contestant(**{**vars(part), "group": name, "name": f"{name} (seed {mark})"})
-            for part, mark in zip(parts, marks, strict=True)
+            replace(member, group=name, name=f"{name} (seed {seed})")
+            for member, seed in zip(members, seeds, strict=True)
         ]
+    # A certificate brings its bound along, which holds for its problem only.
     if isinstance(policy, Synthesis | Certificate | ProductCertificate):
         certificate = as_certificate(policy)
         if certificate.fingerprint != problem.fingerprint:
             raise ValueError(
-                f"`policies`: the certificate of {name!r} speaks of another problem ({certificate.problem.name!r}); "
+                f"`policies`: the certificate of {name!r} is about another problem ({certificate.problem.name!r}); "
                 "its bound does not hold here, give its controller alone"
             )
         spent = policy.stats["seconds"] if isinstance(policy, Synthesis) else None
         seconds = float(sum(spent.values())) if isinstance(spent, dict) else None
-        controller = certificate.controller
-        return [
-            Contestant(name, name, _information(controller), controller, certificate.lower_bound, certificate.gap,
-                       seconds)
-        ]  # fmt: skip
+        carrier = certificate.controller
+        claim = certificate.lower_bound, certificate.gap
+        return [Contestant(name, name, _information(carrier), carrier, *claim, seconds)]
     if isinstance(policy, Training):
         actor = policy.actor
         return [Contestant(name, name, actor.information, actor, seconds=policy.seconds, seed=policy.seed)]
-    found: Any = policy if hasattr(policy, "batch") else as_controller(problem, policy)
-    return [Contestant(name, name, _information(found), found)]
+    # Any other controller is simulated as it is; a decentralised policy becomes one first.
+    controller: Any = policy if hasattr(policy, "batch") else as_controller(problem, policy)
+    return [Contestant(name, name, _information(controller), controller)]
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Exact two-sided p-value of equal success probabilities, from the episodes that each policy won alone.
+    """Return the exact two-sided p-value of equal success probabilities.
 
-    Under the null hypothesis either is the winner of such an episode with probability 1/2.
+    Only episodes count in which exactly one policy succeeds. If the probabilities are equal, each of the two policies
+    is that one with probability 1/2.
 
     Examples
     --------
     >>> mcnemar(0, 5), mcnemar(3, 3), mcnemar(0, 0)
     (0.0625, 1.0, 1.0)
     """
+    # Twice the smaller tail of a binomial distribution with probability 1/2.
     fewer, total = min(only_first, only_second), only_first + only_second
     return 1.0 if total == 0 else min(1.0, 2.0 * float(p_at_least(fewer, total, 0.5)))
 
 
 def _shown_p(value: float) -> str:
-    """A p-value in words; those below the smallest number are not shown as 0."""
+    """Return a p-value in words; one below the smallest float64 is not shown as 0."""
     return f"= {value:.2g}" if value > 0.0 else "< 1e-300"
 
 
 def _information(controller: Any) -> str:
+    """Return what the agents of a controller see, in words."""
     if isinstance(controller, Controller):
         return f"{LOCAL}, own abstract state" if any(a.is_coupled for a in controller.agents) else LOCAL
     return str(getattr(controller, "information", "not stated"))
 
 
 def _entry(contestant: Contestant, run: Rollouts, confidence: float) -> Entry:
-    known = {name: value for name, value in vars(contestant).items() if name != "controller"}
+    """Return the row of a contestant from its rollouts."""
+    facts = {name: value for name, value in vars(contestant).items() if name != "controller"}
+    rate = run.successes / run.episodes
     low, high = clopper_pearson(run.successes, run.episodes, confidence)
-    return Entry(
-        **known, successes=run.successes, rate=run.successes / run.episodes, ci_low=low, ci_high=high,
-        inadmissible=run.inadmissible,
-    )  # fmt: skip
+    shown: dict[str, Any] = {"successes": run.successes, "rate": rate, "inadmissible": run.inadmissible}
+    return Entry(**facts, **shown, ci_low=low, ci_high=high)
 
 
 def _pairs(names: Sequence[str], runs: Sequence[Rollouts]) -> tuple[Pair, ...]:
-    found = []
+    """Return the tests of all pairs of policies, adjusted together."""
+    tests = []
     for a, b in combinations(range(len(runs)), 2):
         only_a = int((runs[a].success & ~runs[b].success).sum())
         only_b = int((runs[b].success & ~runs[a].success).sum())
-        found.append((names[a], names[b], only_a, only_b, mcnemar(only_a, only_b)))
-    adjusted = holm([pair[-1] for pair in found])
-    return tuple(Pair(*pair, float(p)) for pair, p in zip(found, adjusted, strict=True))
+        tests.append((names[a], names[b], only_a, only_b, mcnemar(only_a, only_b)))
+    adjusted = holm([test[-1] for test in tests])
+    return tuple(Pair(*test, float(p)) for test, p in zip(tests, adjusted, strict=True))

@@ -1,16 +1,17 @@
 """Worlds of a problem as a ``VecEnv`` of Stable-Baselines3 (the extra ``rl``).
 
-All worlds move in one batch (``envs.vector_env``); a view makes rows of them, one per world and agent for a shared
-decentralised policy, or one per world. Rows of a world share its reward and its ends. The contract kept:
+All worlds move in one batch (``envs.interfaces.ProblemVectorEnv``). A view turns them into rows: one row per world and
+agent for a shared decentralised policy, or one row per world. The rows of a world share its reward and its end. The
+contract with Stable-Baselines3:
 
 - a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
-- ``infos[row]["TimeLimit.truncated"]`` says whether it ended at the horizon, undecided;
-- ``infos[row]["is_success"]`` whether the task was satisfied, ``infos[row]["episode"]`` return and length;
-- dones are Booleans, rewards float32, ``seed(n)`` decides every number drawn from the next ``reset`` on.
+- ``infos[row]["TimeLimit.truncated"]`` says whether the row ended undecided at the horizon;
+- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length;
+- dones are Booleans, rewards are float32, and ``seed(n)`` decides every number drawn from the next ``reset`` on.
 
-Time left is in the observation, so that the horizon really ends the decision problem: learners that add the value of
-what would come after a truncation add what cannot come. ``horizon_ends="terminated"`` reports it as an end like any
-other, and ``train`` uses that; the default follows the environments.
+The observation holds the time left, so the horizon really ends the decision problem, and nothing comes after it. After
+a truncation learners would add the value of later steps. ``horizon_ends="terminated"`` reports the horizon as an end
+like any other, and ``train`` uses that; the default follows the environments.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ HORIZON_ENDS = ("truncated", "terminated")
 
 
 class WorldsVecEnv(VecEnv):
-    """Worlds of one problem as rows; see the module docstring.
+    """The worlds of one problem as rows for Stable-Baselines3; see the module docstring for the contract.
 
     Parameters
     ----------
     view : SharedView or CentralView
     worlds : int
-        Worlds M; there are ``M * view.rows`` rows.
+        Number of worlds M; there are ``M * view.rows`` rows.
     reward : "sparse" or "shaped"
     discount : float
-        Of the learner, for the shaped reward.
+        Discount factor of the learner, which shapes the reward, too.
     horizon_ends : "truncated" or "terminated"
 
     Examples
@@ -65,6 +66,7 @@ class WorldsVecEnv(VecEnv):
         self.worlds = ProblemVectorEnv(
             view.problem, worlds, autoreset_mode="SameStep", reward=reward, discount=discount, actions="unit"
         )
+        # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
         self._returns, self._lengths = np.zeros(worlds), np.zeros(worlds, dtype=np.int64)
         self._actions: NDArray[Any] = np.zeros(0)
@@ -72,7 +74,7 @@ class WorldsVecEnv(VecEnv):
         super().__init__(worlds * view.rows, observed, spaces.Box(-1.0, 1.0, (view.n_actions,), dtype=np.float32))
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin episodes in all worlds; the seed of the last ``seed`` counts once."""
+        """Begin episodes in all worlds and return the observations; a seed set by ``seed`` is used once."""
         _, infos = self.worlds.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
@@ -89,7 +91,8 @@ class WorldsVecEnv(VecEnv):
         self._actions = np.array(actions)
 
     def step_wait(self) -> Any:
-        """Move all worlds; observations, rewards, dones (rows,) and infos."""
+        """Move all worlds; return observations, rewards, dones (rows,) and infos."""
+        # Ended worlds are reset in the same step; their last states are in `final_info`.
         joint = self.view.joint_actions(self._actions)
         _, rewards, terminated, truncated, infos = self.worlds.step(joint)
         ended = terminated | truncated
@@ -99,14 +102,15 @@ class WorldsVecEnv(VecEnv):
         if ended.any():
             self._fill(rows, ended, truncated, infos["final_info"])
             self._returns[ended], self._lengths[ended] = 0.0, 0
+        # All rows of a world share its reward and its end.
         per = self.view.rows
         return self._observed(infos), np.repeat(rewards, per).astype(np.float32), np.repeat(ended, per), rows
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is held."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """One attribute, the same for all rows."""
+        """Return one attribute, the same for all rows."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -114,14 +118,15 @@ class WorldsVecEnv(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Refused: rows are no environments of their own."""
-        raise ValueError(f"`method_name`: rows share their worlds and have no method {method_name!r} of their own")
+        """Refuse the call: rows are not environments."""
+        raise ValueError(f"`method_name`: rows share their worlds, so no row has a method {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Never."""
+        """Return False for all rows: they are never wrapped."""
         return [False] * len(list(self._get_indices(indices)))
 
     def _observed(self, infos: dict[str, Any]) -> NDArray[np.float32]:
+        """Return the rows of the view for the worlds that the infos describe."""
         return self.view.observations(infos["state"], infos["automaton_state"], infos["time"])
 
     def _fill(
@@ -141,10 +146,10 @@ class WorldsVecEnv(VecEnv):
 
 
 def shared_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:
-    """Worlds x agents as rows, for one policy that all agents share (arguments as ``WorldsVecEnv``)."""
+    """Return worlds x agents as rows, for one policy that all agents share; arguments as for ``WorldsVecEnv``."""
     return WorldsVecEnv(SharedView(problem), worlds, **arguments)
 
 
 def central_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:
-    """Worlds as rows, for one policy of the joint state (arguments as ``WorldsVecEnv``)."""
+    """Return worlds as rows, for one policy of the joint state; arguments as for ``WorldsVecEnv``."""
     return WorldsVecEnv(CentralView(problem), worlds, **arguments)

@@ -1,4 +1,4 @@
-"""Policies for batched rollouts: decentralised ones of any form, random inputs, no effort.
+"""Policies for batched rollouts: decentralised policies of any form, random inputs, and no effort at all.
 
 All of them serve ``rollout`` and ``compare``, and say what information they use.
 """
@@ -20,14 +20,14 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class LocalController:
-    """Decentralised policies as they are ("raw"), for batched rollouts; inputs beyond the box saturate there."""
+    """Decentralised policies, not wrapped on cells ("raw"), for batched rollouts; inputs beyond the box saturate."""
 
     policy: Decentralised
 
     information = LOCAL
 
     def batch(self, dynamics: Dynamics) -> LocalBatch:
-        """The policy for batches of ``dynamics``."""
+        """Return the policy for batches of ``dynamics``."""
         return LocalBatch(self.policy, dynamics)
 
 
@@ -39,11 +39,12 @@ class LocalBatch:
     dynamics: Dynamics
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
-        """Nothing."""
+        """Return no memory."""
         return None
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
-        """Inputs (m, n, M) per block; decided worlds, whose states may be anything, get the input 0."""
+        """Return inputs (m, n, M) per block; decided worlds, whose states may be anything, get the input 0."""
+        # Ask only about undecided worlds: functions of users need not handle states outside the workspace.
         going = np.flatnonzero(~(worlds.failed | worlds.accepted))
         q, time, result = worlds.q[going], int(worlds.time), []
         for block, states in zip(self.dynamics.blocks, worlds.states, strict=True):
@@ -56,62 +57,69 @@ class LocalBatch:
 
 @dataclass(frozen=True, eq=False)
 class RandomController:
-    """Inputs drawn uniformly from the input boxes, from the auxiliary stream of the rollouts."""
+    """A controller whose inputs are uniform in the input boxes, drawn from the auxiliary stream of the rollouts."""
 
     information = "none (uniformly random inputs)"
 
     def batch(self, dynamics: Dynamics) -> RandomBatch:
-        """The policy for batches of ``dynamics``."""
+        """Return the policy for batches of ``dynamics``."""
         return RandomBatch(dynamics)
 
 
 @dataclass(frozen=True, eq=False)
 class RandomBatch:
-    """Random inputs; the memory is the generator."""
+    """Random inputs arranged for batches; the memory is the generator."""
 
     dynamics: Dynamics
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> np.random.Generator:
-        """The generator."""
+        """Return the generator as the memory."""
         return rng
 
     def act(self, worlds: Worlds, memory: np.random.Generator) -> tuple[tuple[Array, ...], np.random.Generator]:
-        """Inputs (m, n, M) per block."""
+        """Return inputs (m, n, M) per block."""
         drawn = []
         for block in self.dynamics.blocks:
             share = memory.random((*block.input_low.shape[:2], worlds.n_worlds))
             inputs = block.input_low + (block.input_high - block.input_low) * share
-            drawn.append(np.minimum(inputs, block.input_high))
+            drawn.append(np.minimum(inputs, block.input_high))  # rounding may lead beyond the upper face
         return tuple(drawn), memory
 
 
 @dataclass(frozen=True, eq=False)
 class IdleController:
-    """The middle of every input box, always."""
+    """A controller whose input is always the middle of the input box."""
 
     information = "none (central input)"
 
     def batch(self, dynamics: Dynamics) -> IdleBatch:
-        """The policy for batches of ``dynamics``."""
+        """Return the policy for batches of ``dynamics``."""
         return IdleBatch(dynamics)
 
 
 @dataclass(frozen=True, eq=False)
 class IdleBatch:
-    """Central inputs; nothing is remembered."""
+    """Central inputs arranged for batches; nothing is remembered."""
 
     dynamics: Dynamics
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
-        """Nothing."""
+        """Return no memory."""
         return None
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
-        """Inputs (m, n, M) per block."""
+        """Return inputs (m, n, M) per block."""
         middles = [0.5 * block.input_low + 0.5 * block.input_high for block in self.dynamics.blocks]
         return tuple(np.repeat(middle, worlds.n_worlds, axis=-1) for middle in middles), None
 
 
 def as_controller(problem: Problem, policy: Policy) -> LocalController:
-    """Decentralised policies of any form (``synthesis.decentralised``) for ``rollout`` and ``compare``."""
+    """Return decentralised policies of any form as a controller for ``rollout`` and ``compare``.
+
+    Parameters
+    ----------
+    problem : Problem
+    policy : mapping, function, InputTable, controller or actor
+        As for ``certify``: one policy for all agents, or one per agent by name.
+    """
     return LocalController(decentralised(problem, policy))

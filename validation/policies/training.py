@@ -1,12 +1,12 @@
 """Baselines that learn: PPO and SAC of Stable-Baselines3 on the worlds of a problem (the extra ``rl``).
 
-``ppo``          decentralised: one network for all agents, each sees its own state, the automaton state, the time left
-                 and which agent it is; the same information as certified policies.
-``central-ppo``  one learner sees all states and moves all agents.
-``sac``          the same, off policy.
+``ppo``          decentralised: one network for all agents; each agent sees its state, the automaton state, the time
+                 left and which agent it is, the same information as under certified policies.
+``central-ppo``  one learner sees the states of all agents and moves all of them.
+``sac``          like ``central-ppo``, but learning off policy.
 
-Training is on the problem's own start and dynamics. A seed decides everything: network, worlds, batches; the same seed,
-versions and machine give the same actor.
+Training uses the start and the dynamics of the problem. The seed decides everything: network, worlds, batches. The same
+seed, versions and machine give the same actor.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.agents import write_json
+from ...envs.agents import checked_count, counted, tree_text, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from .actors import Actor, Network, actor_of, save_actor
@@ -30,10 +30,13 @@ if TYPE_CHECKING:
 
 ALGORITHMS = ("ppo", "central-ppo", "sac")
 STEPS = {"ppo": 100_000, "central-ppo": 200_000, "sac": 20_000}
-"""Default numbers of world steps."""
+"""Default numbers of world steps: enough for the small problems of the suite."""
+
+CURVE_POINTS = 50
+"""Points of a training curve."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Training:
     """A trained actor and how it was trained.
 
@@ -47,12 +50,12 @@ class Training:
     seconds : float
         Wall-clock time of learning.
     curve : tuple of dict
-        Since the point before: ``steps``, ``success`` (share of episodes ended, exploration included), ``episodes``,
-        ``return``; and ``seconds`` since the beginning.
+        The training curve: ``steps`` and ``seconds`` since the beginning; over the episodes since the point before,
+        ``episodes``, ``success`` (share of satisfied ones, exploration included) and mean ``return``.
     actor : Actor
     settings : dict
     model : BaseAlgorithm
-        The learner, for going on with Stable-Baselines3.
+        The learner, to continue with Stable-Baselines3.
     """
 
     problem: Problem
@@ -65,21 +68,38 @@ class Training:
     settings: dict[str, Any]
     model: BaseAlgorithm
 
+    def __repr__(self) -> str:
+        shapes = " x ".join(str(bias.size) for bias in self.actor.network.biases)
+        rows = [
+            ("trained", f"{counted(self.steps, 'world step')} in {self.seconds:.1f} s, seed {self.seed}"),
+            ("sees", self.information),
+            ("network", f"layers of {shapes} numbers, {self.actor.network.activation}"),
+        ]
+        if self.curve:
+            rows.append(("success", f"{self.curve[-1]['success']:.3f} while exploring, at the end of the training"))
+        return tree_text(f"Training of {self.algorithm!r} on {self.problem.name!r}", rows)
+
     @property
     def information(self) -> str:
         """What the actor sees."""
         return self.actor.information
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but actor and model, as JSON values."""
+        """Return everything but actor and model as JSON values."""
         return {
-            "problem": self.problem.name, "fingerprint": self.problem.fingerprint, "algorithm": self.algorithm,
-            "information": self.information, "seed": self.seed, "steps": self.steps, "seconds": self.seconds,
-            "settings": self.settings, "curve": list(self.curve),
-        }  # fmt: skip
+            "problem": self.problem.name,
+            "fingerprint": self.problem.fingerprint,
+            "algorithm": self.algorithm,
+            "information": self.information,
+            "seed": self.seed,
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "settings": self.settings,
+            "curve": list(self.curve),
+        }
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``actor.npz``, ``training.json`` and Stable-Baselines3's own ``model.zip``; return the first's path."""
+        """Write ``actor.npz``, ``training.json`` and ``model.zip`` (of Stable-Baselines3); return the actor's path."""
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)
         record = self.to_dict()
@@ -102,23 +122,23 @@ def train(
     progress: Callable[[int, float], None] | None = None,
     **settings: Any,
 ) -> Training:
-    """Train a baseline.
+    """Train a baseline on a problem; nothing about the result is certified.
 
     Parameters
     ----------
     problem : Problem, id or path
     algorithm : "ppo", "central-ppo" or "sac"
     steps : int, optional
-        World steps, in all worlds together; by default ``STEPS``. The learner ends the round it is in.
+        World steps of all worlds together; default: ``STEPS``. The learner finishes the round in which it reaches them.
     seed : int
     worlds : int, optional
-        Worlds side by side; default 64 for PPO, 16 for SAC.
+        Worlds side by side; default: 64 for PPO, 16 for SAC.
     reward : "shaped" or "sparse"
-        Shaped keeps the optimal policies and is needed from three agents on.
+        The shaped reward has the same optimal policies and is needed with three or more agents.
     progress : callable, optional
         Called with the world steps taken since the last call and the latest success rate.
     **settings
-        Replace settings of the learner.
+        Settings of the learner that replace the defaults.
 
     Raises
     ------
@@ -128,11 +148,12 @@ def train(
     problem = as_problem(problem)
     count = worlds or (16 if algorithm == "sac" else 64)
     _check(algorithm, seed, steps=steps, worlds=worlds)
+    # The learner counts rows, we count steps of worlds: a world has as many rows as its view says.
     view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)
     used = {**_defaults(algorithm, problem, view, count), **settings}
     model = _learner(algorithm, view, count, reward, seed, used)
     wanted = STEPS[algorithm] if steps is None else steps
-    watcher = _watcher(view.rows, max(1, wanted // 50), progress)
+    watcher = _watcher(view.rows, max(1, wanted // CURVE_POINTS), progress)
     began = time.perf_counter()
     model.learn(wanted * view.rows, callback=watcher)
     seconds = time.perf_counter() - began
@@ -143,15 +164,17 @@ def train(
 
 
 def _check(algorithm: str, seed: int, **counts: int | None) -> None:
+    """Raise ValueError unless the algorithm exists and all numbers that are given are whole and large enough."""
     if algorithm not in ALGORITHMS:
         raise ValueError(f"`algorithm`: expected {', '.join(map(repr, ALGORITHMS))}, got {algorithm!r}")
-    for name, value, least in (("seed", seed, 0), *((name, value, 1) for name, value in counts.items())):
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-            raise ValueError(f"`{name}`: expected a whole number of at least {least}, got {value!r}")
+    checked_count(seed, "seed", least=0)
+    for name, value in counts.items():
+        if value is not None:
+            checked_count(value, name)
 
 
 def _learner(algorithm: str, view: View, worlds: int, reward: str, seed: int, used: dict[str, Any]) -> BaseAlgorithm:
-    """The untrained learner of Stable-Baselines3 on its worlds, on one thread of the processor."""
+    """Return the untrained learner of Stable-Baselines3 on its worlds, on one thread of the processor."""
     try:
         import torch
         from stable_baselines3 import PPO, SAC
@@ -159,23 +182,27 @@ def _learner(algorithm: str, view: View, worlds: int, reward: str, seed: int, us
         from .learners import WorldsVecEnv
     except ImportError as error:
         raise ValueError('training needs Stable-Baselines3: install "certigym[rl]"') from error
-    torch.set_num_threads(1)
+    torch.set_num_threads(1)  # small networks gain little from threads, which would change the order of sums
     env = WorldsVecEnv(view, worlds, reward=reward, discount=float(used["gamma"]), horizon_ends="terminated")
-    made = {name: value for name, value in used.items() if name not in ("hidden", "log_std_init")}
-    made |= {"learning_rate": _falling(float(used["learning_rate"])), "policy_kwargs": _networks(used)}
-    kind: Any = SAC if algorithm == "sac" else PPO
-    model: BaseAlgorithm = kind("MlpPolicy", env, seed=seed, device="cpu", **made)
+    arguments = {name: value for name, value in used.items() if name not in ("hidden", "log_std_init")}
+    arguments |= {"learning_rate": _falling(float(used["learning_rate"])), "policy_kwargs": _networks(used)}
+    learner: Any = SAC if algorithm == "sac" else PPO
+    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, device="cpu", **arguments)
     return model
 
 
 def network_of(model: BaseAlgorithm) -> Network:
-    """The deterministic actor of a PPO or SAC learner with an ``MlpPolicy``, as numbers."""
+    """Return the deterministic actor of a PPO or SAC learner with an ``MlpPolicy`` as numbers."""
     import torch
 
     policy: Any = model.policy
+    # SAC squashes its actions by tanh; PPO's are clipped.
     squashed = hasattr(policy, "actor") and hasattr(policy.actor, "mu")
-    hidden, last = (policy.actor.latent_pi, policy.actor.mu) if squashed else (
-        policy.mlp_extractor.policy_net, policy.action_net)  # fmt: skip
+    if squashed:
+        hidden, last = policy.actor.latent_pi, policy.actor.mu
+    else:
+        hidden, last = policy.mlp_extractor.policy_net, policy.action_net
+    # Linear layers become arrays; between them only one kind of activation is allowed.
     layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
     kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
     if kinds not in ({"Tanh"}, {"ReLU"}):
@@ -186,34 +213,54 @@ def network_of(model: BaseAlgorithm) -> Network:
 
 
 def _defaults(algorithm: str, problem: Problem, view: View, worlds: int) -> dict[str, Any]:
-    """Settings that learn the small problems of the suite in minutes."""
+    """Return settings that learn the small problems of the suite in minutes."""
     if algorithm == "sac":
-        return {"learning_rate": 1e-3, "gamma": 1.0, "buffer_size": 200_000, "batch_size": 256, "train_freq": 1,
-                "gradient_steps": 8, "learning_starts": 1000, "ent_coef": "auto_0.1", "target_entropy": -2.0 *
-                view.n_actions, "hidden": [64, 64]}  # fmt: skip
+        return {
+            "learning_rate": 1e-3,
+            "gamma": 1.0,
+            "buffer_size": 200_000,
+            "batch_size": 256,
+            "train_freq": 1,
+            "gradient_steps": 8,
+            "learning_starts": 1000,
+            "ent_coef": "auto_0.1",
+            "target_entropy": -2.0 * view.n_actions,
+            "hidden": [64, 64],
+        }
+    # A round of PPO holds about two episodes of every world, and is split into eight batches.
     rounds = int(np.clip(2 * problem.horizon, 16, 64))
     batch = max(64, worlds * rounds * view.rows // 8)
-    return {"learning_rate": 2e-3, "gamma": 1.0, "gae_lambda": 0.95, "n_steps": rounds, "batch_size": batch,
-            "n_epochs": 8, "ent_coef": 0.0, "clip_range": 0.2, "hidden": [64, 64], "log_std_init": -1.0}  # fmt: skip
+    return {
+        "learning_rate": 2e-3,
+        "gamma": 1.0,
+        "gae_lambda": 0.95,
+        "n_steps": rounds,
+        "batch_size": batch,
+        "n_epochs": 8,
+        "ent_coef": 0.0,
+        "clip_range": 0.2,
+        "hidden": [64, 64],
+        "log_std_init": -1.0,
+    }
 
 
 def _networks(used: dict[str, Any]) -> dict[str, Any]:
-    """Networks: hidden layers, and for PPO the logarithm of the first deviation (1 is half of the input box)."""
+    """Return the hidden layers, and for PPO the logarithm of the first deviation (1 is half of the input box)."""
     first = {"log_std_init": float(used["log_std_init"])} if "log_std_init" in used else {}
     return {"net_arch": list(used["hidden"]), **first}
 
 
 def _falling(first: float) -> Callable[[float], float]:
-    """A learning rate that falls linearly to a tenth."""
+    """Return a learning rate that falls linearly to a tenth, as a function of the share of training left."""
     return lambda left: first * (0.1 + 0.9 * left)
 
 
 def _watcher(rows: int, every: int, progress: Callable[[int, float], None] | None) -> Any:
-    """A callback that keeps the training curve, a point about every ``every`` world steps."""
+    """Return a callback that records the training curve, one point about every ``every`` world steps."""
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Watcher(BaseCallback):
-        """Counts episodes by the infos of the first row of each world."""
+        """A callback that counts episodes by the infos of the first row of each world."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -222,15 +269,15 @@ def _watcher(rows: int, every: int, progress: Callable[[int, float], None] | Non
             self.began, self.last = time.perf_counter(), 0
 
         def _on_step(self) -> bool:
+            # All rows of a world end together, so the first one stands for the world.
             infos = self.locals["infos"][::rows]
             self.ended += [(i["is_success"], i["episode"]["r"]) for i in infos if "is_success" in i]
             steps = self.num_timesteps // rows
             if steps - self.last >= every and self.ended:
                 success, gained = np.mean(np.array(self.ended, dtype=float), axis=0)
-                self.curve.append(
-                    {"steps": steps, "success": float(success), "episodes": len(self.ended), "return": float(gained),
-                     "seconds": time.perf_counter() - self.began}
-                )  # fmt: skip
+                point = {"steps": steps, "success": float(success), "episodes": len(self.ended)}
+                point |= {"return": float(gained), "seconds": time.perf_counter() - self.began}
+                self.curve.append(point)
                 if progress is not None:
                     progress(steps - self.last, float(success))
                 self.ended, self.last = [], steps

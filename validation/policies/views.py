@@ -1,11 +1,11 @@
 """What a learner sees and does: rows of observations and actions for the worlds of a batch.
 
-``SharedView``   one row per world and agent: the agent's own state, the automaton state, the time left, and which agent
-                 it is (one-hot), so that one network serves all agents. The information of certified policies.
+``SharedView``   one row per world and agent: the agent's state, the automaton state, the time left, and which agent it
+                 is (one-hot), so that one network serves all agents. Certified policies have the same information.
 ``CentralView``  one row per world: the states of all agents, the automaton state, the time left.
 
-States are moved into the workspace and scaled to [-1, 1]; those of agents with fewer components are filled with zeros.
-Actions lie in [-1, 1] and stand for the input box.
+States are moved into the workspace and scaled to [-1, 1]; the states of agents with fewer components are filled up with
+zeros. Actions lie in [-1, 1] and stand for the input box.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class SharedView:
-    """One row per world and agent, agents of a world side by side."""
+    """The view with one row per world and agent; the agents of a world stand side by side."""
 
     problem: Problem
 
@@ -52,30 +52,31 @@ class SharedView:
         return max(agent.n_inputs for agent in self.problem.agents)
 
     def agent_rows(self, agent: int, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
-        """Observations (N, size) of one agent at states (d, N), automaton states (N,) and times, one or (N,)."""
-        own = self.problem.agents[agent]
+        """Return observations (N, size) of one agent at states (d, N), automaton states (N,) and times, one or (N,)."""
+        # Columns: the state, filled up with zeros; the automaton state; the time left; which agent it is.
+        seen = self.problem.agents[agent]
         rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
-        rows[:, : own.n_states] = _scaled(own, states).T
+        rows[:, : seen.n_states] = _scaled(seen, states).T
         _shared(self.problem, rows, self.width, q, time)
         rows[:, self.width + self.problem.automaton.n_states + 1 + agent] = 1.0
         return rows
 
     def observations(self, joint: Array, q: Array, time: Array) -> NDArray[np.float32]:
-        """Observations (M * agents, size) at joint states (M, D)."""
+        """Return observations (M * agents, size) at joint states (M, D)."""
         result = np.empty((len(joint), self.rows, self.size), dtype=np.float32)
-        for i, part in enumerate(_parts([agent.n_states for agent in self.problem.agents])):
-            result[:, i] = self.agent_rows(i, joint[:, part].T, q, time)
+        for i, columns in enumerate(self.problem.columns):
+            result[:, i] = self.agent_rows(i, joint[:, columns].T, q, time)
         return result.reshape(-1, self.size)
 
     def joint_actions(self, actions: Array) -> Array:
-        """Joint actions (M, sum of m_i) from rows (M * agents, n_actions)."""
+        """Return joint actions (M, sum of m_i) from rows (M * agents, n_actions); surplus numbers are dropped."""
         rows = np.asarray(actions).reshape(-1, self.rows, self.n_actions)
         return np.concatenate([rows[:, i, : agent.n_inputs] for i, agent in enumerate(self.problem.agents)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class CentralView:
-    """One row per world."""
+    """The view with one row per world."""
 
     problem: Problem
 
@@ -93,16 +94,15 @@ class CentralView:
         return sum(agent.n_inputs for agent in self.problem.agents)
 
     def observations(self, joint: Array, q: Array, time: Any) -> NDArray[np.float32]:
-        """Observations (M, size) at joint states (M, D)."""
+        """Return observations (M, size) at joint states (M, D)."""
         rows = np.zeros((len(joint), self.size), dtype=np.float32)
-        agents = self.problem.agents
-        for agent, part in zip(agents, _parts([agent.n_states for agent in agents]), strict=True):
-            rows[:, part] = _scaled(agent, joint[:, part].T).T
+        for agent, columns in zip(self.problem.agents, self.problem.columns, strict=True):
+            rows[:, columns] = _scaled(agent, joint[:, columns].T).T
         _shared(self.problem, rows, self.problem.n_states, q, time)
         return rows
 
     def joint_actions(self, actions: Array) -> Array:
-        """The actions themselves."""
+        """Return the actions, which are joint already."""
         return np.asarray(actions)
 
 
@@ -110,24 +110,20 @@ View = SharedView | CentralView
 
 
 def inputs_of(agent: LinearAgent, actions: Array) -> Array:
-    """Inputs (m, N) within the input box that actions (m, N) in [-1, 1] stand for."""
+    """Return the inputs (m, N) within the input box for which actions (m, N) in [-1, 1] stand."""
     low, high = agent.input_box.low[:, None], agent.input_box.high[:, None]
     middle, half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
     return np.clip(middle + half * np.clip(actions, -1.0, 1.0), low, high)
 
 
 def _scaled(agent: LinearAgent, states: Array) -> Array:
+    """Return states (d, N) moved into the workspace and scaled to [-1, 1]; NaN counts as the lower corner."""
     low, high = agent.workspace.low[:, None], agent.workspace.high[:, None]
     inside = np.clip(np.where(np.isnan(states), low, states), low, high)
     return 2.0 * (inside - low) / (high - low) - 1.0
 
 
 def _shared(problem: Problem, rows: Array, first: int, q: Array, time: Any) -> None:
-    """Write automaton state and share of time left into the columns from ``first`` on."""
+    """Write the automaton state (one-hot) and the share of time left into the columns from ``first`` on."""
     rows[np.arange(len(rows)), first + np.asarray(q)] = 1.0
     rows[:, first + problem.automaton.n_states] = 1.0 - np.asarray(time) / problem.horizon
-
-
-def _parts(sizes: list[int]) -> list[slice]:
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]

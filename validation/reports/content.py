@@ -1,4 +1,4 @@
-"""What a report page shows, gathered before it is drawn."""
+"""The content of a report page, gathered before it is drawn."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...synthesis.certificates import Certificate, ProductCertificate
+from ...envs.agents import tree_text
+from ...synthesis.certificates import Certificate, ProductCertificate, shown_bound
 from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
 from ..verdicts import FieldReport, ValidationReport
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReportContent:
-    """Everything a report shows.
+    """Everything that a report shows.
 
     Parameters
     ----------
@@ -25,14 +26,15 @@ class ReportContent:
     audit : AuditReport
     checked : CheckReport
     field : FieldReport
-        Along the slice ``axes``.
+        Tests at the points of the slice ``axes``.
     axes : tuple of int
         Joint coordinates of the slice.
     bounds : (T,) array
-        Bounds from the start (or the middle of its box) when the last 1 .. T steps of the policies are played.
+        Lower bounds from the start (or the middle of its box) if only the last 1 .. T steps of the policies are played.
     states : (T + 1, M, D) array
         Rollouts to draw; NaN after their decision.
     success : (M,) bool array
+        Which of these rollouts satisfied the task.
     """
 
     certificate: Certificate | ProductCertificate
@@ -45,13 +47,25 @@ class ReportContent:
     states: NDArray[Any]
     success: NDArray[np.bool_]
 
+    def __repr__(self) -> str:
+        problem, validation = self.certificate.problem, self.validation
+        rows = [
+            ("certified", shown_bound(validation.lower_bound, validation.gap)),
+            ("simulated", f"{validation.successes} of {validation.episodes} episodes satisfied the task"),
+            ("verdict", validation.verdict),
+            ("check", "valid" if self.checked else "failed"),
+            ("audit", self.audit.verdict),
+            ("map", f"{self.field.verdict}, {len(self.field.states)} starts"),
+        ]
+        return tree_text(f"ReportContent: {problem.name}, horizon {problem.horizon}", rows)
+
     @property
     def refuted(self) -> bool:
-        """Whether anything contradicts the certificate."""
+        """Whether a test or the check contradicts the certificate."""
         return self.validation.refuted or self.audit.refuted or self.field.verdict == "refuted" or not self.checked
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the drawings as JSON values."""
+        """Return everything but the rollouts that are drawn as JSON values."""
         return {
             "refuted": self.refuted,
             "validation": self.validation.to_dict(),

@@ -1,7 +1,7 @@
-"""One self-contained HTML page about a certificate: what is claimed, what rollouts show, and how to run it again.
+"""One self-contained HTML page about a certificate: what is claimed, what rollouts show, and how to repeat them.
 
-The page has no scripts and loads nothing; all drawings are inline SVG, all text from the certificate is escaped. The
-data it was made of are embedded as JSON and can be written to a file of their own.
+The page has no scripts and loads nothing; all drawings are inline SVG, and all text from the certificate is escaped.
+The data behind the page are embedded as JSON; ``ReportContent.to_dict`` returns the same data.
 """
 
 from __future__ import annotations
@@ -24,7 +24,16 @@ from .content import ReportContent
 from .page import page_of
 
 DRAWN = 40
-"""Rollouts drawn."""
+"""Rollouts that are drawn: enough to see where failures gather."""
+
+LINE_POINTS, MAP_POINTS = 40, 20
+"""Starts along a line, and per axis of a map: by default every one of 400 starts gets 250 episodes."""
+
+AUDITED = 20_000
+"""Most episodes of the audit, which needs fewer than the validation."""
+
+AFTER_INTERRUPT = 1000
+"""Episodes of audit and map if Ctrl-C ended the validation: a short test that completes the page."""
 
 
 def report(
@@ -44,10 +53,15 @@ def report(
         The page (``.html``).
     plan, **trial
         Episodes of the validation (default 100,000), seed, confidence (.999), chunk, executor, progress; see
-        ``TrialPlan``. The audit takes at most 20,000 episodes, the map as many as the validation in all. After Ctrl-C
-        during the validation the report is about what was finished, with a short audit and a coarse map.
+        ``TrialPlan``. The audit takes at most 20,000 episodes; all starts of the map together take as many as the
+        validation. After Ctrl-C during the validation the report is about the episodes finished by then, with a short
+        audit and few episodes per start of the map.
     axes : sequence of int, optional
-        Joint coordinates of the map, one or two; default: the first of the first two agents.
+        Joint coordinates of the map, one or two; default: the first coordinate of each of the first two agents.
+
+    Returns
+    -------
+    ReportContent
     """
     content = gathered(certificate, planned(plan, trial, 100_000), axes)
     write_text(path, page_of(content))
@@ -55,20 +69,21 @@ def report(
 
 
 def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) -> ReportContent:
-    """Run check, validation, audit and a map of margins, and collect what a report shows."""
+    """Run check, validation, audit and the tests of a map, and return what a report shows."""
     claim = as_certificate(certificate)
     problem = claim.problem
     shown = slice_axes(problem, axes)
-    shape = (40,) if len(shown) == 1 else (20, 20)
+    shape = (LINE_POINTS,) if len(shown) == 1 else (MAP_POINTS, MAP_POINTS)
     grid = slice_starts(problem, shown, shape)
+    # Few rollouts for the drawings first: they take no time and need the whole paths.
     states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
-    validation = validate(certificate, plan)
-    episodes = min(plan.episodes, 1000) if validation.interrupted else plan.episodes
+    validation = validate(certificate, plan)  # not `claim`: a synthesis knows about its search, too
+    episodes = min(plan.episodes, AFTER_INTERRUPT) if validation.interrupted else plan.episodes
     each = replace(plan, episodes=max(20, episodes // len(grid)))
     return ReportContent(
         certificate=claim,
         validation=validation,
-        audit=audit(claim, replace(plan, episodes=min(episodes, 20_000))),
+        audit=audit(claim, replace(plan, episodes=min(episodes, AUDITED))),
         checked=check(claim),
         field=validate_field(claim, grid, each, shape=shape),
         axes=shown,
@@ -79,7 +94,11 @@ def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) ->
 
 
 def _bounds(certificate: Certificate | ProductCertificate, state: NDArray[Any]) -> NDArray[Any]:
-    """Lower bounds (T,) from a joint state when the last 1 .. T steps are played; of independent tasks, the product."""
+    """Return lower bounds (T,) from a joint state if only the last 1 .. T steps are played.
+
+    For independent tasks they are the products of the bounds of all tasks.
+    """
     if isinstance(certificate, Certificate):
         return bound_by_steps_left(certificate, claimed_values(certificate), state)
-    return np.prod([_bounds(part, own) for part, own in certificate.split(state)], axis=0)
+    pairs = certificate.split(state)
+    return np.prod([_bounds(of_task, state_of_task) for of_task, state_of_task in pairs], axis=0)

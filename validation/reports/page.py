@@ -1,37 +1,48 @@
-"""The HTML of a report; everything that comes from a certificate is escaped."""
+"""The HTML of a report: one section per question. All text that comes from a certificate is escaped."""
 
 from __future__ import annotations
 
 import json
 import platform
 from html import escape
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from ...envs.logic import Automaton, letter_text
-from ...envs.pictures import coordinate_name, panels
+from ...envs.agents import counted
+from ...envs.pictures import coordinate_name, edges, panels
+from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, ProductCertificate, rounded_down, shown_bound
 from ..verdicts import tried_lines
-from .inline_pictures import automaton_picture, bound_curve, margin_pictures, rollouts_picture
+from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, rollouts_picture
 
 if TYPE_CHECKING:
     from .content import ReportContent
 
-
 MOST_AUTOMATA = 4
 """Automata of independent tasks that are drawn."""
 
+STATES_LISTED, STATES_DRAWN = 200, 30
+"""Largest automaton whose transitions are listed, and largest one that is drawn: more could not be told apart."""
+
+MOST_TRANSITIONS = 60
+"""Transitions in the table of an automaton."""
+
+MOST_PANELS_DRAWN = 6
+"""Panels of rollouts that are drawn."""
+
+FINDINGS_SHOWN = 12
+"""Findings of an audit that the page shows."""
+
 
 def page_of(content: ReportContent) -> str:
-    """The whole page."""
+    """Return the whole page."""
     problem = content.certificate.problem
-    sections = [
-        _claim(content), _curve(content), *_map(content), *_rollouts(content), *_automata(content.certificate),
-        _audit(content), _settings(content), _again(content),
-    ]  # fmt: skip
+    evidence = [_claim(content), _curve(content), *_map(content), *_rollouts(content)]
+    records = [*_automata(content.certificate), _audit(content), _settings(content), _again(content)]
+    sections = [*evidence, *records]
+    # Data inside a script element must not contain "</script>".
     data = json.dumps(content.to_dict(), allow_nan=False).replace("<", "\\u003c")
     task = problem.specification.formula or "given as an automaton"
-    size = f"{_counted(problem.n_agents, 'agent')}, horizon {problem.horizon}"
+    size = f"{counted(problem.n_agents, 'agent')}, horizon {problem.horizon}"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -52,11 +63,8 @@ def _list(pairs: dict[str, Any]) -> str:
 
 
 def _cut(words: str, most: int) -> str:
+    """Return a text, cut off with dots if it is longer than ``most`` characters."""
     return words if len(words) <= most else words[:most] + " ..."
-
-
-def _counted(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def _verdict(word: str) -> str:
@@ -64,6 +72,7 @@ def _verdict(word: str) -> str:
 
 
 def _claim(content: ReportContent) -> str:
+    """Return the section of what is claimed, and what every kind of test says about it."""
     v, certificate = content.validation, content.certificate
     start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(certificate.start, "")
     checked = "holds" if content.checked else "; ".join(content.checked.failures)
@@ -81,30 +90,34 @@ def _claim(content: ReportContent) -> str:
 
 
 def _curve(content: ReportContent) -> str:
+    """Return the section of the bound against the number of steps played."""
     v = content.validation
+    # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
     estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
     where = "the start" if estimate else "the middle of the initial box"
-    end = "; at the right end, the rollouts" if estimate else ""
-    note = f"Certified from {where} when the last k steps of the policies are played{end}."
+    end = "; at the right end, the rollouts with their limits" if estimate else ""
+    note = f"Certified from {where} if only the last k steps of the policies are played{end}."
     return _section("Bound against horizon", bound_curve(content.bounds, estimate) + f"<p class=soft>{note}</p>")
 
 
 def _map(content: ReportContent) -> list[str]:
+    """Return the sections of the tests at many starts: two maps, or one line."""
     field, problem = content.field, content.certificate.problem
     names = " and ".join(coordinate_name(problem, k) for k in content.axes)
+    # The long explanation stands below the first drawing, a short one below the second.
     w = field.weakest
     note = (
-        f"{len(field.states)} starts that differ in {names}, {int(field.episodes.min())} episodes each, tested "
-        f"together: refuted at {int(field.refuted.sum())}, confirmed at {int(field.confirmed.sum())}. Weakest at "
-        f"({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {rounded_down(field.lower_bounds[w], 4)}, "
+        f"{len(field.states)} starts that differ in {names}, {counted(int(field.episodes.min()), 'episode')} each, all "
+        f"tested together: refuted at {int(field.refuted.sum())}, confirmed at {int(field.confirmed.sum())}. Weakest "
+        f"at ({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {rounded_down(field.lower_bounds[w], 4)}, "
         f"rollouts {field.estimates[w]:.4f}."
     )
     drawings = margin_pictures(problem, field, content.axes)
     notes = [
         f"Line: bound; dots: rollouts with their limits. {note}"
         if len(content.axes) == 1
-        else f"The stronger the colour, the larger the bound; dots: confirmed; red: refuted. {note}",
-        "Blue: the rollouts lie above the bound; orange: below it, mostly by chance where nothing is refuted.",
+        else f"The stronger the colour, the larger the bound. Dots: confirmed; red: refuted. {note}",
+        "Blue: the rollouts lie above the bound. Orange: they lie below it, by chance unless a cell is red.",
     ]
     return [
         _section(title, f"{drawing}<p class=soft>{escape(words)}</p>")
@@ -113,71 +126,84 @@ def _map(content: ReportContent) -> list[str]:
 
 
 def _rollouts(content: ReportContent) -> list[str]:
+    """Return the sections of drawn rollouts, one per panel."""
     shown = panels(content.certificate.problem)
     sections = []
-    for panel in shown[:6]:
+    for panel in shown[:MOST_PANELS_DRAWN]:
         names = ", ".join(curve.name for curve in panel.curves)
         drawing = rollouts_picture(panel, content.states, content.success)
-        note = f"{len(content.success)} rollouts; broken lines did not satisfy the task."
+        note = f"{len(content.success)} rollouts; those with broken lines did not satisfy the task."
         sections.append(_section(f"Rollouts: {_cut(names, 60)}", f"{drawing}<p class=soft>{escape(note)}</p>"))
-    if len(shown) > 6:
-        sections.append(_section("Rollouts", f"<p class=soft>and {len(shown) - 6} more panels, not drawn</p>"))
+    if len(shown) > MOST_PANELS_DRAWN:
+        rest = counted(len(shown) - MOST_PANELS_DRAWN, "more panel")
+        sections.append(_section("Rollouts", f"<p class=soft>and {rest}, not drawn</p>"))
     return sections
 
 
 def _automata(certificate: Certificate | ProductCertificate) -> list[str]:
-    """The automaton of the task, or those of the independent tasks that differ in more than names."""
+    """Return the section of the task automaton, or of those of independent tasks that differ in more than names."""
     if isinstance(certificate, Certificate):
-        return [_automaton(certificate.problem.automaton)]
-    distinct = [certificate.parts[same[0]].problem.automaton for same in certificate.alike]
-    return [_automaton(automaton) for automaton in distinct[:MOST_AUTOMATA]]
+        return [_automaton(certificate.problem)]
+    distinct = [certificate.parts[group[0]].problem for group in certificate.alike]
+    return [_automaton(task) for task in distinct[:MOST_AUTOMATA]]
 
 
-def _automaton(automaton: Automaton) -> str:
-    manager, roots = automaton.diagrams()
-    rows = []
-    for q, root in enumerate(roots[:24]):
-        cubes: dict[int, list[str]] = {target: [] for target in manager.leaves(root)}
-        for assignment, target in islice(manager.paths(root), 60):
-            cubes[target].append(letter_text(assignment, automaton.propositions) if assignment else "true")
-        for target, texts in cubes.items():
-            guard = _cut(" | ".join(texts), 160) or "..."
-            ends = f"<td>{escape(automaton.state_names[q])}</td><td>{escape(automaton.state_names[target])}</td>"
-            rows.append(f"<tr>{ends}<td><code>{escape(guard)}</code></td></tr>")
-    more = f"<p class=soft>{len(rows) - 60} more transitions</p>" if len(rows) > 60 else ""
-    table = f"<div class=scroll><table><tr><th>from<th>to<th>on</tr>{''.join(rows[:60])}</table></div>{more}"
-    note = "<p class=soft>Double circle: accepting; red: no way to acceptance.</p>"
-    return _section("Automaton", automaton_picture(automaton) + note + table)
+def _automaton(problem: Problem) -> str:
+    """Return the section of one automaton: a picture, and a table of the letters that take each transition."""
+    automaton = problem.automaton
+    if automaton.n_states > STATES_LISTED:
+        return _section("Automaton", f"<p class=soft>{automaton.n_states} states, not listed</p>")
+    names, transitions = automaton.state_names, edges(problem)
+    rows = [
+        f"<tr><td>{escape(names[edge.source])}</td><td>{escape(names[edge.target])}</td>"
+        f"<td><code>{escape(_cut(edge.guard, 1000))}</code></td></tr>"
+        for edge in transitions[:MOST_TRANSITIONS]
+    ]
+    rest = len(transitions) - MOST_TRANSITIONS
+    more = f"<p class=soft>{counted(rest, 'more transition')}</p>" if rest > 0 else ""
+    table = f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
+    if automaton.n_states > STATES_DRAWN:
+        return _section("Automaton", table)
+    left_out = "" if automaton.n_states <= FEW_STATES else " Arrows to red states are left out."
+    note = f"<p class=soft>Double circle: accepting; red: acceptance can no longer be reached.{left_out}</p>"
+    return _section("Automaton", automaton_picture(automaton, transitions) + note + table)
 
 
 def _audit(content: ReportContent) -> str:
+    """Return the section of the tests step by step."""
     audit = content.audit
     facts = {
-        "tests": f"{audit.tests} pairs of time and state, {audit.episodes} episodes",
+        "tests": f"{audit.tests} of pairs of time and task state, on {counted(audit.episodes, 'episode')}",
         "all steps together": f"p = {audit.overall_p:.2g}",
         "contradictions": audit.contradictions,
     }
-    findings = "".join(f"<p class=soft>{escape(str(f))}</p>" for f in audit.findings[:12])
-    body = _verdict(audit.verdict) + _list(facts) + (findings or "<p class=soft>Nothing found.</p>")
+    findings = "".join(f"<p class=soft>{escape(str(f))}</p>" for f in audit.findings[:FINDINGS_SHOWN])
+    body = _verdict(audit.verdict) + _list(facts) + (findings or "<p class=soft>No step is suspicious.</p>")
     return _section("Audit of every step", body)
 
 
 def _settings(content: ReportContent) -> str:
+    """Return the section of everything that a repetition needs."""
     certificate, details = content.certificate, content.validation.details
     text = json.dumps(certificate.settings, indent=1, sort_keys=True, default=str)
     facts = {
-        "fingerprint": certificate.fingerprint, "seed": details["seed"], "worlds per chunk": details["chunk"],
-        "confidence": content.validation.confidence, "certigym": details["certigym"], "numpy": details["numpy"],
+        "fingerprint": certificate.fingerprint,
+        "seed": details["seed"],
+        "worlds per chunk": details["chunk"],
+        "confidence": content.validation.confidence,
+        "certigym": details["certigym"],
+        "numpy": details["numpy"],
         "python": platform.python_version(),
-    }  # fmt: skip
+    }
     settings = f"<details><summary>Settings of the synthesis</summary><pre>{escape(_cut(text, 20_000))}</pre></details>"
     return _section("Versions, seeds, settings", _list(facts) + settings)
 
 
 def _again(content: ReportContent) -> str:
+    """Return the section of the command that repeats the validation."""
     d, v = content.validation.details, content.validation
     command = f"certigym validate CERT --episodes {v.episodes} --seed {d['seed']} --confidence {v.confidence}"
-    words = "The same numbers come out on one worker or many. A bound speaks of the model only."
+    words = "The numbers are the same on one worker or many. A bound is about the model only."
     return _section("Run it again", f"<pre>{escape(command)}</pre><p class=soft>{words}</p>")
 
 

@@ -1,7 +1,7 @@
-"""Small inline SVG drawings: axes, lines, rectangles, text. Numbers go in, a string comes out; nothing is styled here.
+"""Small inline SVG drawings: axes, lines, rectangles, text. Functions take numbers and return strings without style.
 
-Classes name the roles (``grid``, ``bound``, ``region`` ...); the page's style sheet gives them colours, so that one
-drawing serves a light and a dark page. All text is escaped.
+Classes name the roles of shapes (``grid``, ``bound``, ``region`` ...). The style sheet of the page gives them colours,
+so that one drawing serves a light and a dark page. All text is escaped.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Axes:
-    """Data limits and the box of the plot inside a picture of ``width`` by ``height`` units."""
+    """Data limits, and the margins around the plot inside a picture of ``width`` by ``height`` units."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -27,38 +27,39 @@ class Axes:
     bottom: float = 34.0
 
     def at(self, x: float, y: float) -> tuple[float, float]:
-        """Picture coordinates of a data point."""
+        """Return the picture coordinates of a data point; an empty range of data counts as length 1."""
+        # Pictures count y downwards.
         across = (x - self.low[0]) / ((self.high[0] - self.low[0]) or 1.0)
         up = (y - self.low[1]) / ((self.high[1] - self.low[1]) or 1.0)
         plot_width, plot_height = self.width - self.left - self.right, self.height - self.top - self.bottom
         return self.left + across * plot_width, self.top + (1.0 - up) * plot_height
 
 
-def picture(axes: Axes, parts: Iterable[str], title: str) -> str:
-    """An ``<svg>`` element that scales with the page; ``title`` is read aloud by screen readers."""
+def picture(axes: Axes, shapes: Iterable[str], title: str) -> str:
+    """Return an ``<svg>`` element that scales with the page; screen readers read ``title`` aloud."""
     box = f"0 0 {axes.width:g} {axes.height:g}"
-    return f'<svg viewBox="{box}" role="img"><title>{escape(title)}</title>{"".join(parts)}</svg>'
+    return f'<svg viewBox="{box}" role="img"><title>{escape(title)}</title>{"".join(shapes)}</svg>'
 
 
 def frame(axes: Axes, x_name: str, y_name: str, whole: bool = False) -> list[str]:
-    """Grid lines, ticks and names of both axes; ``whole`` puts the ticks of x on whole numbers."""
-    parts = []
+    """Return grid lines, ticks and names of both axes; ``whole`` puts the ticks of x on whole numbers."""
+    shapes = []
     for x in ticks(axes.low[0], axes.high[0], 6, whole):
         px, bottom = axes.at(x, axes.low[1])
-        parts.append(line((px, axes.at(x, axes.high[1])[1]), (px, bottom), "grid"))
-        parts.append(text(px, bottom + 13, number(x), "tick middle"))
+        shapes.append(line((px, axes.at(x, axes.high[1])[1]), (px, bottom), "grid"))
+        shapes.append(text(px, bottom + 13, number(x), "tick middle"))
     for y in ticks(axes.low[1], axes.high[1], 5):
         left, py = axes.at(axes.low[0], y)
-        parts.append(line((left, py), (axes.at(axes.high[0], y)[0], py), "grid"))
-        parts.append(text(left - 4, py + 3.5, number(y), "tick end"))
+        shapes.append(line((left, py), (axes.at(axes.high[0], y)[0], py), "grid"))
+        shapes.append(text(left - 4, py + 3.5, number(y), "tick end"))
     middle = axes.left + 0.5 * (axes.width - axes.left - axes.right)
-    parts.append(text(middle, axes.height - 4, x_name, "name middle"))
-    parts.append(text(4, 10, y_name, "name"))
-    return parts
+    shapes.append(text(middle, axes.height - 4, x_name, "name middle"))
+    shapes.append(text(4, 10, y_name, "name"))
+    return shapes
 
 
 def ticks(low: float, high: float, most: int, whole: bool = False) -> list[float]:
-    """Round numbers between the limits.
+    """Return round numbers between the limits (both included), about ``most`` of them.
 
     Examples
     --------
@@ -68,6 +69,7 @@ def ticks(low: float, high: float, most: int, whole: bool = False) -> list[float
     span = high - low
     if not span > 0:
         return [low]
+    # The smallest round step, 1, 2, 2.5 or 5 times a power of ten, that gives few enough ticks.
     raw = span / max(1, most - 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(s * power for s in (1.0, 2.0, 2.5, 5.0, 10.0) if s * power >= raw * (1 - 1e-9))
@@ -77,27 +79,22 @@ def ticks(low: float, high: float, most: int, whole: bool = False) -> list[float
 
 
 def number(value: float) -> str:
-    """A short form of a number."""
+    """Return a number with four significant digits."""
     return f"{value:.4g}"
 
 
 def line(a: tuple[float, float], b: tuple[float, float], role: str) -> str:
-    """A straight line between two picture points."""
+    """Return a straight line between two picture points."""
     return f'<line class="{role}" x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"/>'
 
 
 def polyline(points: Sequence[tuple[float, float]], role: str) -> str:
-    """A broken line through picture points."""
+    """Return a polygonal line through picture points."""
     return f'<polyline class="{role}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
 
 
-def polygon(points: Sequence[tuple[float, float]], role: str) -> str:
-    """A filled area."""
-    return f'<polygon class="{role}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
-
-
 def rectangle(a: tuple[float, float], b: tuple[float, float], role: str, hint: str = "", style: str = "") -> str:
-    """A rectangle between two opposite picture points, with a hint that shows on hovering."""
+    """Return a rectangle between two opposite picture points, with a hint that appears under the mouse pointer."""
     x, y, w, h = min(a[0], b[0]), min(a[1], b[1]), abs(a[0] - b[0]), abs(a[1] - b[1])
     inner = f"<title>{escape(hint)}</title>" if hint else ""
     extra = f' style="{escape(style, quote=True)}"' if style else ""
@@ -105,10 +102,10 @@ def rectangle(a: tuple[float, float], b: tuple[float, float], role: str, hint: s
 
 
 def circle(at: tuple[float, float], radius: float, role: str) -> str:
-    """A circle."""
+    """Return a circle around a picture point."""
     return f'<circle class="{role}" cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:.1f}"/>'
 
 
 def text(x: float, y: float, words: Any, role: str) -> str:
-    """Text at a picture point."""
+    """Return text at a picture point."""
     return f'<text class="{role}" x="{x:.1f}" y="{y:.1f}">{escape(str(words))}</text>'

@@ -4,6 +4,7 @@ from .chunks import ChunkResult, Frame, chunks_of, frames, paths
 from .cluster import DaskExecutor, executor_for
 from .loop import Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
+from .report_text import INTERRUPTED, Rows, html_table, labelled_lines
 from .rollouts import Rollouts, rollout, stream
 from .spread import Executor, in_order
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
@@ -16,17 +17,21 @@ __all__ = [
     "Executor",
     "FAMILIES",
     "Frame",
+    "INTERRUPTED",
     "Loop",
     "Mismatch",
     "Plan",
     "Rollouts",
+    "Rows",
     "TrialOptions",
     "TrialPlan",
     "chunks_of",
     "collect",
     "executor_for",
     "frames",
+    "html_table",
     "in_order",
+    "labelled_lines",
     "paths",
     "planned",
     "rollout",

@@ -1,6 +1,6 @@
 """Executors for rollouts: local processes, and Dask distributed (the extra ``distributed``).
 
-Both give the same numbers as no executor at all, bit by bit. Dask runs again whatever a killed worker had in hand.
+Both give the same numbers as no executor, bit by bit. Dask runs the jobs of a killed worker again.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
 
+from ...envs.agents import checked_count
 from .spread import Executor
 
 
@@ -27,12 +28,12 @@ class DaskExecutor:
     Parameters
     ----------
     client : distributed.Client or str
-        A client, or the address of a scheduler, to which one is opened.
+        A client, or the address of a scheduler, for which a client is opened.
 
     Raises
     ------
     ValueError
-        If it is neither, or Dask distributed is not installed.
+        If `client` is neither, or if Dask distributed is not installed.
 
     Examples
     --------
@@ -48,25 +49,28 @@ class DaskExecutor:
             raise ValueError(f"`client`: expected a Dask client or the address of a scheduler, got {self.client!r}")
 
     def share(self, shared: Any) -> Any:
-        """An object for all jobs, as a task: if the worker that holds it is lost, another one makes it again."""
+        """Send an object that all jobs share, and return its future.
+
+        The object is the result of a task: if the worker that holds it is lost, another worker computes it again.
+        """
         data = pickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings():  # Dask warns of large arguments, but this one is sent once
             warnings.filterwarnings("ignore", message="(?s)Sending large graph", category=UserWarning)
             return self.client.submit(pickle.loads, data, pure=False)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
-        """Start ``function(*arguments)`` on some worker."""
+        """Start ``function(*arguments)`` on some worker and return a future."""
         return self.client.submit(function, *arguments, pure=False, retries=3)
 
 
 @contextmanager
 def dask_cluster(address: str, workers: int | None = None) -> Iterator[DaskExecutor]:
-    """Executor on the scheduler at ``address``, or on worker processes of this machine if it says ``local``.
+    """Open an executor on the scheduler at ``address``, or on new worker processes of this machine for ``local``.
 
     Raises
     ------
     ValueError
-        If Dask distributed is not installed, or the number of workers is wrong.
+        If Dask distributed is not installed, or the number of workers is not a positive whole number.
     OSError
         If no scheduler answers.
     """
@@ -82,29 +86,30 @@ def dask_cluster(address: str, workers: int | None = None) -> Iterator[DaskExecu
 
 
 def _client_of(address: str) -> Any:
-    """A client of the scheduler at an address."""
+    """Return a client of the scheduler at an address."""
     Client, _ = _distributed()
     return Client(address, timeout="15s", set_as_default=False)
 
 
 def _distributed() -> tuple[Any, Any]:
-    """Dask's client and local cluster, if they are installed."""
+    """Return the classes of Dask's client and local cluster; raise ValueError if Dask distributed is not installed."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError("`--dask`: needs Dask distributed; pip install 'certigym[distributed]'") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # lost workers are expected, and dealt with
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # lost workers are expected and dealt with
     return Client, LocalCluster
 
 
 @contextmanager
 def processes(workers: int) -> Iterator[Executor]:
-    """Executor on ``workers`` new processes of this machine; Ctrl-C reaches this process alone."""
+    """Open an executor on ``workers`` new processes of this machine; Ctrl-C reaches the calling process alone."""
     count = _checked_workers(workers)
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
     try:
-        with _inherited_deafness():
-            for started in [pool.submit(int) for _ in range(workers)]:  # a process each: none is idle yet
+        with _children_ignore_interrupts():
+            # No process is idle yet, so each of these jobs starts one.
+            for started in [pool.submit(int) for _ in range(workers)]:
                 started.result()
         yield pool
     finally:
@@ -113,7 +118,7 @@ def processes(workers: int) -> Iterator[Executor]:
 
 @contextmanager
 def executor_for(dask: str | None, workers: int | None) -> Iterator[Executor | None]:
-    """The executor that ``--dask`` and ``--workers`` ask for; None for this process alone."""
+    """Open the executor that ``--dask`` and ``--workers`` ask for; None for this process alone."""
     if dask is not None:
         with dask_cluster(dask, workers) as cluster:
             yield cluster
@@ -125,8 +130,8 @@ def executor_for(dask: str | None, workers: int | None) -> Iterator[Executor | N
 
 
 @contextmanager
-def _inherited_deafness() -> Iterator[None]:
-    """Processes started meanwhile ignore Ctrl-C, which a terminal sends to all of them."""
+def _children_ignore_interrupts() -> Iterator[None]:
+    """Let processes that are started meanwhile ignore Ctrl-C, which a terminal sends to all processes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -138,10 +143,10 @@ def _inherited_deafness() -> Iterator[None]:
 
 
 def _ignore_interrupts() -> None:
+    """Make this process ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _checked_workers(workers: int | None) -> int | None:
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise ValueError(f"`workers`: expected a whole number of at least 1, got {workers!r}")
-    return workers
+    """Return a number of workers, or None; raise ValueError if it is not a positive whole number."""
+    return None if workers is None else checked_count(workers, "workers")

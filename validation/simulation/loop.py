@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import checked_count, counted, tree_text
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
 from .mismatch import Mismatch
@@ -18,30 +19,30 @@ CHUNK = 2000
 
 
 class BatchPolicy(Protocol):
-    """Anything that chooses the inputs of all worlds at once; what it remembers is handed to it and handed back.
+    """Anything that chooses the inputs of all worlds at once; its memory is passed in and handed back.
 
-    A policy may have a method ``selected(memory, which)``, which returns what it remembers of the worlds ``which``
-    alone, (k,) whole numbers in increasing order. With it the policy says that its inputs in one world are, to the last
-    bit, the same whatever worlds are beside, that its draws are arrays whose last axis is that of the worlds, and that
-    ``rng`` may be any ``envs.dynamics.Draws``. Its worlds are then simulated no further than they have to be, and
-    inadmissible inputs are not looked for where no acceptance can be reached any more.
+    A policy may have a method ``selected(memory, which)``, which returns its memory of the worlds ``which`` alone, (k,)
+    whole numbers in increasing order. A policy with this method promises three things: its inputs in one world are the
+    same, to the last bit, with any other worlds beside it; its random draws are arrays whose last axis is that of the
+    worlds; and ``rng`` may be any ``envs.dynamics.Draws``. Its worlds are then simulated only as long as their task is
+    open, and inadmissible inputs in settled worlds are not counted.
     """
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> Any:
-        """Memory at time 0; ``rng`` serves auxiliary draws of the policy, of which there are none for most."""
+        """Return the memory at time 0; ``rng`` serves the policy's own draws, which most policies do not make."""
 
     def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[NDArray[Any], ...], Any]:
-        """Inputs (m, n, M) per block of the dynamics, and the memory for the next step."""
+        """Return inputs (m, n, M) per block of the dynamics, and the memory for the next step."""
 
 
 class Batchable(Protocol):
     """Anything that can be arranged for batches, such as ``synthesis.controllers.Controller``."""
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
-        """The policy for batches of ``dynamics``."""
+        """Return the policy for batches of ``dynamics``."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Loop:
     """A closed loop and its random record: everything that determines the outcome of an episode.
 
@@ -67,24 +68,35 @@ class Loop:
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("chunk", 1)):
-            check_whole(name, getattr(self, name), least)
+            checked_count(getattr(self, name), name, least)
+
+    def __repr__(self) -> str:
+        starts = "the problem's" if self.starts is None else counted(len(self.starts), "joint state")
+        rows = [
+            ("controller", type(self.controller).__name__),
+            ("seed", f"{self.seed}, {counted(self.chunk, 'world')} per chunk"),
+            ("starts", starts),
+            ("mismatch", str(self.mismatch or Mismatch())),
+        ]
+        agents = counted(self.problem.n_agents, "agent")
+        return tree_text(f"Loop {self.problem.name!r}: {agents}, horizon {self.problem.horizon}", rows)
 
     def __reduce__(self) -> tuple[type[Loop], tuple[Any, ...]]:
-        """Workers are sent the fields alone; they arrange their own policies."""
+        """Send the fields alone to workers; they arrange the policy themselves."""
         return Loop, tuple(getattr(self, field.name) for field in fields(self))
 
     @cached_property
     def arranged(self) -> tuple[Dynamics, BatchPolicy]:
-        """Dynamics and policy, arranged once and not once per chunk."""
+        """Dynamics and policy, arranged once for all chunks."""
         dynamics = Dynamics.of(self.problem)
         return dynamics, self.controller.batch(dynamics)
 
     @cached_property
     def parts(self) -> tuple[Loop, ...]:
-        """Loops of the independent tasks, each with noise of its own; the loop itself where there is one task.
+        """One loop per independent task, each with its own noise; the loop itself if there is one task.
 
-        An episode succeeds if it does so in every part. Parts of co-safe tasks ask for more than the whole does (see
-        ``envs.independent``): there it counts fewer successes than there are.
+        An episode succeeds if it succeeds in every task. A co-safe task that decomposes is judged more strictly task by
+        task than as a whole (see ``envs/problem/groups.py``): then fewer episodes count as successes than really are.
         """
         groups = self.problem.groups
         if not groups:
@@ -94,7 +106,9 @@ class Loop:
                 f"`controller`: expected a `ProductController` for {len(groups)} independent tasks, got "
                 f"{type(self.controller).__name__}; simulate the problems of `problem.tasks` one by one"
             )
+        # Seeds of the tasks are derived from the seed of the whole, so that they share no noise.
         seeds = np.random.SeedSequence(self.seed).generate_state(len(groups), np.uint64).tolist()
+        # Each loop gets the controller of its task, and its columns of the starts.
         loops = []
         tasks = zip(self.problem.tasks, self.controller.parts, self.columns, seeds, strict=True)
         for task, controller, columns, seed in tasks:
@@ -105,12 +119,5 @@ class Loop:
     @cached_property
     def columns(self) -> tuple[NDArray[np.int64], ...]:
         """Components of a joint state that belong to each of the independent tasks."""
-        ends = np.cumsum([0, *(agent.n_states for agent in self.problem.agents)])
-        components = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        components = [np.arange(columns.start, columns.stop) for columns in self.problem.columns]
         return tuple(np.concatenate([components[i] for i in group.agents]) for group in self.problem.groups)
-
-
-def check_whole(name: str, value: Any, least: int) -> None:
-    """Raise ValueError unless a number is whole and large enough."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"`{name}`: expected a whole number of at least {least}, got {value!r}")

@@ -1,8 +1,8 @@
 """How the real system may differ from the model that was certified.
 
-A ``Mismatch`` changes noise, actuators or observations of the simulated system, never the certificate: rollouts under
-it say how far a bound survives. All noise families have mean 0 and the **same covariance** as the model's noise; their
-numbers are made from the model's normal numbers by quantiles, so that different mismatches meet comparable noise.
+A ``Mismatch`` changes noise, actuators or observations of the simulated system, never the certificate. Rollouts under a
+mismatch say how far a bound survives. All noise families have mean 0 and the **same covariance** as the model's noise.
+Their numbers are made from the model's normal numbers by quantiles, so that different mismatches meet comparable noise.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
+from ...envs.agents import checked_count
 from ...envs.dynamics import Dynamics, Worlds
 
 FAMILIES = ("gaussian", "laplace", "uniform", "student-t")
-"""Noise families; Student's t has 5 degrees of freedom."""
+"""Noise families: the model's, one with heavier tails, one without tails, and one with much heavier tails."""
 
 FREEDOM = 5.0
+"""Degrees of freedom of Student's t: heavy tails, but four moments exist."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +38,11 @@ class Mismatch:
     actuator_bias : float
         Added to every input, as a share of the half width of its box; the sum saturates at the box.
     delay : int
-        Control steps by which each agent's view of its own state lags (before time ``delay``: the start). The automaton
-        state and the clock are current.
+        Control steps by which each agent's view of its own state lags; before time ``delay`` it sees the start. The
+        automaton state and the clock are current.
     dropout : float
-        Probability, per agent and step, that the own state is not seen and the last one seen is used again. The start
-        is always seen.
+        Probability, per agent and step, that an agent does not see its state and uses the last one it saw again. The
+        start is always seen.
 
     Raises
     ------
@@ -66,8 +68,7 @@ class Mismatch:
                 raise ValueError(f"`{name}`: expected a number from {low:g} to {high:g}, got {value!r}")
         if self.noise_family not in FAMILIES:
             raise ValueError(f"`noise_family`: expected one of {', '.join(FAMILIES)}, got {self.noise_family!r}")
-        if isinstance(self.delay, bool) or not isinstance(self.delay, int | np.integer) or self.delay < 0:
-            raise ValueError(f"`delay`: expected a whole number of at least 0 (control steps), got {self.delay!r}")
+        checked_count(self.delay, "delay", least=0, unit="control steps")
 
     def __str__(self) -> str:
         plain = Mismatch.__dataclass_fields__
@@ -78,11 +79,19 @@ class Mismatch:
 def disturbed(
     dynamics: Dynamics, mismatch: Mismatch, inputs: Sequence[NDArray[Any]], normals: Sequence[NDArray[Any]]
 ) -> tuple[tuple[NDArray[Any], ...], tuple[NDArray[Any], ...]]:
-    """Inputs and noise of one step as the perturbed system meets them (inputs not yet saturated)."""
+    """Return the inputs and the noise of one step as the perturbed system meets them, inputs not yet saturated.
+
+    Parameters
+    ----------
+    inputs : sequence of (m, n, M) arrays
+        Inputs per block that the policy asks for.
+    normals : sequence of (d, n, M) arrays
+        Standard normal numbers per block, before they are multiplied by the noise factor.
+    """
     noise = tuple(mismatch.noise_scale * as_family(z, mismatch.noise_family) for z in normals)
     if mismatch.actuator_bias == 0.0:
         return tuple(inputs), noise
-    # the command saturates before the bias is added, the sum again afterwards
+    # The command saturates before the bias is added; the sum saturates once more afterwards.
     biased = []
     for block, u in zip(dynamics.blocks, inputs, strict=True):
         bias = mismatch.actuator_bias * 0.5 * (block.input_high - block.input_low)
@@ -91,7 +100,7 @@ def disturbed(
 
 
 def as_family(z: NDArray[Any], family: str) -> NDArray[Any]:
-    """Standard normal numbers turned, by quantiles, into another symmetric family of unit variance.
+    """Return standard normal numbers turned, by quantiles, into another symmetric family of unit variance.
 
     Examples
     --------
@@ -100,7 +109,8 @@ def as_family(z: NDArray[Any], family: str) -> NDArray[Any]:
     """
     if family == "gaussian":
         return z
-    tail = ndtr(-np.abs(z))  # from the small tail, where it is accurate
+    # Work on the smaller tail, where the distribution function is accurate, and put the sign back at the end.
+    tail = ndtr(-np.abs(z))
     if family == "laplace":
         size = -np.log(2.0 * tail) / np.sqrt(2.0)
     elif family == "uniform":
@@ -112,7 +122,7 @@ def as_family(z: NDArray[Any], family: str) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """What a degraded policy remembers: the inner memory, the states of the last steps, what each agent sees."""
+    """Memory of a degraded policy: the policy's own memory, the states of the last steps, what each agent saw last."""
 
     inner: Any
     past: tuple[tuple[NDArray[Any], ...], ...]
@@ -129,13 +139,15 @@ class DegradedPolicy:
     rng: np.random.Generator
 
     def begin(self, worlds: Worlds, rng: np.random.Generator) -> _Sight:
-        """Memory at time 0."""
+        """Return the memory at time 0."""
         return _Sight(self.policy.begin(worlds, rng), (worlds.states,) * self.delay, worlds.states)
 
     def act(self, worlds: Worlds, memory: _Sight) -> tuple[tuple[NDArray[Any], ...], _Sight]:
-        """Inputs for what is seen, which need not be what is."""
+        """Return the inputs (m, n, M) per block for the states that agents see, and the memory for the next step."""
+        # The oldest remembered states arrive now; before time `delay` these are copies of the start.
         past = (*memory.past, worlds.states)
         arriving = past[0]
+        # An agent whose observation is lost sees again what it saw before.
         if self.dropout > 0.0:
             lost = [self.rng.random(x.shape[1:]) < self.dropout for x in arriving]
             arriving = tuple(
@@ -146,7 +158,7 @@ class DegradedPolicy:
 
 
 def degraded(policy: Any, mismatch: Mismatch, rng: np.random.Generator) -> Any:
-    """The policy behind the mismatch's observations; itself where they are perfect."""
+    """Return the policy behind late or lost observations; the policy itself if observations are perfect."""
     if mismatch.delay == 0 and mismatch.dropout == 0.0:
         return policy
     return DegradedPolicy(policy, int(mismatch.delay), float(mismatch.dropout), rng)

@@ -1,13 +1,11 @@
 """Batched rollouts of the continuous system.
 
-Worlds are simulated in chunks of fixed size. Each chunk draws its starts and its noise from a generator of its own,
-``SeedSequence(seed, spawn_key=(chunk,))``, and draws them whatever the policy does: results do not depend on the order
-in which chunks are computed nor on where, and two policies with one seed meet the same noise (common random numbers).
-Auxiliary draws of a policy come from a stream of their own, ``spawn_key=(chunk, 1)``. The chunk size is part of the
-record. Memory is that of the chunks under way, whatever the number of episodes.
+Worlds are simulated in chunks of fixed size; ``chunks`` says which random numbers each chunk draws. The results depend
+on seed and chunk size only: not on the order in which chunks are computed, nor on the machine that computes them. Two
+policies with one seed meet the same noise. Only the chunks under way are in memory, however many episodes there are.
 
 Actuators saturate: an input beyond the input box acts as the nearest admissible one. Controllers of certificates never
-ask for that; episodes in which one did (before it was decided) are counted as ``inadmissible``.
+ask for such inputs. Episodes in which a policy did, before they were decided, are counted as ``inadmissible``.
 """
 
 from __future__ import annotations
@@ -21,6 +19,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
@@ -28,11 +27,11 @@ from .mismatch import Mismatch
 from .spread import AHEAD, Executor, in_order
 from .trials import TrialOptions, TrialPlan, collect, planned
 
-TOGETHER = 65536
-"""Numbers that the states of chunks simulated side by side may have, if one chunk alone has fewer."""
+NUMBERS_SIDE_BY_SIDE = 65536
+"""Most numbers in the states of chunks that are simulated side by side: half a MiB, which fits into the cache."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollouts:
     """Outcomes of M independent episodes of one closed loop.
 
@@ -42,15 +41,24 @@ class Rollouts:
         Whether each episode satisfied the task, in index order.
     seed : int
     chunk : int
-        Worlds per chunk; with the seed it determines every number drawn.
+        Worlds per chunk; together with the seed it determines every number drawn.
     inadmissible : int
-        Episodes in which an input beyond the input box was asked for before the episode was decided.
+        Number of episodes in which the policy asked for an input beyond the input box before they were decided.
     """
 
     success: NDArray[np.bool_]
     seed: int
     chunk: int
     inadmissible: int = 0
+
+    def __repr__(self) -> str:
+        rows: list[tuple[str, object]] = [
+            ("satisfied", f"{self.successes}, a share of {self.successes / max(self.episodes, 1):.6f}"),
+            ("seed", f"{self.seed}, {counted(self.chunk, 'world')} per chunk"),
+        ]
+        if self.inadmissible:
+            rows.append(("inputs", f"inadmissible in {counted(self.inadmissible, 'episode')} (they saturated)"))
+        return tree_text(f"Rollouts: {counted(self.episodes, 'episode')}", rows)
 
     @property
     def episodes(self) -> int:
@@ -72,7 +80,7 @@ def rollout(
     mismatch: Mismatch | None = None,
     **trial: Unpack[TrialOptions],
 ) -> Rollouts:
-    """Simulate episodes of the continuous system under ``controller``, the same for any executor.
+    """Simulate episodes of the continuous system under ``controller``; the outcomes are the same on every executor.
 
     Parameters
     ----------
@@ -90,10 +98,10 @@ def rollout(
     ValueError
         If a number is out of range.
     KeyboardInterrupt
-        On Ctrl-C: policies can be compared only over the same episodes, so that a part of them is nothing.
+        On Ctrl-C. Policies can be compared only over the same episodes, so a part of them is of no use.
     """
     checked_problem(problem)
-    controller = getattr(controller, "controller", controller)  # of a synthesis or certificate
+    controller = getattr(controller, "controller", controller)  # syntheses and certificates have one
     if not hasattr(controller, "batch"):
         raise ValueError(
             f"`controller`: expected an object with `batch(dynamics)`, got {type(controller).__name__}; give a "
@@ -103,22 +111,24 @@ def rollout(
         problem = problem.replace(initial_state=initial_state)
     settled = planned(plan, trial, 10_000)
     loop = Loop(problem, controller, settled.seed, settled.chunk, mismatch=mismatch)
-    parts: list[ChunkResult] = []
+    results: list[ChunkResult] = []
 
-    def take(part: ChunkResult) -> None:
-        parts.append(part)
-        settled.tell(len(part.success))
+    def take(result: ChunkResult) -> None:
+        results.append(result)
+        settled.tell(len(result.success))
 
     if collect(stream(loop, settled.episodes, settled.executor), take):
         raise KeyboardInterrupt
-    success = np.concatenate([part.success for part in parts])
-    return Rollouts(success, settled.seed, settled.chunk, sum(part.inadmissible for part in parts))
+    success = np.concatenate([result.success for result in results])
+    return Rollouts(success, settled.seed, settled.chunk, sum(result.inadmissible for result in results))
 
 
 def stream(loop: Loop, episodes: int, executor: Executor | None = None) -> Generator[ChunkResult, None, None]:
-    """Outcomes chunk by chunk in index order, ``episodes`` in all; nothing is kept."""
-    beside = max(1, TOGETHER // (loop.chunk * loop.problem.n_states))
-    if executor is not None:  # workers must not wait for one another
+    """Yield the outcomes chunk by chunk in index order, ``episodes`` in all; none is kept here."""
+    # Small chunks are simulated side by side, where the cost of a call of numpy is shared. With an executor there must
+    # stay enough jobs for all workers.
+    beside = max(1, NUMBERS_SIDE_BY_SIDE // (loop.chunk * loop.problem.n_states))
+    if executor is not None:
         beside = min(beside, max(1, episodes // (2 * AHEAD * loop.chunk)))
     chunks = chunks_of(episodes, loop.chunk)
     with closing(in_order(chunk_results, loop, _grouped(chunks, beside), executor)) as groups:
@@ -127,5 +137,6 @@ def stream(loop: Loop, episodes: int, executor: Executor | None = None) -> Gener
 
 
 def _grouped(chunks: Iterator[tuple[int, int]], beside: int) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Yield tuples of ``beside`` chunks; the last one may be shorter."""
     while group := tuple(islice(chunks, beside)):
         yield group

@@ -1,4 +1,4 @@
-"""Random numbers of several chunks side by side: each from its chunk's own generator, whatever else is simulated."""
+"""Random numbers of several chunks side by side: each comes from the generator of its chunk."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 
 class Streams:
-    """The generators of some chunks as one source of draws, for the worlds that are left.
+    """The generators of some chunks as one source of draws, for those of their worlds that are left.
 
-    Every generator draws for all worlds of its chunk, as it would alone; one whose worlds have all left draws no more.
+    Every generator draws for all worlds of its chunk, as if the chunk were simulated alone. A generator whose worlds
+    have all left draws no more.
 
     Parameters
     ----------
@@ -30,17 +31,18 @@ class Streams:
 
     @cached_property
     def rngs(self) -> tuple[np.random.Generator, ...]:
-        """The generators, made when they are first needed."""
+        """The generators, made when first needed: most policies make no draws, and making a generator takes time."""
         return tuple(np.random.default_rng(seed) for seed in self._seeds)
 
     def keep(self, which: NDArray[Any]) -> None:
-        """From now on draws are for the worlds ``which`` alone, (k,) increasing numbers of the worlds of all chunks."""
+        """Draw from now on for the worlds ``which`` alone, (k,) increasing numbers over the worlds of all chunks."""
         self._which, self._left = which, None
 
     def _in_chunks(self) -> list[NDArray[Any] | None]:
-        """The worlds that are left of each chunk, by their numbers in it; None for all."""
+        """Return the worlds of each chunk that are left, by their numbers in the chunk; None for all of them."""
         if self._left is None:
             assert self._which is not None
+            # The numbers increase, so each chunk has a range of them; count from the chunk's first world.
             firsts = self._size * np.arange(len(self._seeds) + 1)
             ends = np.searchsorted(self._which, firsts).tolist()
             self._left = [
@@ -50,17 +52,18 @@ class Streams:
         return self._left
 
     def standard_normal(self, shape: tuple[int, ...], /) -> NDArray[Any]:
-        """Standard normal numbers (.., M) for the M worlds that are left."""
+        """Return standard normal numbers (.., M) for the M worlds that are left."""
         return self._side_by_side("standard_normal", shape)
 
     def random(self, shape: tuple[int, ...], /) -> NDArray[Any]:
-        """Uniform numbers (.., M) for the M worlds that are left."""
+        """Return uniform numbers (.., M) from [0, 1) for the M worlds that are left."""
         return self._side_by_side("random", shape)
 
     def _side_by_side(self, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-        parts = []
+        """Return the draws of one distribution, of all chunks with worlds left."""
+        draws = []
         for rng, left in zip(self.rngs, self._in_chunks(), strict=True):
             if left is None or len(left):
                 drawn = getattr(rng, name)((*shape[:-1], self._size))
-                parts.append(drawn if left is None else drawn.take(left, axis=-1))
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+                draws.append(drawn if left is None else drawn.take(left, axis=-1))
+        return draws[0] if len(draws) == 1 else np.concatenate(draws, axis=-1)

@@ -1,4 +1,4 @@
-"""How many episodes are simulated, from which seed, where: one record for every verb that simulates.
+"""How many episodes are simulated, from which seed, and where: one record for every verb that simulates.
 
 Verbs take a plan, a number of episodes, or the fields of a plan as keywords:
 ``validate(result, 5000, seed=3)`` is ``validate(result, TrialPlan(episodes=5000, seed=3))``.
@@ -10,10 +10,11 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import TypedDict, TypeVar
 
-from .loop import CHUNK, check_whole
+from ...envs.agents import checked_count
+from .loop import CHUNK
 from .spread import Executor, interrupts_at_checkpoints
 
-Part = TypeVar("Part")
+Result = TypeVar("Result")
 
 
 class TrialOptions(TypedDict, total=False):
@@ -29,20 +30,20 @@ class TrialOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """How rollouts are made and how sure their limits are.
+    """How many rollouts are made, from which random numbers, and how sure their limits are.
 
     Parameters
     ----------
     episodes : int, optional
-        How many, a positive number; default: that of the verb.
+        Number of episodes, at least 1; each verb has its default.
     seed : int
-        Determines every number drawn, together with ``chunk``.
+        Together with ``chunk`` it determines every number drawn.
     confidence : float, optional
-        Of two-sided limits and verdicts, between 0 and 1; default: that of the verb.
+        Confidence of two-sided limits and verdicts, between 0 and 1; each verb has its default.
     chunk : int
         Worlds per chunk of the simulation; part of the random record.
     executor : Executor, optional
-        Where chunks are computed; default: this process. Results are the same for any.
+        Where chunks are computed; default: this process. The results are the same on every executor.
     progress : callable, optional
         Called with the number of episodes finished since the last call.
 
@@ -61,9 +62,9 @@ class TrialPlan:
 
     def __post_init__(self) -> None:
         if self.episodes is not None:
-            check_whole("episodes", self.episodes, 1)
+            checked_count(self.episodes, "episodes")
         for name, least in (("seed", 0), ("chunk", 1)):
-            check_whole(name, getattr(self, name), least)
+            checked_count(getattr(self, name), name, least)
         if self.executor is not None and not hasattr(self.executor, "submit"):
             raise ValueError(
                 f"`executor`: expected an object with `submit`, got {self.executor!r}; open one with `executor_for`, "
@@ -71,7 +72,7 @@ class TrialPlan:
             )
 
     def tell(self, count: int) -> None:
-        """Report that so many more episodes are finished."""
+        """Pass on to ``progress`` that so many more episodes are finished."""
         if self.progress is not None:
             self.progress(count)
 
@@ -84,10 +85,22 @@ class Plan(TrialPlan):
 
 
 def planned(plan: TrialPlan | int | None, options: TrialOptions, episodes: int, confidence: float = 0.999) -> Plan:
-    """The plan that was given, in any form, with the defaults of the verb."""
+    """Return the plan that a caller gave in any form, with the defaults of the verb filled in.
+
+    Parameters
+    ----------
+    plan : TrialPlan or int, optional
+        A whole number stands for a number of episodes.
+    options : TrialOptions
+        Fields that replace those of ``plan``.
+    episodes : int
+    confidence : float
+        Defaults of the verb.
+    """
     if plan is not None and not isinstance(plan, TrialPlan):
-        check_whole("episodes", plan, 1)
+        checked_count(plan, "episodes")
         plan = TrialPlan(episodes=plan)
+    # Keywords win over the plan, and the plan over the defaults of the verb.
     whole = replace(TrialPlan() if plan is None else plan, **options)
     settled = {
         "episodes": episodes if whole.episodes is None else whole.episodes,
@@ -96,18 +109,24 @@ def planned(plan: TrialPlan | int | None, options: TrialOptions, episodes: int, 
     return Plan(**{**vars(whole), **settled})
 
 
-def collect(parts: Generator[Part, None, None], take: Callable[[Part], bool | None]) -> bool:
-    """Hand parts to ``take`` until there are no more or it returns True; whether Ctrl-C came first.
+def collect(results: Generator[Result, None, None], take: Callable[[Result], bool | None]) -> bool:
+    """Hand results to ``take`` until there are no more or it returns True; return whether Ctrl-C came first.
 
-    The one way in which a simulation is interrupted: what was taken by then stays, and the caller reports about it.
-    Interrupted before the first part, KeyboardInterrupt is raised, for there is nothing to report.
+    This is the one way in which a simulation is interrupted: the results taken by then stay, and the caller reports
+    about them.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If Ctrl-C came before the first result: there is nothing to report.
     """
     taken = 0
     try:
+        # Ctrl-C is held back while a result is made and taken, so that none is counted in part.
         with interrupts_at_checkpoints() as checkpoint:
-            for part in parts:
+            for result in results:
                 taken += 1
-                if take(part):
+                if take(result):
                     break
                 checkpoint()
     except KeyboardInterrupt:
@@ -115,5 +134,5 @@ def collect(parts: Generator[Part, None, None], take: Callable[[Part], bool | No
             raise
         return True
     finally:
-        parts.close()
+        results.close()
     return False

@@ -1,14 +1,16 @@
 """What simulation says about a certificate: exact binomial limits, p-values and a verdict.
 
-A certificate claims ``P >= lower`` (and, when nothing is lost on the way, ``P <= lower + gap``). With k successes in M
-independent episodes and Clopper-Pearson limits that each miss P with probability at most (1 - confidence) / 2, it is
+A certificate claims ``P >= lower`` and, where it knows its upper end, also ``P <= lower + gap``. Take k successes in M
+independent episodes, and Clopper-Pearson limits that each miss P with probability at most (1 - confidence) / 2. The
+certificate is
 
-``confirmed``   if the lower limit reaches the claim: a rejection of ``P < lower``;
-``refuted``     if the upper limit is below the claim, or the lower limit above ``lower + gap``, where it says so;
+``confirmed``   if the lower limit reaches the claim: the rollouts reject ``P < lower``;
+``refuted``     if the upper limit is below the claim, or if the lower limit is above a claimed ``lower + gap``;
 ``consistent``  otherwise.
 
-A true certificate is refuted with probability at most ``1 - confidence``, a false one confirmed with at most half.
-Many claims at once go through ``holm``, the claims and their opposites as two separate families.
+A true certificate is refuted with probability at most ``1 - confidence``; a false one is confirmed with probability at
+most half of that. Many claims at once go through ``holm``: the claims form one family, their opposites another
+(docs/theory/evidence.md, "One claim" and "Many claims").
 """
 
 from __future__ import annotations
@@ -21,14 +23,23 @@ from scipy.special import betainc, betaincinv
 
 CONFIRMED, CONSISTENT, REFUTED = "confirmed", "consistent", "refuted"
 
+NEARLY_ZERO = 1e-300
+"""Replaces a parameter 0 of the incomplete beta function, which must be positive; those entries are overwritten."""
+
 
 def clopper_pearson(successes: int, episodes: int, confidence: float) -> tuple[float, float]:
-    """Exact two-sided limits on a success probability, each missed with probability at most (1 - confidence) / 2.
+    """Return exact two-sided limits on P: each is on the wrong side with probability at most (1 - confidence) / 2.
+
+    Parameters
+    ----------
+    successes, episodes : int
+    confidence : float
+        Of both limits together, strictly between 0 and 1.
 
     Raises
     ------
     ValueError
-        If the counts do not fit or the confidence is not strictly between 0 and 1.
+        If there are more successes than episodes, no episode, or the confidence is out of range.
 
     Examples
     --------
@@ -40,6 +51,7 @@ def clopper_pearson(successes: int, episodes: int, confidence: float) -> tuple[f
     if not 0 <= successes <= episodes or episodes < 1:
         raise ValueError(f"`successes`: expected 0 <= successes <= episodes, got {successes} of {episodes}")
     tail = 0.5 * (1.0 - confidence)
+    # The limits are quantiles of beta distributions; at k = 0 and k = n one of them degenerates to the end point.
     low = 0.0 if successes == 0 else float(betaincinv(successes, episodes - successes + 1, tail))
     high = 1.0 if successes == episodes else float(betaincinv(successes + 1, episodes - successes, 1.0 - tail))
     return low, high
@@ -52,14 +64,19 @@ def check_confidence(confidence: float) -> None:
 
 
 def verdict(lower: float, gap: float | None, ci_low: float, ci_high: float) -> str:
-    """Verdict on ``lower <= P`` (and ``P <= lower + gap`` unless ``gap`` is None) from limits on P."""
+    """Return the verdict on ``lower <= P`` (and on ``P <= lower + gap`` unless ``gap`` is None) from limits on P."""
     if ci_high < lower or (gap is not None and ci_low > lower + gap):
         return REFUTED
     return CONFIRMED if ci_low >= lower else CONSISTENT
 
 
 def p_at_least(successes: Any, episodes: Any, bound: Any) -> NDArray[Any]:
-    """Exact p-values against ``P >= bound``: the probability of so few successes or fewer at ``P = bound``.
+    """Return exact p-values against ``P >= bound``: the probability of at most so many successes at ``P = bound``.
+
+    Parameters
+    ----------
+    successes, episodes, bound : array_like
+        Broadcast against each other.
 
     Examples
     --------
@@ -67,13 +84,18 @@ def p_at_least(successes: Any, episodes: Any, bound: Any) -> NDArray[Any]:
     0.5
     """
     k, n, bound = np.broadcast_arrays(np.asarray(successes, dtype=float), episodes, np.asarray(bound, dtype=float))
-    # P(Bin(n, l) <= k) = I_{1-l}(n - k, k + 1)
-    tail = betainc(np.maximum(n - k, 1e-300), k + 1.0, 1.0 - bound)
+    # P(Bin(n, l) <= k) = I_{1-l}(n - k, k + 1), the regularised incomplete beta function; it is 1 for k = n.
+    tail = betainc(np.maximum(n - k, NEARLY_ZERO), k + 1.0, 1.0 - bound)
     return np.where(k >= n, 1.0, tail)
 
 
 def p_at_most(successes: Any, episodes: Any, bound: Any) -> NDArray[Any]:
-    """Exact p-values against ``P <= bound``: the probability of so many successes or more at ``P = bound``.
+    """Return exact p-values against ``P <= bound``: the probability of at least so many successes at ``P = bound``.
+
+    Parameters
+    ----------
+    successes, episodes, bound : array_like
+        Broadcast against each other.
 
     Examples
     --------
@@ -81,14 +103,20 @@ def p_at_most(successes: Any, episodes: Any, bound: Any) -> NDArray[Any]:
     0.5
     """
     k, n, bound = np.broadcast_arrays(np.asarray(successes, dtype=float), episodes, np.asarray(bound, dtype=float))
-    tail = betainc(np.maximum(k, 1e-300), n - k + 1.0, bound)
+    # P(Bin(n, l) >= k) = I_l(k, n - k + 1); it is 1 for k = 0.
+    tail = betainc(np.maximum(k, NEARLY_ZERO), n - k + 1.0, bound)
     return np.where(k <= 0, 1.0, tail)
 
 
 def holm(p_values: Any) -> NDArray[Any]:
-    """Adjusted p-values: rejecting those up to alpha rejects any true hypothesis with probability at most alpha.
+    """Return p-values adjusted by Holm's method, which assumes nothing about how the tests depend on each other.
 
-    Holm's step-down method; nothing is assumed about dependence.
+    Whoever rejects the hypotheses whose adjusted p-values are at most alpha rejects some true hypothesis with
+    probability at most alpha (docs/theory/evidence.md, "Many claims").
+
+    Parameters
+    ----------
+    p_values : array_like, shape (n,)
 
     Examples
     --------
@@ -96,6 +124,7 @@ def holm(p_values: Any) -> NDArray[Any]:
     [0.03, 0.06, 0.06]
     """
     p = np.asarray(p_values, dtype=float)
+    # The k-th smallest of n values is multiplied by n - k + 1; running maxima keep the order.
     order = np.argsort(p, kind="stable")
     stepped = np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order])
     adjusted = np.empty(len(p))

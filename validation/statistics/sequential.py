@@ -1,13 +1,14 @@
 """Anytime-valid evidence: test a bound after every episode and stop as soon as it is confirmed or refuted.
 
-An *e-process* against a hypothesis starts at 1 and, while the hypothesis is true, ever reaches ``1 / alpha`` with
-probability at most alpha (Ville's inequality): it may be looked at after every episode. Against ``P >= l`` ours is the
+An *e-process* against a hypothesis starts at 1. If the hypothesis is true, the process ever reaches ``1 / alpha`` with
+probability at most alpha (Ville's inequality), so one may look at it after every episode. Against ``P >= l`` we use the
 likelihood ratio of a Beta mixture over ``p <= l`` to ``l``,
 
-    E_n = integral_0^l (p/l)^k ((1-p)/(1-l))^(n-k) dBeta(p | p <= l),
+    E_n = integral_0^l (p/l)^k ((1-p)/(1-l))^(n-k) dBeta(p | p <= l).
 
-whose factors are supermartingales for every P >= l *because the mixture stops at l*: an untruncated one would reject
-true hypotheses (THEORY section 10). Against ``P <= l`` the mixture lives on ``[l, 1]``. Episodes enter in index order.
+It is a supermartingale for every P >= l *because the mixture stops at l*: a mixture that is not truncated would reject
+true hypotheses (docs/theory/evidence.md, "Stopping early"). Against ``P <= l`` the mixture covers ``[l, 1]``. Episodes
+enter in the order of their index.
 """
 
 from __future__ import annotations
@@ -22,11 +23,22 @@ from scipy.special import betainc, betaln, xlog1py, xlogy
 from .binomial import CONFIRMED, CONSISTENT, REFUTED, check_confidence
 
 PRIOR = (0.5, 0.5)
-"""Beta prior of the mixtures (Jeffreys)."""
+"""Beta prior of the mixtures: Jeffreys' prior, which favours no region of P and has power near 0 and 1, too."""
+
+BISECTIONS = 80
+"""Steps of a bisection of an interval of length at most 1: more than a float64 can tell apart."""
 
 
 def log_e_at_least(successes: Any, episodes: Any, bound: float, prior: tuple[float, float] = PRIOR) -> NDArray[Any]:
-    """Logarithm of the e-process against ``P >= bound`` after ``episodes`` with ``successes``.
+    """Return the logarithm of the e-process against ``P >= bound`` after so many episodes and successes.
+
+    Parameters
+    ----------
+    successes, episodes : array_like
+        Broadcast against each other.
+    bound : float
+    prior : tuple of float
+        Both parameters of the Beta mixture before it is truncated.
 
     Examples
     --------
@@ -39,15 +51,18 @@ def log_e_at_least(successes: Any, episodes: Any, bound: float, prior: tuple[flo
     if bound <= 0.0:
         return np.zeros(np.broadcast(k, n).shape)  # P >= 0 is never wrong
     a, b = prior
+    # The integral of the mixture is an incomplete beta function; the truncated prior is divided by its mass.
     with np.errstate(divide="ignore", invalid="ignore"):
         mixture = betaln(a + k, b + n - k) + np.log(betainc(a + k, b + n - k, min(bound, 1.0)))
         truncation = betaln(a, b) + np.log(betainc(a, b, min(bound, 1.0)))
         result = mixture - truncation - xlogy(k, bound) - xlog1py(n - k, -bound)
+    # An incomplete beta function that underflows leaves -inf or inf - inf: no evidence against the hypothesis.
     return np.asarray(np.where(np.isnan(result), -np.inf, result))
 
 
 def log_e_at_most(successes: Any, episodes: Any, bound: float, prior: tuple[float, float] = PRIOR) -> NDArray[Any]:
-    """Logarithm of the e-process against ``P <= bound``."""
+    """Return the logarithm of the e-process against ``P <= bound``; see ``log_e_at_least``."""
+    # P <= l says that failures have probability at least 1 - l.
     n = np.asarray(episodes, dtype=float)
     return log_e_at_least(n - np.asarray(successes, dtype=float), n, 1.0 - bound, prior[::-1])
 
@@ -55,7 +70,9 @@ def log_e_at_most(successes: Any, episodes: Any, bound: float, prior: tuple[floa
 def confidence_sequence(
     successes: int, episodes: int, confidence: float, prior: tuple[float, float] = PRIOR
 ) -> tuple[float, float]:
-    """Limits on P that hold at all times together with probability at least ``confidence`` (Robbins' mixture).
+    """Return limits on P that hold at all times together with probability at least ``confidence``.
+
+    They consist of all p that Robbins' untruncated mixture has not rejected by now.
 
     Examples
     --------
@@ -74,10 +91,13 @@ def confidence_sequence(
 
 
 def _edge(excluded: Any, inner: float, outer: float) -> float:
-    """Edge between ``inner``, which is in, and ``outer``, by bisection, on the outer side; ``outer`` if it is in."""
+    """Return the edge between ``inner``, not excluded, and ``outer``, on the excluded side; ``outer`` if there is none.
+
+    Bisection keeps ``inner`` inside and ``outer`` excluded, so that rounding widens the limits.
+    """
     if not excluded(outer):
         return outer
-    for _ in range(80):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (inner + outer)
         if excluded(middle):
             outer = middle
@@ -88,19 +108,19 @@ def _edge(excluded: Any, inner: float, outer: float) -> float:
 
 @dataclass(frozen=True)
 class SequentialState:
-    """Evidence so far; ``advance`` makes the next one.
+    """The evidence of the episodes so far; ``advance`` returns the next state.
 
     Parameters
     ----------
     lower, gap, confidence
-        The claim ``P >= lower`` (and ``P <= lower + gap`` unless ``gap`` is None); each wrong answer has probability at
-        most ``(1 - confidence) / 2`` per side, at whatever time it is given.
+        The claim ``P >= lower`` (and ``P <= lower + gap`` unless ``gap`` is None). Whenever one stops, a wrong answer
+        has probability at most ``(1 - confidence) / 2`` per side.
     successes, episodes : int
-        What has entered.
+        Counts of the episodes that have entered.
     log_refuted, log_confirmed : float
         Largest logarithmic e-values so far against the claim and against its opposite.
     verdict : str
-        Changes once at most, from ``consistent`` to the final answer.
+        Starts as ``consistent`` and changes at most once, to the final answer.
     """
 
     lower: float
@@ -118,25 +138,30 @@ class SequentialState:
         return float(-np.log(0.5 * (1.0 - self.confidence)))
 
     def add(self, success: NDArray[np.bool_]) -> SequentialState:
-        """Count episodes without testing anything: for a number of episodes fixed beforehand."""
+        """Return the state with more episodes counted but nothing tested: for a number of episodes fixed beforehand."""
         return replace(self, successes=self.successes + int(success.sum()), episodes=self.episodes + len(success))
 
     def advance(self, success: NDArray[np.bool_]) -> SequentialState:
-        """Enter episodes in order, as far as they are needed; the rest is not looked at."""
+        """Return the state after these episodes, taken in order up to the one that decides; later ones are ignored."""
         if self.verdict != CONSISTENT or len(success) == 0:
             return self
+        # Evidence after each single episode: against the claim (from both ends, if it has two) and for it.
         k = self.successes + np.cumsum(success)
         n = self.episodes + np.arange(1, len(success) + 1)
         against = log_e_at_least(k, n, self.lower)
         if self.gap is not None and self.lower + self.gap < 1.0:
             against = np.maximum(against, log_e_at_most(k, n, self.lower + self.gap))
         for_it = np.full(len(k), np.inf) if self.lower <= 0.0 else log_e_at_most(k, n, self.lower)
+        # The first episode at which either process crosses its threshold decides.
         refuted, confirmed = against >= self.threshold, for_it >= self.threshold
         decided = np.flatnonzero(refuted | confirmed)
         last = int(decided[0]) if len(decided) else len(k) - 1
         verdict = CONSISTENT if not len(decided) else REFUTED if refuted[last] else CONFIRMED
-        return SequentialState(
-            self.lower, self.gap, self.confidence, int(k[last]), int(n[last]),
-            max(self.log_refuted, float(against[: last + 1].max())),
-            max(self.log_confirmed, float(for_it[: last + 1].max())), verdict,
-        )  # fmt: skip
+        return replace(
+            self,
+            successes=int(k[last]),
+            episodes=int(n[last]),
+            log_refuted=max(self.log_refuted, float(against[: last + 1].max())),
+            log_confirmed=max(self.log_confirmed, float(for_it[: last + 1].max())),
+            verdict=verdict,
+        )

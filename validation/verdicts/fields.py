@@ -1,8 +1,9 @@
-"""Test a certificate over a whole set of initial states, and search for its weakest one.
+"""Test a certificate at a whole set of initial states, and search for the state at which it is weakest.
 
-At every state the value function is a claim of its own, ``P_x >= V(x)``. All of them are tested at once: exact binomial
-p-values, Holm-adjusted over the states, the claims and their opposites as two families. A true certificate is then
-refuted anywhere with probability at most ``(1 - confidence) / 2``, whatever the number of states.
+At every state the value function makes a claim, ``P_x >= V(x)``. All claims are tested at once: exact binomial p-values
+are adjusted by Holm's method over the states, the claims and their opposites as two families. A true certificate is
+then refuted anywhere with probability at most ``(1 - confidence) / 2``, for any number of states
+(docs/theory/evidence.md, "Many claims").
 """
 
 from __future__ import annotations
@@ -14,16 +15,39 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import write_json
+from ...envs.agents import counted, shortened, tree_text, write_json
 from ...synthesis.certificates import as_certificate, rounded_down
-from ..simulation import ChunkResult, Loop, Mismatch, TrialOptions, TrialPlan, collect, planned, stream
+from ..simulation import (
+    INTERRUPTED,
+    ChunkResult,
+    Loop,
+    Mismatch,
+    Rows,
+    TrialOptions,
+    TrialPlan,
+    collect,
+    html_table,
+    labelled_lines,
+    planned,
+    stream,
+)
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
 from .starts import corner_starts, neighbours, random_starts
 
+CANDIDATES = 192
+"""Random states with which a search begins; with up to 64 corners they make 256, enough for five rounds."""
 
-@dataclass(frozen=True, eq=False)
+MEANINGS_OF_FIELDS = {
+    CONFIRMED: "the rollouts confirm the claim at every state",
+    CONSISTENT: "the rollouts refute no claim",
+    REFUTED: "the rollouts contradict the claim at some states",
+}
+"""What each verdict on all states together says."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class FieldReport:
-    """Claims and rollouts at N initial states.
+    """The claims of a certificate at N initial states beside what rollouts show there.
 
     Parameters
     ----------
@@ -33,15 +57,15 @@ class FieldReport:
         The certificate's claims there.
     successes, episodes : (N,) int arrays
     ci_low, ci_high : (N,) arrays
-        Exact limits at ``confidence``, each state for itself (for maps; the tests below are simultaneous).
+        Exact limits at ``confidence`` for each state alone; they are for maps, while the tests are simultaneous.
     p_refuted, p_confirmed : (N,) arrays
         Holm-adjusted p-values against the claims and against their opposites.
     confidence : float
     seed, chunk : int
     shape : tuple of int
-        Points per axis if the states are a slice, else ``(N,)``.
+        Points per axis if the states are a slice, otherwise ``(N,)``.
     interrupted : bool
-        Whether fewer episodes were run than asked for.
+        Whether Ctrl-C ended the rollouts early.
     """
 
     states: NDArray[Any]
@@ -65,22 +89,22 @@ class FieldReport:
 
     @property
     def margins(self) -> NDArray[Any]:
-        """Estimates minus claims (N,); negative where the rollouts fall short."""
+        """Estimates minus claims (N,); negative where the share of successes is below the bound."""
         return self.estimates - self.lower_bounds
 
     @property
     def refuted(self) -> NDArray[np.bool_]:
-        """Where (N,) the claim is refuted, all states tested together."""
+        """Whether the claim is refuted (N,), all states tested together."""
         return np.asarray(self.p_refuted <= 0.5 * (1.0 - self.confidence))
 
     @property
     def confirmed(self) -> NDArray[np.bool_]:
-        """Where (N,) the claim is confirmed, all states tested together."""
+        """Whether the claim is confirmed (N,), all states tested together; a claim of 0 always is."""
         return np.asarray((self.p_confirmed <= 0.5 * (1.0 - self.confidence)) | (self.lower_bounds <= 0.0))
 
     @property
     def verdict(self) -> str:
-        """``refuted`` if the claim is refuted anywhere, ``confirmed`` if everywhere confirmed, else ``consistent``."""
+        """``refuted`` if refuted at some state, ``confirmed`` if confirmed at all states, otherwise ``consistent``."""
         return REFUTED if self.refuted.any() else CONFIRMED if self.confirmed.all() else CONSISTENT
 
     @property
@@ -90,42 +114,64 @@ class FieldReport:
 
     @property
     def weakest(self) -> int:
-        """Number of the state with the smallest p-value against the claim; ties go to the smallest margin."""
+        """Index of the state with the smallest p-value against the claim; ties go to the smallest margin."""
         return int(np.lexsort((self.margins, self.p_refuted))[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON values."""
+        """Return everything as JSON values."""
         arrays = ("states", "lower_bounds", "successes", "episodes", "ci_low", "ci_high", "p_refuted", "p_confirmed")
         w = self.weakest
         return {
-            "verdict": self.verdict, "n_states": len(self.states), "fraction_refuted": self.fraction_refuted,
-            "fraction_confirmed": float(self.confirmed.mean()), "confidence": self.confidence, "seed": self.seed,
-            "chunk": self.chunk, "shape": list(self.shape), "interrupted": self.interrupted,
-            "weakest": {"state": self.states[w].tolist(), "lower_bound": float(self.lower_bounds[w]),
-                        "estimate": float(self.estimates[w]), "ci_low": float(self.ci_low[w]),
-                        "ci_high": float(self.ci_high[w]), "p_refuted": float(self.p_refuted[w])},
+            "verdict": self.verdict,
+            "n_states": len(self.states),
+            "fraction_refuted": self.fraction_refuted,
+            "fraction_confirmed": float(self.confirmed.mean()),
+            "confidence": self.confidence,
+            "seed": self.seed,
+            "chunk": self.chunk,
+            "shape": list(self.shape),
+            "interrupted": self.interrupted,
+            "weakest": {
+                "state": self.states[w].tolist(),
+                "lower_bound": float(self.lower_bounds[w]),
+                "estimate": float(self.estimates[w]),
+                "ci_low": float(self.ci_low[w]),
+                "ci_high": float(self.ci_high[w]),
+                "p_refuted": float(self.p_refuted[w]),
+            },
             **{name: getattr(self, name).tolist() for name in arrays},
             "margins": self.margins.tolist(),
-        }  # fmt: skip
+        }
 
     def save(self, path: str | Path) -> None:
         """Write ``to_dict()`` as JSON."""
         write_json(path, self.to_dict())
 
     def __str__(self) -> str:
+        return labelled_lines([("field", self._title()), *self._rows()])
+
+    def __repr__(self) -> str:
+        return tree_text(f"FieldReport: {self._title()}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Field: {self._title()}", self._rows())
+
+    def _title(self) -> str:
+        """Return the numbers of states and episodes."""
+        return f"{counted(len(self.states), 'initial state')}, {counted(int(self.episodes.sum()), 'episode')} in all"
+
+    def _rows(self) -> Rows:
+        """Return the numbers of refuted and confirmed states, the weakest state and the verdict, by label."""
         w = self.weakest
-        state = ", ".join(f"{x:.4g}" for x in self.states[w])
-        return "\n".join(
-            [
-                f"field        {len(self.states)} initial states, {int(self.episodes.sum())} episodes",
-                f"refuted      at {int(self.refuted.sum())} of them ({100 * self.fraction_refuted:.1f} %)",
-                f"confirmed    at {int(self.confirmed.sum())} of them",
-                f"weakest      ({state}): claimed {rounded_down(self.lower_bounds[w])}, "
-                f"simulated {self.estimates[w]:.6f} [{self.ci_low[w]:.6f}, {self.ci_high[w]:.6f}], "
-                f"adjusted p {self.p_refuted[w]:.2g}",
-                f"verdict      {self.verdict}",
-            ]
-        )
+        state = shortened(", ".join(f"{x:.4g}" for x in self.states[w]), 80)
+        estimate = f"simulated {self.estimates[w]:.6f} [{self.ci_low[w]:.6f}, {self.ci_high[w]:.6f}]"
+        return [
+            ("refuted", f"at {counted(int(self.refuted.sum()), 'state')} ({100 * self.fraction_refuted:.1f} %)"),
+            ("confirmed", f"at {counted(int(self.confirmed.sum()), 'state')}, all states tested together"),
+            ("weakest", f"at ({state}): certified P >= {rounded_down(self.lower_bounds[w])}, {estimate}"),
+            *([("interrupted", INTERRUPTED)] if self.interrupted else []),
+            ("verdict", f"{self.verdict}: {MEANINGS_OF_FIELDS[self.verdict]}"),
+        ]
 
 
 def validate_field(
@@ -137,7 +183,7 @@ def validate_field(
     mismatch: Mismatch | None = None,
     **trial: Unpack[TrialOptions],
 ) -> FieldReport:
-    """Test the claims at many initial states together.
+    """Test the claims of a certificate at many initial states together.
 
     A true certificate is refuted anywhere with probability at most ``(1 - confidence) / 2``.
 
@@ -147,17 +193,19 @@ def validate_field(
     states : array_like, shape (N, D)
         Joint initial states (see ``validation.verdicts.starts``).
     plan, **trial
-        Episodes of each state (default 2000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
-        After Ctrl-C the report is about those finished, about equally many of each state.
+        Episodes per state (default 2000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``. After
+        Ctrl-C the report is about the episodes finished by then, about equally many per state.
     shape : tuple of int, optional
-        Shape of the slice that the states are.
+        Points per axis, if the states are a slice.
     mismatch : Mismatch, optional
-        As in ``validate``.
+        Simulate a system that differs from the certified model.
 
     Raises
     ------
     ValueError
         If a shape or number is wrong.
+    KeyboardInterrupt
+        If Ctrl-C came before every state had an episode.
     """
     settled = planned(plan, trial, 2000)
     certificate = as_certificate(certificate)
@@ -170,15 +218,15 @@ def validate_field(
     loop = Loop(certificate.problem, certificate.controller, settled.seed, settled.chunk, states, mismatch)
     successes, tried = (np.zeros(len(states), dtype=np.int64) for _ in range(2))
 
-    def take(part: ChunkResult) -> None:
-        # episode r began at state r modulo N
-        which = np.arange(tried.sum(), tried.sum() + len(part.success)) % len(states)
-        successes[:] += np.bincount(which, weights=part.success, minlength=len(states)).astype(np.int64)
+    def take(result: ChunkResult) -> None:
+        # Episode r began at state r modulo N, so that all states get their episodes at the same pace.
+        which = np.arange(tried.sum(), tried.sum() + len(result.success)) % len(states)
+        successes[:] += np.bincount(which, weights=result.success, minlength=len(states)).astype(np.int64)
         tried[:] += np.bincount(which, minlength=len(states))
-        settled.tell(len(part.success))
+        settled.tell(len(result.success))
 
     interrupted = collect(stream(loop, settled.episodes * len(states), settled.executor), take)
-    if tried.min() == 0:  # some state has not been tried at all
+    if tried.min() == 0:  # a state without any episode has no estimate
         raise KeyboardInterrupt
     limits = [clopper_pearson(int(k), int(n), settled.confidence) for k, n in zip(successes, tried, strict=True)]
     return FieldReport(
@@ -208,9 +256,9 @@ def find_weakest(
 ) -> FieldReport:
     """Search for the initial state at which a certificate is weakest, then test the finalists on fresh noise.
 
-    Half of the episodes go into rounds that each keep the worse half of the candidates (by p-value against the claim)
-    and add neighbours of them; the other half tests the ``keep`` last ones with another seed, so that the selection
-    does not bias the test.
+    Half of the episodes are spent on rounds. Each round keeps the third of the candidates with the smallest p-values
+    against the claim, and adds neighbours of the worst of them. The other half of the episodes tests the ``keep``
+    finalists with another seed, so that the selection does not bias the test.
 
     Parameters
     ----------
@@ -218,28 +266,31 @@ def find_weakest(
     plan, **trial
         Episodes in all (default 100,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
     candidates : array_like, shape (N, D), optional
-        Where the search begins; default: the corners of the workspaces and 192 random states.
+        States with which the search begins; default: corners of the workspaces and 192 random states.
     keep : int
-        Finalists.
+        Number of finalists.
 
     Returns
     -------
     FieldReport
-        About the finalists; after Ctrl-C, about the candidates of the round that was going on.
+        About the finalists; after Ctrl-C, about the candidates of the round that was under way.
     """
     settled = planned(plan, trial, 100_000)
     certificate, seed = as_certificate(certificate), settled.seed
     problem = certificate.problem
     if candidates is None:
-        candidates = np.concatenate([corner_starts(problem), random_starts(problem, 192, seed)])
+        candidates = np.concatenate([corner_starts(problem), random_starts(problem, CANDIDATES, seed)])
     states = np.atleast_2d(np.asarray(candidates, dtype=float))
+    # Each round about halves the candidates, until the finalists are left.
     rounds = max(1, int(np.ceil(np.log2(max(len(states) / keep, 2)))))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31 + 1,)))
     for k in range(rounds):
+        # A short test of all candidates with a fresh seed.
         each = max(1, settled.episodes // (2 * rounds * len(states)))
         pilot = validate_field(certificate, states, replace(settled, episodes=each, seed=_derived(seed, k)))
         if pilot.interrupted:
             return pilot
+        # Keep the worst ones, and look around the worst half of these; the last round leaves the finalists.
         order = np.lexsort((pilot.margins, p_at_least(pilot.successes, pilot.episodes, pilot.lower_bounds)))
         last = k == rounds - 1
         worst = states[order[: keep if last else max(keep, len(states) // 3)]]
@@ -249,5 +300,5 @@ def find_weakest(
 
 
 def _derived(seed: int, number: int) -> int:
-    """Seed of one round, unrelated to the seeds of others."""
+    """Return the seed of one round, unrelated to the seeds of the others."""
     return int(np.random.SeedSequence(seed, spawn_key=(2**31 + 2, number)).generate_state(1, np.uint64)[0] >> 1)

@@ -1,7 +1,7 @@
-"""How far a bound survives when the system is not the model: rollouts under a ladder of mismatches.
+"""How far a bound survives when the system is not the model: rollouts under ladders of mismatches.
 
-Every rung is tested as a claim of its own, ``P_mismatch >= lower_bound``, Holm-adjusted over all rungs. Nothing of this
-is certified: a bound speaks of its model, and a rung says what rollouts show where the model is wrong.
+At every rung the claim ``P_mismatch >= lower_bound`` is tested, with Holm's adjustment over all rungs. Nothing of this
+is certified: a bound holds for its model, and a rung says what rollouts show where the model is wrong.
 """
 
 from __future__ import annotations
@@ -11,9 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
-from ...envs.agents import write_json
+from ...envs.agents import counted, tree_text, write_json
 from ...synthesis.certificates import as_certificate, rounded_down
-from ..simulation import FAMILIES, Mismatch, TrialOptions, TrialPlan, planned, rollout
+from ..simulation import (
+    FAMILIES,
+    Mismatch,
+    Rows,
+    TrialOptions,
+    TrialPlan,
+    html_table,
+    labelled_lines,
+    planned,
+    rollout,
+)
 from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
 from .success_rate import claim_at
 
@@ -25,7 +35,10 @@ LADDERS: dict[str, tuple[Mismatch, ...]] = {
     "delay": tuple(Mismatch(delay=d) for d in (1, 2, 3)),
     "dropout": tuple(Mismatch(dropout=p) for p in (0.02, 0.05, 0.1, 0.2, 0.4)),
 }
-"""Rungs from mild to severe (noise families in no order)."""
+"""Rungs from mild to severe (noise families in no order): from hardly noticeable to more than most systems bear."""
+
+MOST_LADDERS = 6
+"""Ladders that a short form lists: as many as there are by default."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +50,9 @@ class Rung:
     ladder : str
     mismatch : Mismatch
     estimate, ci_low, ci_high : float
-        Share of successes and its exact limits, for itself.
+        Share of successes and its exact limits, for this rung alone.
     verdict : str
-        On the nominal bound, all rungs tested together.
+        Verdict on the bound of the certificate, all rungs tested together.
     """
 
     ladder: str
@@ -50,14 +63,14 @@ class Rung:
     verdict: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StressReport:
-    """The bound under every mismatch.
+    """The bound of a certificate beside what rollouts under mismatches show.
 
     Parameters
     ----------
     problem, horizon, lower_bound, episodes, seed, confidence
-        What was run; ``episodes`` per rung, on common random numbers.
+        What was run; ``episodes`` is per rung, on common random numbers.
     nominal : float
         Share of successes without mismatch.
     rungs : tuple of Rung
@@ -76,7 +89,7 @@ class StressReport:
     interrupted: bool = False
 
     def survives(self, ladder: str) -> Mismatch | None:
-        """The last rung before the first that refutes the bound; None if that is the mildest one."""
+        """Return the last mismatch before the first that refutes the bound; None if the mildest one refutes it."""
         last = None
         for rung in self.rungs:
             if rung.ladder == ladder:
@@ -86,7 +99,7 @@ class StressReport:
         return last
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON values."""
+        """Return everything as JSON values."""
         plain = ("problem", "horizon", "lower_bound", "episodes", "seed", "confidence", "nominal", "interrupted")
         ladders = dict.fromkeys(rung.ladder for rung in self.rungs)
         survived = {name: self.survives(name) for name in ladders}
@@ -101,17 +114,44 @@ class StressReport:
         write_json(path, self.to_dict())
 
     def __str__(self) -> str:
-        lines = [
-            f"stress       {self.problem}, horizon {self.horizon}, {self.episodes} episodes per mismatch",
-            f"certified    P >= {rounded_down(self.lower_bound)} for the model; "
-            f"simulated without mismatch {self.nominal:.6f}",
+        rungs = [
+            f"  {rung.mismatch!s:<24} {rung.estimate:.6f} [{rung.ci_low:.6f}, {rung.ci_high:.6f}]  {rung.verdict}"
+            for rung in self.rungs
         ]
-        for rung in self.rungs:
-            limits = f"[{rung.ci_low:.6f}, {rung.ci_high:.6f}]"
-            lines.append(f"  {rung.mismatch!s:<24} {rung.estimate:.6f} {limits}  {rung.verdict}")
+        head = labelled_lines([("stress", self._title()), *self._claim()])
+        return "\n".join([head, *rungs, labelled_lines([("survived", text) for text in self._ladders()])])
+
+    def __repr__(self) -> str:
+        ladders = [("survived", text) for text in self._ladders()]
+        more = [("survived", f"... and {len(ladders) - MOST_LADDERS} more ladders")] if ladders[MOST_LADDERS:] else []
+        return tree_text(f"StressReport: {self._title()}", [*self._claim(), *ladders[:MOST_LADDERS], *more])
+
+    def _repr_html_(self) -> str:
+        ladders = [("survived", text) for text in self._ladders()]
+        return html_table(f"Stress: {self._title()}", [*self._claim(), *ladders])
+
+    def _title(self) -> str:
+        """Return what was run."""
+        return f"{self.problem}, horizon {self.horizon}, {counted(self.episodes, 'episode')} per mismatch"
+
+    def _claim(self) -> Rows:
+        """Return the claim and what rollouts of the model itself show, by label."""
+        rows = [
+            ("certified", f"P >= {rounded_down(self.lower_bound)} for the model"),
+            ("simulated", f"{self.nominal:.6f} without mismatch"),
+        ]
+        return [*rows, ("interrupted", "by Ctrl-C; further rungs were not run")] if self.interrupted else rows
+
+    def _ladders(self) -> list[str]:
+        """Return for each ladder how far the bound is not refuted."""
+        texts = []
         for name in dict.fromkeys(rung.ladder for rung in self.rungs):
-            lines.append(f"not refuted  {name}: {self.survives(name) or 'at no rung'}")
-        return "\n".join(lines)
+            verdicts, survived = [rung.verdict for rung in self.rungs if rung.ladder == name], self.survives(name)
+            if REFUTED not in verdicts:
+                texts.append(f"{name}: every rung")
+            else:
+                texts.append(f"{name}: no rung" if survived is None else f"{name}: up to {survived}")
+        return texts
 
 
 def stress(
@@ -122,7 +162,7 @@ def stress(
     initial_state: Any = None,
     **trial: Unpack[TrialOptions],
 ) -> StressReport:
-    """Test the nominal bound under mismatches; see the module for what the verdicts mean.
+    """Test the bound of a certificate under mismatches; nothing about the mismatched systems is certified.
 
     Parameters
     ----------
@@ -131,15 +171,23 @@ def stress(
         Episodes per mismatch (default 20,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
         After Ctrl-C the report is about the rungs that were finished.
     ladders : mapping from str to sequence of Mismatch, optional
-        From mild to severe; default: ``LADDERS``.
+        Mismatches from mild to severe, by name of the ladder; default: ``LADDERS``.
     initial_state : optional
-        As in ``validate``.
+        Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    KeyboardInterrupt
+        If Ctrl-C came before the first rung was finished.
     """
     settled = planned(plan, trial, 20_000)
     check_confidence(settled.confidence)
     certificate, episodes = as_certificate(certificate), settled.episodes
     problem, lower, _, _ = claim_at(certificate, initial_state)
     pairs = [(name, rung) for name, rungs in (LADDERS if ladders is None else ladders).items() for rung in rungs]
+    # Successes without mismatch first, then of each rung; a rung that Ctrl-C interrupts does not count.
     counts: list[int] = []
     try:
         for mismatch in (None, *(rung for _, rung in pairs)):
@@ -149,11 +197,13 @@ def stress(
             raise
     interrupted = len(counts) <= len(pairs)
     pairs = pairs[: len(counts) - 1]
+    # The claims of all rungs are one family, their opposites another; each has half of the level.
     against = holm(p_at_least(counts[1:], episodes, lower))
     in_favour = holm(p_at_most(counts[1:], episodes, lower))
     level = 0.5 * (1.0 - settled.confidence)
     rungs = []
     for (name, rung), k, p, opposite in zip(pairs, counts[1:], against, in_favour, strict=True):
+        # A claim of 0 is true of every system.
         verdict = REFUTED if p <= level else CONFIRMED if opposite <= level or lower <= 0.0 else CONSISTENT
         rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, settled.confidence), verdict))
     return StressReport(

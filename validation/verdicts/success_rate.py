@@ -1,7 +1,8 @@
-"""Check a certificate against Monte Carlo rollouts of the continuous system."""
+"""Test a certificate by Monte Carlo rollouts of the continuous system."""
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ... import __version__
-from ...envs.agents import write_json
+from ...envs.agents import counted, shortened, write_json
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
@@ -23,16 +24,21 @@ from ...synthesis.certificates import (
     shown_bound,
 )
 from ..simulation import (
+    INTERRUPTED,
     ChunkResult,
     Loop,
     Mismatch,
+    Rows,
     TrialOptions,
     TrialPlan,
     collect,
+    html_table,
+    labelled_lines,
     planned,
     stream,
 )
 from ..statistics import (
+    CONFIRMED,
     CONSISTENT,
     REFUTED,
     SequentialState,
@@ -42,8 +48,33 @@ from ..statistics import (
     verdict,
 )
 
+MEANINGS = {
+    CONFIRMED: "such rollouts would be unlikely if the claim were false",
+    CONSISTENT: "the rollouts neither confirm nor refute the claim",
+    REFUTED: "such rollouts would be unlikely if the claim were true",
+}
+"""What each verdict says."""
 
-@dataclass(frozen=True)
+STARTS = {"point": "from the initial state", "mean": "mean over the initial box"}
+"""The start that a bound speaks of, in words."""
+
+PASSED_OVER = re.compile(r"at most (\S+), not computed")
+"""How a certificate says that the bound from above of a relation is too small for a search to pay."""
+
+GIVEN_UP = re.compile(r"(\S+) after one sweep, not gone on with")
+"""How a certificate says that the search under a relation ended after its first sweep."""
+
+MOST_WORDS = 100
+"""Characters that are printed of the reason why a relation does not apply."""
+
+NEGLIGIBLE = 1e-12
+"""Gain below which a report says 0: far below what is lost to rounding."""
+
+LARGEST_LOG_E = 1e6
+"""Stands for an infinite logarithmic e-value, which JSON does not have."""
+
+
+@dataclass(frozen=True, repr=False)
 class ValidationReport:
     """A certificate's claim beside what rollouts of its controller show.
 
@@ -54,9 +85,9 @@ class ValidationReport:
     lower_bound : float
         The claim, from the start that was simulated.
     exact : bool
-        Whether the probability is claimed to be known to ``EXACT_GAP``.
+        Whether the certificate claims to know the probability up to ``EXACT_GAP``.
     gap : float or None
-        How far above the bound the probability may be, where that is claimed; then it was tested from above as well.
+        How far above the bound the probability may be, if the certificate claims that; then both ends were tested.
     episodes, successes : int
     estimate : float
         Share of successes.
@@ -64,14 +95,14 @@ class ValidationReport:
         Exact two-sided limits at ``confidence``.
     confidence : float
     verdict : str
-        ``confirmed``, ``consistent`` or ``refuted`` (see ``validation.verdict``).
+        ``confirmed``, ``consistent`` or ``refuted`` (see ``validation.statistics.verdict``).
     rank : int
         Largest number of terms of the value function.
     seconds : dict
         ``abstract``, ``synthesize`` (None if the certificate was loaded) and ``validate``.
     details : dict
         Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
-        logarithmic e-values; ``mismatch`` and ``interrupted`` where they apply; ``abstract_upper_bound``,
+        logarithmic e-values; ``mismatch`` and ``interrupted`` if they apply; ``abstract_upper_bound``,
         ``continuous_upper_bound``, ``unilateral_gain`` and ``tried`` of a synthesis (see ``synthesize``).
     """
 
@@ -103,7 +134,7 @@ class ValidationReport:
         return self.verdict == REFUTED
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON values, ``details`` among the others."""
+        """Return all fields as JSON values, those of ``details`` beside the others."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "details"}
         return {**fields, **self.details}
 
@@ -112,50 +143,85 @@ class ValidationReport:
         write_json(path, self.to_dict())
 
     def __str__(self) -> str:
-        claim = shown_bound(self.lower_bound, self.gap)
+        return labelled_lines([("problem", self._title()), *self._rows()])
+
+    def __repr__(self) -> str:
+        rows = [(label, text) for label, text in self._rows() if label not in ("tried", "times")]
+        return labelled_lines([("problem", self._title()), *rows])
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._rows())
+
+    def _title(self) -> str:
+        """Return what was certified, and from which start."""
+        return f"{self.problem}, horizon {self.horizon}, {STARTS[self.details['start']]}"
+
+    def _rows(self) -> Rows:
+        """Return the claim, what limits it, what the rollouts show and the verdict, by label."""
+        details = self.details
+        # What was proved, what is known about better policies, what rollouts show, and what follows from them.
+        limits = f"{100 * self.confidence:g} % limits [{self.ci_low:.6f}, {self.ci_high:.6f}]"
+        how = ", tested after every episode" if details.get("sequential") else ""
         times = ", ".join(f"{name} {value:.2f} s" for name, value in self.seconds.items() if value is not None)
-        start = {"point": "from the initial state", "mean": "mean over the initial box"}[self.details["start"]]
-        above, notes = [], []
-        if "abstract_upper_bound" in self.details:
-            best = rounded_up(self.details["abstract_upper_bound"])
-            text = f"optimum      <= {best} for any policy of these finite models"
-            most = self.details.get("continuous_upper_bound")
-            above.append(f"{text}, <= {rounded_up(most)} for any whatever" if most is not None and most < 1 else text)
-        above += [f"tried        {line}" for line in tried_lines(self.details)]
-        if self.details.get("unilateral_gain") is not None:
-            gain = self.details["unilateral_gain"]
-            above.append(
-                f"alone        an agent gains about {gain:.1e} at most by other choices at one step and task state"
-            )
-        if "mismatch" in self.details:
-            notes.append(f"mismatch     {self.details['mismatch']}")
-        if self.details.get("inadmissible"):
-            notes.append(f"inputs       inadmissible in {self.details['inadmissible']} episodes (they saturated)")
-        if self.details.get("interrupted"):
-            notes.append("interrupted  this is about the episodes finished by then")
-        return "\n".join(
-            [
-                f"problem      {self.problem}, horizon {self.horizon}, {start}",
-                f"method       {self.method} ({self.details['bound']} bound, rank {self.rank})",
-                f"certified    {claim}",
-                *above,
-                f"simulated    {self.successes} of {self.episodes} episodes: {self.estimate:.6f}, "
-                f"{100 * self.confidence:g} % limits [{self.ci_low:.6f}, {self.ci_high:.6f}]",
-                *notes,
-                f"verdict      {self.verdict}{' (sequential)' if self.details.get('sequential') else ''}",
-                f"times        {times}",
-            ]
-        )
+        simulated = f"{self.successes} of {self.episodes} episodes satisfied the task: {self.estimate:.6f}, {limits}"
+        rows = [
+            ("method", f"{self.method} ({details['bound']} bound, rank {self.rank})"),
+            ("certified", shown_bound(self.lower_bound, self.gap)),
+            *self._limits_of_search(),
+            ("simulated", simulated),
+        ]
+        if "mismatch" in details:
+            rows.append(("mismatch", f"the simulated system differs from the model: {details['mismatch']}"))
+        if inadmissible := details.get("inadmissible"):
+            rows.append(("inputs", f"inadmissible in {counted(inadmissible, 'episode')}; there actuators saturated"))
+        if self.interrupted:
+            rows.append(("interrupted", INTERRUPTED))
+        return [*rows, ("verdict", f"{self.verdict}{how}: {MEANINGS[self.verdict]}"), ("times", times)]
+
+    def _limits_of_search(self) -> Rows:
+        """Return what no policy exceeds, what each relation gave, and what one agent alone could gain."""
+        most, anywhere = self.details.get("abstract_upper_bound"), self.details.get("continuous_upper_bound")
+        gain, rows = self.details.get("unilateral_gain"), []
+        if most is not None:
+            rows.append(("these models", f"no policy of these finite models does better than {rounded_up(most)}"))
+        if most is not None and anywhere is not None and anywhere < 1:
+            rows.append(("any policy", f"no policy of the continuous system does better than {rounded_up(anywhere)}"))
+        rows += [("tried", line) for line in tried_lines(self.details)]
+        if gain is not None:
+            shown = gain if gain >= NEGLIGIBLE else 0.0
+            rows.append(("alone", f"no single agent can gain more than about {shown:.2g} by changing one step"))
+        return rows
 
 
 def tried_lines(details: dict[str, Any]) -> list[str]:
-    """What each relation that was tried gave, in words."""
-    tried = details.get("tried", {})
-    return [f"{name}: {shown_bound(own, None) if isinstance(own, float) else own}" for name, own in tried.items()]
+    """Return what each relation that was tried gave, in words; nothing if there is no choice to report.
+
+    Relations of which nothing is known but that their bound is at most 1 are left out.
+    """
+    tried: dict[str, float | str] = details.get("tried", {})
+    told = {name: outcome for name, outcome in tried.items() if _limit_of(outcome) != 1.0}
+    return [f"{name}: {_outcome_text(outcome)}" for name, outcome in told.items()] if len(told) > 1 else []
+
+
+def _limit_of(outcome: float | str) -> float | None:
+    """Return the bound from above for which a relation was passed over; None if it was not."""
+    passed = None if isinstance(outcome, float) else PASSED_OVER.fullmatch(outcome)
+    return None if passed is None else float(passed[1])
+
+
+def _outcome_text(outcome: float | str) -> str:
+    """Return the bound that a relation gave, or in short why there is none."""
+    if isinstance(outcome, float):
+        return shown_bound(outcome, None)
+    if passed := PASSED_OVER.fullmatch(outcome):
+        return f"passed over, it certifies at most {passed[1]}"
+    if given_up := GIVEN_UP.fullmatch(outcome):
+        return f"given up after one sweep, which reached {given_up[1]}"
+    return shortened(outcome, MOST_WORDS)
 
 
 _ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain")
-"""What reports take from the statistics of a synthesis."""
+"""Statistics of a synthesis that a report repeats."""
 
 
 def validate(
@@ -167,7 +233,7 @@ def validate(
     mismatch: Mismatch | None = None,
     **trial: Unpack[TrialOptions],
 ) -> ValidationReport:
-    """Test a certified bound with independent rollouts of the continuous system under its own controller.
+    """Test a certified bound with independent rollouts of the continuous system under the certificate's controller.
 
     A true certificate is refuted with probability at most ``1 - confidence``.
 
@@ -175,16 +241,16 @@ def validate(
     ----------
     result : Synthesis, Certificate, ProductCertificate or path
     plan, **trial
-        Episodes (default 100,000; the most, if ``sequential``), seed, confidence of the two-sided limits (.999), chunk,
-        executor, progress; see ``TrialPlan``. After Ctrl-C the report is about the episodes finished by then, a prefix
-        in index order.
+        Episodes (default 100,000; if ``sequential``, the largest number), seed, confidence of the two-sided limits
+        (.999), chunk, executor, progress; see ``TrialPlan``. After Ctrl-C the report is about the episodes finished by
+        then, a prefix in index order.
     initial_state : optional
         Start of the rollouts, as in ``Problem.replace``; the claim is then the certificate's bound there.
     sequential : bool
-        Stop at the first episode that confirms or refutes the claim. Verdict and limits come from e-processes, which
-        hold at whatever time one stops; the limits are wider than those of a fixed number of episodes.
+        Stop at the first episode that confirms or refutes the claim. Verdict and limits then come from e-processes,
+        which hold whenever one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
-        Simulate a system that differs from the certified model; only the lower bound is tested then.
+        Simulate a system that differs from the certified model; then only the lower bound is tested.
 
     Raises
     ------
@@ -196,17 +262,18 @@ def validate(
     check_confidence(settled.confidence)
     certificate = as_certificate(result)
     problem, lower, gap, start = claim_at(certificate, initial_state)
-    gap = gap if mismatch is None else None  # of another system nobody claims an upper bound
+    gap = gap if mismatch is None else None  # the upper end of a claim holds for the model alone
     loop = Loop(problem, certificate.controller, settled.seed, settled.chunk, mismatch=mismatch)
     state, inadmissible = SequentialState(lower, gap, settled.confidence), 0
 
-    def take(part: ChunkResult) -> bool:
+    def take(result_of_chunk: ChunkResult) -> bool:
         nonlocal state, inadmissible
-        state = state.advance(part.success) if sequential else state.add(part.success)
-        inadmissible += part.inadmissible
-        settled.tell(len(part.success))
+        state = state.advance(result_of_chunk.success) if sequential else state.add(result_of_chunk.success)
+        inadmissible += result_of_chunk.inadmissible
+        settled.tell(len(result_of_chunk.success))
         return state.verdict != CONSISTENT
 
+    # Limits after a stop that depends on the outcomes must hold at all times together.
     interrupted = collect(stream(loop, settled.episodes, settled.executor), take)
     limits = confidence_sequence if sequential else clopper_pearson
     ci_low, ci_high = limits(state.successes, state.episodes, settled.confidence)
@@ -217,13 +284,11 @@ def validate(
         details["mismatch"] = str(mismatch)
     if interrupted:
         details["interrupted"] = True
+    if initial_state is None:  # the search was about the problem's start, not about any other
+        details |= _facts_of_search(result, certificate)
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
-    if initial_state is None and (tried := relations_tried(certificate)):
-        details["tried"] = tried
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
-        if initial_state is None:
-            details |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     return ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
@@ -247,21 +312,32 @@ def validate(
 def claim_at(
     certificate: Certificate | ProductCertificate, initial_state: Any = None
 ) -> tuple[Problem, float, float | None, str]:
-    """Problem with the start, lower bound there, how far above it the probability may be, and ``point`` or ``mean``."""
+    """Return the problem with this start, the lower bound there, its ``gap`` (or None), and ``point`` or ``mean``."""
     problem = certificate.problem
     if initial_state is None:
         return problem, certificate.lower_bound, certificate.gap, certificate.start
+    # At another start the certificate claims its value there, and no upper end.
     problem = problem.replace(initial_state=initial_state)
     joint = np.concatenate([agent.initial.low for agent in problem.agents])
     return problem, float(certificate.at(joint)[0]), None, "point"
 
 
+def _facts_of_search(result: Any, certificate: Certificate | ProductCertificate) -> dict[str, Any]:
+    """Return what a certificate, or a synthesis if there is one, tells about the search that made it."""
+    tried = relations_tried(certificate)
+    facts: dict[str, Any] = {"tried": tried} if tried else {}
+    if isinstance(result, Synthesis):
+        facts |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
+    return facts
+
+
 def _finite(value: float) -> float:
-    return float(min(max(value, -1e6), 1e6))
+    """Return a number that JSON can hold."""
+    return float(min(max(value, -LARGEST_LOG_E), LARGEST_LOG_E))
 
 
 def _details(certificate: Certificate | ProductCertificate, start: str, plan: TrialPlan) -> dict[str, Any]:
-    """What a report says of the claim, the random record and the versions."""
+    """Return what a report says about the claim, the random record and the versions."""
     return {
         "start": start,
         "bound": certificate.bound,

@@ -1,4 +1,4 @@
-"""Many syntheses of one problem: one per horizon, or several attempts at once on any executor."""
+"""Many syntheses of one problem: one per horizon, or several attempts, which any executor can run in parallel."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from .success_rate import ValidationReport, validate
 def validate_horizons(
     problem: Any, horizons: Iterable[int], plan: TrialPlan | int | None = None, **options: Any
 ) -> list[ValidationReport]:
-    """Synthesize and validate the problem at every horizon; reports in the order of ``horizons``.
+    """Synthesize and validate the problem at every horizon; return the reports in the order of ``horizons``.
 
-    Each search begins with the policies of the horizon before (see ``synthesis.horizons``), one after the other.
+    The horizons are taken in increasing order, and each search begins with the policies of the one before (see
+    ``synthesis.horizons``).
 
     Parameters
     ----------
@@ -26,22 +27,23 @@ def validate_horizons(
     horizons : iterable of int
         Control steps.
     plan : TrialPlan or int, optional
-        Of each validation; default: 20,000 episodes.
+        Plan of each validation; default: 20,000 episodes.
     **options
         Fields of ``TrialPlan``, such as ``episodes``; all others are arguments of ``synthesize``, such as ``cells``.
     """
+    # ``progress`` goes to the synthesis, which takes an argument of that name, too.
     trial: TrialOptions = {}
     for name in [name for name in options if name in TrialOptions.__optional_keys__ and name != "progress"]:
         trial[name] = options.pop(name)  # type: ignore[literal-required]
-    asked, settled = list(horizons), planned(plan, trial, 20_000)
-    reports = {report.horizon: report for report in each_report(problem, asked, settled, options)}
-    return [reports[horizon] for horizon in asked]
+    wanted, settled = list(horizons), planned(plan, trial, 20_000)
+    reports = {report.horizon: report for report in each_report(problem, wanted, settled, options)}
+    return [reports[horizon] for horizon in wanted]
 
 
 def each_report(
     problem: Any, horizons: Iterable[int], plan: TrialPlan, settings: Mapping[str, Any] | None = None
 ) -> Iterator[ValidationReport]:
-    """``validate_horizons`` one by one, in increasing order of horizons."""
+    """Yield the reports of ``validate_horizons`` one by one, in increasing order of horizons."""
     for result in each_horizon(problem, horizons, **(settings or {})):
         yield validate(result, plan)
 
@@ -49,7 +51,7 @@ def each_report(
 def synthesize_best(
     problem: Problem, attempts: Sequence[Mapping[str, Any]], *, executor: Executor | None = None
 ) -> tuple[Certificate, list[float]]:
-    """The certificate with the largest lower bound among several attempts, and the bounds of all (certified).
+    """Return the certificate with the largest lower bound among several attempts, and the lower bounds of all.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def synthesize_best(
     attempts : sequence of mappings
         Arguments of ``synthesize`` of each attempt, such as ``{"cells": 100, "max_sweeps": 12}``.
     executor : Executor, optional
-        Where they run; default: here, one after the other.
+        Where the attempts run; default: in this process, one after the other.
 
     Raises
     ------
@@ -77,4 +79,5 @@ def synthesize_best(
 
 
 def _attempt(problem: Problem, settings: Mapping[str, Any]) -> Certificate:
+    """Run one synthesis; executors can import this function."""
     return synthesize(problem, **settings).certificate

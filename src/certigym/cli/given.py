@@ -1,4 +1,4 @@
-"""From options to arguments: the problem, cells, relation and budget that they name; and where results are shown."""
+"""From options to arguments: problem, cells, relation and budget; and where results are printed and written."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..envs.problem import Problem, load_problem, split_axes
 from ..envs.suite import make_problem, problem_ids
 
 SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
-"""Numbers of bytes."""
+"""How a number of bytes is written: 500M, 1.5G, 2GiB."""
 
 
 def named_problem(name: str, horizon: int | None = None) -> Problem:
-    """Problem by suite id or file name, with another horizon if one is given."""
+    """Return the problem of a suite id or a file name, with another horizon if one is given."""
     if name in problem_ids():
         problem = make_problem(name)
     elif Path(name).is_file():
@@ -29,14 +29,14 @@ def named_problem(name: str, horizon: int | None = None) -> Problem:
 
 
 def problem_of(options: Namespace) -> Problem:
-    """Problem that ``problem``, ``--horizon``, ``--initial-state`` (before the split) and ``--split`` describe."""
+    """Return the problem that ``problem``, ``--horizon``, ``--initial-state`` and ``--split`` (last) describe."""
     problem, state = named_problem(options.problem, options.horizon), state_of(options)
     problem = problem if state is None else problem.replace(initial_state=state)
     return split_axes(problem) if getattr(options, "split", False) else problem
 
 
 def state_of(options: Namespace) -> list[float] | None:
-    """Joint state given by ``--initial-state``, separated by blanks or commas."""
+    """Return the joint state of ``--initial-state``, numbers separated by blanks or commas; None if it is not given."""
     if options.initial_state is None:
         return None
     words = " ".join(options.initial_state).replace(",", " ").split()
@@ -47,36 +47,37 @@ def state_of(options: Namespace) -> list[float] | None:
 
 
 def cells_of(options: Namespace) -> int | list[int] | None:
-    """Cells per axis given by ``--cells``: none, one number for all axes, or one each."""
+    """Return the cells per axis of ``--cells``: None, one number for all axes, or one number per axis."""
     if options.cells is None:
         return None
     return options.cells[0] if len(options.cells) == 1 else list(options.cells)
 
 
 def budget_of(options: Namespace) -> dict[str, Any]:
-    """Budget given by ``--memory`` and ``--accuracy``, if any; keyword arguments of ``synthesize``."""
+    """Return the budget of ``--memory`` and ``--accuracy``, if any, as keyword arguments of ``synthesize``."""
     budget: dict[str, Any] = {} if options.accuracy is None else {"accuracy": options.accuracy}
     if options.memory is not None:
-        found = SIZE.fullmatch(options.memory.strip())
-        if found is None:
+        size = SIZE.fullmatch(options.memory.strip())
+        if size is None:
             raise ValueError(f"`--memory`: expected a number of bytes such as 500M or 2G, got {options.memory!r}")
-        budget["memory"] = float(found[1]) * 1024 ** " KMG".index((found[2] or " ").upper())
+        budget["memory"] = float(size[1]) * 1024 ** " KMG".index((size[2] or " ").upper())
     return budget
 
 
 def check_places(*paths: str | None) -> None:
-    """Refuse files in folders that do not exist, before anything is computed."""
+    """Raise ValueError for files in folders that do not exist, before anything is computed."""
     for path in paths:
         if path is not None and path != "-" and not Path(path).absolute().parent.is_dir():
-            raise ValueError(f"`{path}`: expected a place in a folder that exists; make the folder first")
+            raise ValueError(f"`{path}`: expected a file name in a folder that exists; make the folder first")
 
 
 def relation_of(options: Namespace) -> dict[str, Any]:
-    """Relation given by ``--relation``, with ``--delta`` where it is given; keyword arguments of ``synthesize``.
+    """Return the relation of ``--relation``, and ``--delta`` if it is given, as keyword arguments of ``synthesize``.
 
-    One name for all agents, or ``AGENT=NAME`` for some of them.
+    The option holds one name for all agents, or ``AGENT=NAME`` for some of them.
     """
-    words = [word for given in options.relation for word in given.split(",") if word]
+    # Blanks and commas both separate words; an equals sign tells names by agent from one name for all.
+    words = [word for text in options.relation for word in text.split(",") if word]
     relation: str | dict[str, str] = words[0] if len(words) == 1 and "=" not in words[0] else {}
     if isinstance(relation, dict):
         for word in words:
@@ -90,19 +91,19 @@ def relation_of(options: Namespace) -> dict[str, Any]:
 
 
 def search_of(options: Namespace) -> dict[str, Any]:
-    """What ``--restarts``, ``--stationary`` and ``--device`` ask for; keyword arguments of ``synthesize``."""
+    """Return what ``--restarts``, ``--stationary`` and ``--device`` ask for, as keyword arguments of ``synthesize``."""
     return {"restarts": options.restarts, "stationary": options.stationary, "device": options.device}
 
 
 def show(options: Namespace, text: Any, data: Any) -> None:
-    """Print the text, and write the data as JSON where ``--json`` asks for it (``-``: instead of the text)."""
+    """Print the text, and write the data as JSON if ``--json`` asks for it (``-``: data instead of text)."""
     if options.json != "-":
         print(text)
     write_json(options, data)
 
 
 def write_json(options: Namespace, data: Any) -> None:
-    """Write JSON to the path, or to standard output (``-``), that ``--json`` names, if any."""
+    """Write JSON to the path, or to standard output (``-``), that ``--json`` names; without ``--json`` do nothing."""
     if options.json == "-":
         json.dump(data, sys.stdout, indent=2, allow_nan=False)
         print()

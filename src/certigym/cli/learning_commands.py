@@ -20,7 +20,7 @@ from .work import trained, trials
 
 
 def train(options: Namespace) -> int:
-    """Train a baseline, save it, say how it went."""
+    """Train a baseline, save it, and print how it went."""
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
     problem = problem_of(options)
@@ -33,14 +33,14 @@ def train(options: Namespace) -> int:
         options,
         f"{problem.name}: {options.algo}, seed {options.seed}, {training.steps} world steps in "
         f"{training.seconds:.1f} s; success while exploring {last:.3f}\n"
-        f"information: {training.information}\nsaved to {path.parent}",
+        f"agents see: {training.information}\nsaved to {path.parent}",
         training.to_dict(),
     )
     return 0
 
 
 def compare(options: Namespace) -> int:
-    """Make or load the policies, simulate them, print table and tests."""
+    """Make or load the policies, simulate them, and print the table and the tests."""
     problem = problem_of(options)
     policies = {name: _policy(problem, name, options) for name in options.policies.split(",")}
     with trials(options, options.episodes * len(policies)) as plan:
@@ -52,10 +52,11 @@ def compare(options: Namespace) -> int:
 
 
 def certify(options: Namespace) -> int:
-    """Certify a policy as wrapped on a grid; status 1 if its rollouts refute the bound."""
+    """Certify a policy wrapped on a grid; the status is 1 if its rollouts refute the bound."""
     problem = problem_of(options)
-    policy = _given(problem, options.policy)
+    policy = _policy_of_file(problem, options.policy)
     cells = cells_of(options)
+    # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}
     last = policies["certified"] = certify_policy(problem, policy, cells, **relation_of(options))
     if options.improve:
@@ -64,24 +65,25 @@ def certify(options: Namespace) -> int:
         save_certificate(last.certificate, options.out)
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
-    note = "The bounds belong to the policies wrapped on the cells (certified, improved), not to the raw one."
+    note = "The bounds hold for the policies wrapped on the cells (certified, improved), not for the raw one."
     show(options, f"{result}\n{note}", result.to_dict())
     return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
 
 
 def _policy(problem: Problem, name: str, options: Namespace) -> Any:
-    """A policy by its word on the command line."""
+    """Return a policy by its word on the command line."""
     if name == "certified":
         return synthesize(problem, cells_of(options), **relation_of(options))
     if name in ALGORITHMS:
         return [trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
     if name in ("random", "idle"):
         return RandomController() if name == "random" else IdleController()
-    return _given(problem, name)
+    return _policy_of_file(problem, name)
 
 
-def _given(problem: Problem, name: str) -> Any:
-    """A policy from a file: an actor, a certificate, or an object of a Python file."""
+def _policy_of_file(problem: Problem, name: str) -> Any:
+    """Return a policy from a file: an actor, a certificate, or an object of a Python file."""
+    # FILE.py:NAME runs the file and takes the object of this name.
     path, _, attribute = name.rpartition(":")
     if path.endswith(".py"):
         spec = spec_from_file_location(Path(path).stem, path)
@@ -99,5 +101,5 @@ def _given(problem: Problem, name: str) -> Any:
         )
     try:
         return load_actor(name, problem)
-    except NotAnActor:
+    except NotAnActor:  # an actor that does not fit the problem is refused above; any other file is a certificate
         return load_certificate(name)

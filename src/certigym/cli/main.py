@@ -1,7 +1,7 @@
 """Command line: ``certigym COMMAND ...``.
 
-Exit status: 0 when the verdict is confirmed or consistent (or the command has none), 1 when a certificate is refuted or
-does not check, 2 for bad input (one line on standard error), 130 after Ctrl-C.
+Exit status: 0 if the verdict is confirmed or consistent, or if the command has no verdict; 1 if a certificate is
+refuted or fails the check; 2 for bad input, with one line on standard error; 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from importlib import import_module
 from .parser import MODULES, build_parser
 
 NUMBER = re.compile(r"-(\d|\.\d)")
-"""How a negative number begins."""
+"""How a negative number begins, which must not be taken for an option."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    # argparse takes "-10,-3" for an option; a leading blank marks it as a value
-    options = build_parser().parse_args([f" {a}" if NUMBER.match(a) else a for a in given])
+    """Run one command and return the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    # argparse takes "-10,-3" for an option; a leading blank marks it as a value.
+    options = build_parser().parse_args([f" {word}" if NUMBER.match(word) else word for word in words])
     from .given import check_places
 
+    # The command's file, and with it the rest of the package, is loaded only now, so that --help is quick.
     try:
         check_places(getattr(options, "json", None), _file_of(options), getattr(options, "plot", None))
         module = import_module(f".{MODULES[options.command]}", __package__)
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("certigym: not enough memory for this problem; ask for fewer --cells", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains when it exits
         return 2
     except KeyboardInterrupt:
         print("certigym: interrupted", file=sys.stderr)
@@ -46,5 +47,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _file_of(options: argparse.Namespace) -> str | None:
-    """The file that `--out` names; two commands take a folder, which they make."""
+    """Return the file that `--out` names; two commands take a folder there, which they make."""
     return None if options.command in ("reproduce", "train") else getattr(options, "out", None)

@@ -1,4 +1,4 @@
-"""Moving pictures of certified rollouts: GIF by Pillow, MP4 where ffmpeg is at hand."""
+"""Moving pictures of certified rollouts: GIF by Pillow, MP4 by ffmpeg."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from ..envs.interfaces import ProblemEnv
 from ..synthesis.certificates import Certificate, shown_bound
 
-_HOLD = 1.5  # seconds for which the last picture stands
+_HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
+_COLORS = 128  # of a GIF: enough for flat colours, and half the size of 256
 
 
 def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> dict[str, Any]:
@@ -24,25 +25,26 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
     out : str
         File to write: `.gif`, `.mp4`, or `.png` for the last picture alone.
     seed : int
-        Of the episode.
+        Seed of the episode.
     fps : int
         Control steps shown per second.
 
     Returns
     -------
     dict
-        What was shown: problem, steps, whether the episode was satisfied, the file.
+        Facts about the episode: problem, bound, seed, steps, whether the task was satisfied, the file.
 
     Raises
     ------
     ValueError
-        If the kind of file is unknown, or what it takes to write it is not installed.
+        If the kind of file is unknown, or if the program that writes it is not installed.
     """
     kind = Path(out).suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
         raise ValueError(f"`--out`: expected a file that ends in .gif, .mp4 or .png, got {out!r}")
     if not 1 <= fps <= 60 or seed < 0:
         raise ValueError(f"`--fps`, `--seed`: expected 1 to 60 and at least 0, got {fps} and {seed}")
+    # Look for ffmpeg before the episode is simulated.
     ffmpeg = _ffmpeg() if kind == ".mp4" else ""
     frames, satisfied = _frames(certificate, seed)
     if kind == ".mp4":
@@ -55,16 +57,20 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
             images[-1].save(out)
         else:
             durations = [1000 // fps] * (len(images) - 1) + [int(1000 * _HOLD)]
-            images = [image.quantize(128) for image in images]
+            images = [image.quantize(_COLORS) for image in images]
             images[0].save(out, save_all=True, append_images=images[1:], duration=durations, loop=0)
     return {
-        "problem": certificate.problem.name, "lower_bound": certificate.lower_bound, "seed": seed,
-        "steps": len(frames) - 1, "satisfied": satisfied, "file": out,
-    }  # fmt: skip
+        "problem": certificate.problem.name,
+        "lower_bound": certificate.lower_bound,
+        "seed": seed,
+        "steps": len(frames) - 1,
+        "satisfied": satisfied,
+        "file": out,
+    }
 
 
 def _frames(certificate: Certificate, seed: int) -> tuple[list[np.ndarray], bool]:
-    """Pictures of one episode, and whether it was satisfied."""
+    """Return the pictures of one episode, and whether it satisfied the task."""
     caption = f"certified {shown_bound(certificate.lower_bound, None)}"
     env = ProblemEnv(certificate.problem, "rgb_array", caption=caption)
     controller = certificate.controller
@@ -81,25 +87,25 @@ def _frames(certificate: Certificate, seed: int) -> tuple[list[np.ndarray], bool
 
 
 def _ffmpeg() -> str:
-    """Path of ffmpeg, from the system or from imageio-ffmpeg."""
-    found = shutil.which("ffmpeg")
-    if found is None:
+    """Return the path of ffmpeg, from the system or from imageio-ffmpeg; raise ValueError if there is none."""
+    path = shutil.which("ffmpeg")
+    if path is None:
         try:
             import imageio_ffmpeg
         except ImportError as error:
             raise ValueError(
                 "`--out`: MP4 needs ffmpeg on the path, or `pip install imageio-ffmpeg`; found neither, write a .gif"
             ) from error
-        found = str(imageio_ffmpeg.get_ffmpeg_exe())
-    return found
+        path = str(imageio_ffmpeg.get_ffmpeg_exe())
+    return path
 
 
 def _write_mp4(ffmpeg: str, frames: list[np.ndarray], out: str, fps: int) -> None:
+    """Send the pictures to ffmpeg, which repeats each one up to 30 pictures per second."""
     height, width, _ = frames[0].shape
-    command = [
-        ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-        "-r", str(fps), "-i", "-", "-pix_fmt", "yuv420p", "-r", "30", out,
-    ]  # fmt: skip
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps} -i -".split()
+    target = ["-pix_fmt", "yuv420p", "-r", "30", out]
+    command = [ffmpeg, "-y", "-loglevel", "error", *source, *target]
     frames = frames + [frames[-1]] * round(_HOLD * fps)
     done = subprocess.run(
         command, input=b"".join(frame.tobytes() for frame in frames), capture_output=True, check=False

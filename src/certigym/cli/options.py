@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-MISMATCH = "noise_scale=1.2, noise_family=laplace, actuator_bias=0.1, delay=1 or dropout=0.05; several may be given"
+MISMATCH = "noise_scale=1.2, noise_family=laplace, actuator_bias=0.1, delay=1 or dropout=0.05; several are allowed"
+"""Examples for the help of ``--mismatch``."""
 
 
 def add_problem(parser: argparse.ArgumentParser) -> None:
-    """The problem, its horizon and its start."""
+    """Add the problem, its horizon and its start."""
     parser.add_argument("problem", metavar="ID|FILE", help="suite id or TOML problem file")
     add_horizon(parser)
     add_start(parser)
@@ -16,29 +17,29 @@ def add_problem(parser: argparse.ArgumentParser) -> None:
 
 
 def add_source(parser: argparse.ArgumentParser) -> None:
-    """A problem or a certificate."""
+    """Add a problem or a certificate."""
     parser.add_argument("problem", metavar="ID|FILE|CERT", help="suite id, TOML problem file or certificate (.npz)")
     add_horizon(parser)
     add_start(parser)
 
 
 def add_certificate(parser: argparse.ArgumentParser) -> None:
-    """A certificate file."""
+    """Add a certificate file."""
     parser.add_argument("certificate", metavar="CERT", help="certificate file (.npz)")
 
 
 def add_horizon(parser: argparse.ArgumentParser) -> None:
-    """The horizon."""
+    """Add the horizon."""
     parser.add_argument("--horizon", type=int, metavar="T", help="control steps (default: the problem's)")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
-    """The initial state."""
+    """Add the initial state."""
     parser.add_argument("--initial-state", nargs="+", metavar="X", help="joint initial state, agent after agent")
 
 
 def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies most") -> None:
-    """Relation and cells of the finite models; ``automatic`` says what ``auto`` means."""
+    """Add relation and cells of the finite models; ``automatic`` says what ``auto`` means."""
     parser.add_argument(
         "--relation",
         nargs="+",
@@ -54,15 +55,15 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
 
 
 def add_search(parser: argparse.ArgumentParser) -> None:
-    """How cells and policies are searched for."""
+    """Add how cells and policies are searched for."""
     parser.add_argument(
-        "--memory", metavar="BYTES", help="instead of --cells: as fine as fits (bytes, or with K, M, G)"
+        "--memory", metavar="BYTES", help="instead of --cells: the finest that fit (bytes, or with K, M, G)"
     )
     parser.add_argument(
         "--accuracy", type=float, metavar="P", help="instead of --cells: finer until the bound changes by less"
     )
     parser.add_argument(
-        "--restarts", type=int, default=0, metavar="N", help="further starts from perturbed plans (default: 0)"
+        "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
     parser.add_argument(
@@ -74,29 +75,29 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def add_trials(parser: argparse.ArgumentParser, episodes: int, per: str = "", confidence: float = 0.999) -> None:
-    """How many rollouts, from which seed, how sure their limits, and where they are computed."""
+    """Add how many rollouts are made, from which seed, how sure their limits are, and where they are computed."""
     parser.add_argument(
         "--episodes", type=int, default=episodes, metavar="M", help=f"rollouts{per} (default: {episodes})"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
     parser.add_argument(
-        "--confidence", type=float, default=confidence, metavar="C", help=f"of the limits (default: {confidence})"
+        "--confidence", type=float, default=confidence, metavar="C", help=f"of limits (default: {confidence})"
     )
     parser.add_argument("--workers", type=int, metavar="N", help="worker processes of this machine (default: none)")
     parser.add_argument("--dask", metavar="ADDRESS|local", help="Dask scheduler, or workers of this machine under Dask")
 
 
 def add_test(parser: argparse.ArgumentParser) -> None:
-    """How a bound is tested."""
-    parser.add_argument("--sequential", action="store_true", help="stop when confirmed or refuted (e-processes)")
+    """Add how a bound is tested."""
+    parser.add_argument("--sequential", action="store_true", help="stop as soon as the bound is confirmed or refuted")
     parser.add_argument("--mismatch", nargs="+", metavar="NAME=VALUE", help=f"simulate another system: {MISMATCH}")
 
 
 def add_picture(parser: argparse.ArgumentParser, what: str) -> None:
-    """A picture beside the result."""
+    """Add a picture of the result."""
     parser.add_argument("--plot", metavar="PICTURE", help=f"also draw {what} (.png, .svg, .pdf)")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Where the result is written as JSON."""
+    """Add where the result is written as JSON."""
     parser.add_argument("--json", metavar="PATH", help="write the result as JSON (- for standard output)")

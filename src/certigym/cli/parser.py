@@ -1,4 +1,4 @@
-"""The parser of all commands, built without numpy, so that ``--help`` is quick."""
+"""The parser of all commands. Of certigym it imports version and options alone, so that ``--help`` is quick."""
 
 from __future__ import annotations
 
@@ -45,16 +45,17 @@ KINDS = {
     "episode": "one episode as a moving picture (.gif or .mp4; .png: its last frame)",
     "automaton": "the task automaton",
     "rank": "terms of the value function against the steps left",
-    "relation": "one agent, its finite model, and the set that the relation keeps it in (--agent)",
+    "relation": "one agent, its finite model, and the set in which the relation keeps it (--agent)",
     "tree": "the value tree (short horizons)",
 }
-"""What ``plot`` draws."""
+"""The figures that ``plot`` draws."""
 
 POLICIES = "certified, ppo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+"""The words for policies on the command line."""
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands."""
+    """Return the parser of all commands."""
     parser = argparse.ArgumentParser(
         prog="certigym", description="Multi-agent environments with temporal-logic tasks and certified controllers."
     )
@@ -70,14 +71,14 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _add_synthesis(commands: Any) -> None:
-    """Describe a problem, certify it, check a certificate."""
+    """Add the commands that describe a problem, certify it, and check a certificate."""
     describe = commands.add_parser("describe", help="list the suite, or show agents, regions and task of a problem")
     describe.add_argument("problem", metavar="ID|FILE", nargs="?", help="suite id or TOML problem file (default: all)")
     add_horizon(describe)
     add_start(describe)
     describe.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
-    run = commands.add_parser("run", help="synthesize controllers, validate the bound by rollouts, report")
+    run = commands.add_parser("run", help="synthesize controllers, test their bound by rollouts, print a report")
     add_problem(run)
     add_models(run)
     add_search(run)
@@ -99,7 +100,7 @@ def _add_synthesis(commands: Any) -> None:
 
 
 def _add_validation(commands: Any) -> None:
-    """Test a certificate by rollouts."""
+    """Add the commands that test a certificate by rollouts."""
     validate = commands.add_parser("validate", help="test a saved certificate by rollouts")
     add_certificate(validate)
     add_start(validate)
@@ -113,14 +114,14 @@ def _add_validation(commands: Any) -> None:
     field.add_argument("--low", nargs="+", metavar="X", help="lower corner of the box of starts (the workspaces)")
     field.add_argument("--high", nargs="+", metavar="X", help="upper corner of the box of starts")
     field.add_argument("--random", type=int, default=200, metavar="N", help="random starts, without --axes (200)")
-    field.add_argument("--search", action="store_true", help="search for the weakest start; --episodes in all")
+    field.add_argument("--search", action="store_true", help="search for the weakest start, with --episodes in all")
     add_trials(field, 1000, " per start")
 
     audit = commands.add_parser("audit", help="test a saved certificate step by step along rollouts")
     add_certificate(audit)
     add_trials(audit, 20_000)
 
-    stress = commands.add_parser("stress", help="how far a bound survives noise, actuator and observation faults")
+    stress = commands.add_parser("stress", help="test how far a bound survives noise, actuator and observation faults")
     add_certificate(stress)
     add_trials(stress, 20_000, " per mismatch")
 
@@ -131,24 +132,24 @@ def _add_validation(commands: Any) -> None:
     add_trials(report, 100_000)
 
     reproduce = commands.add_parser(
-        "reproduce", help="recompute the paper's figures and tables, published values beside"
+        "reproduce", help="recompute the paper's figures and tables beside the published values"
     )
     reproduce.add_argument("what", choices=["fig3", "fig4", "table1", "table2", "refutation"])
     reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
 
 
 def _add_learning(commands: Any) -> None:
-    """Learned and given policies."""
+    """Add the commands about learned and given policies."""
     train = commands.add_parser("train", help="train a baseline of Stable-Baselines3 and save it")
     add_problem(train)
     train.add_argument(
         "--algo",
         choices=["ppo", "central-ppo", "sac"],
         default="ppo",
-        help="ppo: decentralised, one network for all agents (default); the others see all",
+        help="ppo: decentralised, one network for all agents (default); the others see the states of all agents",
     )
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
-    train.add_argument("--seed", type=int, default=0, metavar="S", help="decides everything (default: 0)")
+    train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
     train.add_argument("--worlds", type=int, metavar="M", help="worlds side by side (default: by algorithm)")
     train.add_argument("--reward", choices=["shaped", "sparse"], default="shaped", help="default: shaped")
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor.npz, training.json, model.zip")
@@ -173,12 +174,12 @@ def _add_learning(commands: Any) -> None:
     certify.add_argument("--policy", required=True, metavar="POLICY", help="actor (.npz) or FILE.py:NAME")
     add_models(certify, "the same as quick")
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
-    certify.add_argument("--out", metavar="CERT", help="save the certificate, of the improved policy if any (.npz)")
+    certify.add_argument("--out", metavar="CERT", help="save the certificate, with --improve the improved one (.npz)")
     add_trials(certify, 10_000, " per policy", 0.99)
 
 
 def _add_pictures(commands: Any) -> None:
-    """Figures and moving pictures."""
+    """Add the command for figures and moving pictures."""
     kinds = "; ".join(f"{name}: {text}" for name, text in KINDS.items())
     plot = commands.add_parser("plot", help="draw a figure or an episode", epilog=f"KIND is one of: {kinds}.")
     plot.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help=", ".join(KINDS))

@@ -1,4 +1,4 @@
-"""The command ``plot``: one figure of a problem or certificate, or one episode as a moving picture."""
+"""The command ``plot``: a figure of a problem or certificate, or an episode as a moving picture."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from .moving_pictures import render_rollout
 
 
 def plot(options: Namespace) -> int:
-    """Draw one figure, or one episode."""
+    """Draw one figure or one episode."""
     if options.kind == "episode":
         shown = render_rollout(_certificate(options), options.out, options.seed, options.fps)
         verdict = "satisfied" if shown["satisfied"] else "not satisfied"
         show(options, f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}", shown)
         return 0
+    # A wrong file name is refused before anything is computed.
     check_format(options.out, "--out")
     figures.save_figure(_figure(options), options.out)
     text = f"{options.kind} of {options.problem}, written to {options.out}"
@@ -30,7 +31,7 @@ def plot(options: Namespace) -> int:
 
 
 def _figure(options: Namespace) -> Any:
-    """The figure of the kind that is asked for."""
+    """Return the figure of the kind that the options name."""
     if options.kind == "automaton":
         return figures.automaton_figure(_problem(options))
     if options.kind == "horizon":
@@ -50,14 +51,14 @@ def _figure(options: Namespace) -> Any:
 
 
 def _problem(options: Namespace) -> Any:
-    """The problem that is named, or that of the certificate that is named."""
+    """Return the problem that is named, or the problem of the certificate that is named."""
     return _certificate(options).problem if options.problem.endswith(".npz") else problem_of(options)
 
 
 def _certificate(options: Namespace) -> Any:
-    """The certificate that is named, or one of the problem that is named."""
+    """Return the certificate that is named, or synthesize one of the problem that is named."""
     if not options.problem.endswith(".npz"):
         return synthesize(problem_of(options), cells_of(options), **relation_of(options)).certificate
     if options.horizon is not None or options.initial_state is not None or options.cells is not None:
-        raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate has its own; leave them out")
+        raise ValueError("`--horizon`, `--initial-state`, `--cells`: a certificate fixes all of them; leave them out")
     return load_certificate(options.problem)

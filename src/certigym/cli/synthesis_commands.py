@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import LinearAgent
+from ..envs.agents import LinearAgent, counted
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
@@ -16,25 +16,31 @@ from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
 
+MOST_AGENTS_SHOWN, MOST_REGIONS_SHOWN = 12, 24
+"""Agents and propositions that ``describe`` prints: about two screens."""
+
 
 def describe(options: Namespace) -> int:
-    """List the suite, or show one problem."""
+    """List the suite, or print one problem."""
     if options.problem is None:
         return _list_suite(options)
     problem = problem_of(options)
     semantics = problem.specification.semantics
     lines = [
-        f"{problem.name}: {problem.n_agents} agents, horizon {problem.horizon}, {semantics}",
+        f"{problem.name}: {counted(problem.n_agents, 'agent')}, horizon {problem.horizon}, {semantics}",
         f"task: {_task(problem)}",
     ]
-    for agent in problem.agents[:12]:
+    for agent in problem.agents[:MOST_AGENTS_SHOWN]:
         lines += _agent_lines(agent)
-    if problem.n_agents > 12:
-        lines.append(f"... and {problem.n_agents - 12} more agents")
-    names = list(problem.propositions.items())
-    lines += [f"proposition {n}: agent {p.agent} in [{_vector(p.low)}, {_vector(p.high)})" for n, p in names[:24]]
-    if len(names) > 24:
-        lines.append(f"... and {len(names) - 24} more propositions")
+    if problem.n_agents > MOST_AGENTS_SHOWN:
+        lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
+    regions = list(problem.propositions.items())
+    lines += [
+        f"proposition {name}: agent {region.agent} in [{_vector(region.low)}, {_vector(region.high)})"
+        for name, region in regions[:MOST_REGIONS_SHOWN]
+    ]
+    if len(regions) > MOST_REGIONS_SHOWN:
+        lines.append(f"... and {counted(len(regions) - MOST_REGIONS_SHOWN, 'more proposition')}")
     lines.append(_automaton_line(problem))
     lines.append(f"fingerprint: {problem.fingerprint}")
     show(options, "\n".join(lines), {**problem.to_dict(), "fingerprint": problem.fingerprint})
@@ -42,10 +48,10 @@ def describe(options: Namespace) -> int:
 
 
 def run(options: Namespace) -> int:
-    """Synthesize, validate, report: the main job."""
+    """Synthesize, validate, and print the report; with ``--horizons``, a row for each."""
     if options.horizons is not None:
         if options.out or options.horizon is not None:
-            raise ValueError("`--horizons`: expected without --horizon and --out; leave them out")
+            raise ValueError("`--horizons`: expected neither --horizon nor --out beside it; leave them out")
         return print_horizons(options)
     result = synthesized(options)
     if options.out:
@@ -54,7 +60,7 @@ def run(options: Namespace) -> int:
 
 
 def synthesize(options: Namespace) -> int:
-    """Synthesize and save."""
+    """Synthesize, save the certificate, and print the claim."""
     result = synthesized(options)
     certificate = result.certificate
     save_certificate(certificate, options.out)
@@ -83,10 +89,11 @@ def check(options: Namespace) -> int:
     certificate = load_certificate(options.certificate)
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
     report = check_certificate(certificate, problem)
+    # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and certificate.gap is not None
-    rest = "; the upper end of its claim was too large a computation" if unverified else ""
+    rest = "; the upper end of the claim would take too large a computation" if unverified else ""
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}"
-    said = {
+    outcome = {
         "valid": report.valid,
         "lower_bound": report.claimed,
         "recomputed": None if np.isnan(report.recomputed) else report.recomputed,
@@ -94,18 +101,17 @@ def check(options: Namespace) -> int:
         "failures": list(report.failures),
         "fingerprint": certificate.fingerprint,
     }
-    show(options, text, said)
+    show(options, text, outcome)
     return 0 if report else 1
 
 
 def _list_suite(options: Namespace) -> int:
-    """One line per problem of the suite."""
-    rows = []
+    """Print one line per problem of the suite."""
+    rows: list[dict[str, Any]] = []
     for name in problem_ids():
         problem = make_problem(name)
-        semantics = problem.specification.semantics
-        rows.append({"id": name, "agents": problem.n_agents, "horizon": problem.horizon, "semantics": semantics,
-                     "task": _task(problem)})  # fmt: skip
+        sizes = {"agents": problem.n_agents, "horizon": problem.horizon}
+        rows.append({"id": name, **sizes, "semantics": problem.specification.semantics, "task": _task(problem)})
     width = max(len(str(row["id"])) for row in rows)
     if options.json != "-":
         for row in rows:
@@ -116,7 +122,7 @@ def _list_suite(options: Namespace) -> int:
 
 
 def _agent_lines(agent: LinearAgent) -> list[str]:
-    """Dynamics, boxes and start of one agent."""
+    """Return dynamics, boxes and start of one agent in words."""
     low, high = agent.initial.low, agent.initial.high
     start = _vector(low) if np.array_equal(low, high) else f"{_vector(low)} .. {_vector(high)}"
     workspace = f"{_vector(agent.workspace.low)} .. {_vector(agent.workspace.high)}"
@@ -129,7 +135,7 @@ def _agent_lines(agent: LinearAgent) -> list[str]:
 
 
 def _automaton_line(problem: Problem) -> str:
-    """The automaton of the task, or the tasks that it decomposes into."""
+    """Return the size of the automaton of the task, or the number of tasks into which it decomposes."""
     if problem.groups:
         sizes = sorted({group.automaton.n_states for group in problem.groups})
         return f"{len(problem.groups)} independent tasks, automata of {', '.join(map(str, sizes))} states"
@@ -142,10 +148,10 @@ def _automaton_line(problem: Problem) -> str:
 
 
 def _task(problem: Problem) -> str:
-    """The formula, if there is one."""
+    """Return the formula, if there is one."""
     return problem.specification.formula or "given as an automaton"
 
 
 def _vector(values: Any) -> str:
-    """A vector in round brackets."""
+    """Return a vector in round brackets."""
     return "(" + ", ".join(f"{v:g}" for v in values) + ")"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +36,12 @@ from .work import trials
 
 
 def validate(options: Namespace) -> int:
-    """Test a saved certificate."""
+    """Test a saved certificate by rollouts."""
     return validate_result(options, load_certificate(options.certificate), state_of(options))
 
 
 def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
-    """Validate, print, write; after Ctrl-C what is there is printed and written, with status 130."""
+    """Validate, print and write the report; after Ctrl-C it is about the finished episodes, and the status is 130."""
     with trials(options, options.episodes) as plan:
         report = validate_certificate(
             result,
@@ -56,7 +55,7 @@ def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
 
 
 def print_horizons(options: Namespace) -> int:
-    """Synthesize and validate at several horizons, a row as soon as it is there; Ctrl-C leaves those that are."""
+    """Synthesize and validate at several horizons, and print each row when it is ready; Ctrl-C keeps finished rows."""
     problem = problem_of(options)
     settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), **search_of(options)}
     if options.json != "-":
@@ -72,16 +71,17 @@ def print_horizons(options: Namespace) -> int:
                 if options.json != "-":
                     bound, rate = rounded_down(report.lower_bound), f"simulated {report.estimate:.6f}"
                     print(f"{report.horizon:>4}  P >= {bound}  {rate}  {report.verdict}", flush=True)
-        except KeyboardInterrupt:  # of an unfinished validation, nothing is kept
+        except KeyboardInterrupt:  # a row is about all episodes or is left out
             interrupted = True
     write_json(options, [report.to_dict() for report in reports])
     return 130 if interrupted else int(any(report.refuted for report in reports))
 
 
 def validate_field(options: Namespace) -> int:
-    """Test a saved certificate at many starts."""
+    """Test a saved certificate at many starts, or search for its weakest start."""
     certificate = load_certificate(options.certificate)
     states, shape = _starts(options, certificate.problem)
+    # --episodes counts per start, except in a search, where it counts all of them.
     with trials(options, options.episodes if options.search else options.episodes * len(states)) as plan:
         if options.search:
             report = find_weakest(certificate, plan, candidates=states)
@@ -92,7 +92,7 @@ def validate_field(options: Namespace) -> int:
 
 
 def audit(options: Namespace) -> int:
-    """Audit a saved certificate."""
+    """Test a saved certificate step by step."""
     with trials(options, options.episodes) as plan:
         report = audit_certificate(options.certificate, plan)
     show(options, report, report.to_dict())
@@ -100,7 +100,7 @@ def audit(options: Namespace) -> int:
 
 
 def stress(options: Namespace) -> int:
-    """Test a saved certificate under mismatches; always status 0, for no rung is certified."""
+    """Test a saved certificate under mismatches; a refuted rung is no failure, for no rung is certified."""
     rungs = 1 + sum(len(rungs) for rungs in LADDERS.values())
     with trials(options, options.episodes * rungs) as plan:
         report = stress_certificate(options.certificate, plan)
@@ -111,7 +111,7 @@ def stress(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Write one page about a saved certificate."""
     with trials(options) as plan:
-        content = write_report(options.certificate, options.out, replace(plan), axes=options.axes)
+        content = write_report(options.certificate, options.out, plan, axes=options.axes)
     show(options, f"{content.validation}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
 
@@ -147,7 +147,8 @@ def reproduce(options: Namespace) -> int:
 
 
 def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] | None]:
-    """Starts that the options of ``validate-field`` ask for, and their shape if they are a slice."""
+    """Return the starts that the options of ``validate-field`` name, and their shape if they are a slice."""
+    # Without --low and --high the box is that of all workspaces; without --axes the starts are corners and random.
     low, high = workspace_box(problem)
     box = (
         low if options.low is None else _numbers(options.low, "--low"),
@@ -162,7 +163,7 @@ def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] 
 
 
 def _numbers(words: Sequence[str], option: str) -> list[float]:
-    """Numbers separated by blanks or commas."""
+    """Return numbers that are separated by blanks or commas."""
     try:
         return [float(word) for word in " ".join(words).replace(",", " ").split()]
     except ValueError:
@@ -170,15 +171,15 @@ def _numbers(words: Sequence[str], option: str) -> list[float]:
 
 
 def _mismatch(words: Sequence[str] | None) -> Mismatch | None:
-    """Mismatch from ``NAME=VALUE`` words."""
+    """Return the mismatch that ``NAME=VALUE`` words describe; None without words."""
     if not words:
         return None
     values: dict[str, Any] = {}
     for word in words:
         name, _, value = word.strip().partition("=")
         if name not in Mismatch.__dataclass_fields__:
-            known = ", ".join(Mismatch.__dataclass_fields__)
-            raise ValueError(f"`--mismatch`: expected NAME=VALUE with a name among {known}, got {word.strip()!r}")
+            names = ", ".join(Mismatch.__dataclass_fields__)
+            raise ValueError(f"`--mismatch`: expected NAME=VALUE with a name among {names}, got {word.strip()!r}")
         try:
             values[name] = value if name == "noise_family" else int(value) if name == "delay" else float(value)
         except ValueError:

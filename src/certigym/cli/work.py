@@ -1,4 +1,4 @@
-"""The long work of commands, with a progress bar: synthesis, rollouts, training."""
+"""The long computations of commands, each with a progress bar: synthesis, rollouts, training."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
+from ..envs.agents import counted
 from ..envs.problem import Problem
 from ..synthesis.certificates import Synthesis
 from ..synthesis.synthesize import synthesize
@@ -18,7 +19,7 @@ from .given import budget_of, cells_of, problem_of, relation_of, search_of
 
 
 def synthesized(options: Namespace) -> Synthesis:
-    """The synthesis that problem, models and search options ask for."""
+    """Return the synthesis that the options for problem, models and search ask for."""
     problem, cells = problem_of(options), cells_of(options)
     with tqdm(desc="synthesize", unit=" sweeps", disable=None, leave=False) as bar:
 
@@ -31,13 +32,13 @@ def synthesized(options: Namespace) -> Synthesis:
     record = result.stats.get("cells")
     if isinstance(record, dict) and options.json != "-":
         shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
-        print(f"{shapes} cells, the best of {len(record['tried'])} runs: {record['stopped']}")
+        print(f"{shapes} cells, the best of {counted(len(record['tried']), 'run')}: {record['stopped']}")
     return result
 
 
 @contextmanager
 def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
-    """The plan of the rollouts that the options ask for, on its executor, with a bar of ``total`` episodes."""
+    """Open the plan of rollouts that the options ask for, on its executor, with a bar of ``total`` episodes."""
     with (
         executor_for(options.dask, options.workers) as executor,
         tqdm(total=total, desc="rollouts", unit=" episodes", disable=None, leave=False) as bar,
@@ -53,7 +54,7 @@ def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
 def trained(
     problem: Problem, algorithm: str, steps: int | None, seed: int, worlds: int | None, reward: str
 ) -> Training:
-    """A trained baseline."""
+    """Train a baseline with a progress bar."""
     with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
 
         def progress(count: int, success: float) -> None:

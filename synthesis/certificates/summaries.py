@@ -1,0 +1,86 @@
+"""How certificates print themselves: a claim with what it is about, as a short tree or an HTML table.
+
+Lower bounds are rounded down and upper bounds up, so that what is printed holds too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Protocol
+
+from ...envs.agents import counted, shortened
+from ...envs.problem import Problem
+from ..cells import alike_text, shape_text
+from .digits import shown_bound
+from .part import AgentPart
+
+STARTS = {"point": "from the initial state", "mean": "on average over the initial boxes"}
+"""What a claim says about its start, in words."""
+
+
+class Certified(Protocol):
+    """What summaries read of a certificate of either kind."""
+
+    @property
+    def problem(self) -> Problem:
+        """Problem it speaks of."""
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound at the problem's start."""
+
+    @property
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound for this controller."""
+
+    @property
+    def start(self) -> str:
+        """``"point"`` or ``"mean"``."""
+
+    @property
+    def method(self) -> str:
+        """Relation, bound and policy search, in words."""
+
+    @property
+    def bound(self) -> str:
+        """Name of the theorem that the bound rests on."""
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms of one automaton state, or of columns of a bond."""
+
+    @property
+    def agents(self) -> tuple[AgentPart, ...]:
+        """What is stored of each agent."""
+
+
+def certificate_facts(certificate: Certified) -> list[tuple[str, str]]:
+    """Return the rows of a summary, name and value; the bound is rounded to the safe side."""
+    cells = alike_text(shape_text(part.grid.shape) for part in certificate.agents)
+    return [
+        ("horizon", counted(certificate.problem.horizon, "control step")),
+        ("bound", shown_bound(certificate.lower_bound, certificate.gap)),
+        ("start", STARTS.get(certificate.start, certificate.start)),
+        ("method", shortened(certificate.method)),
+        ("theorem", certificate.bound),
+        ("cells", f"{cells} ({counted(len(certificate.agents), 'agent')})"),
+        ("rank", str(certificate.rank)),
+    ]
+
+
+def task_text(problem: Problem) -> str:
+    """Return the task of a problem in words."""
+    return shortened(problem.specification.formula or "given as an automaton", 200)
+
+
+def table_html(title: str, facts: Sequence[tuple[str, str]]) -> str:
+    """Return a title and rows, name and value, as a table for notebooks, every text escaped."""
+    rows = [f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in facts]
+    return "\n".join(["<table>", f"<caption>{escape(title)}</caption>", *rows, "</table>"])
+
+
+def certificate_html(title: str, certificate: Certified, more: Sequence[tuple[str, str]] = ()) -> str:
+    """Return a certificate as a table for notebooks, with ``more`` rows below."""
+    problem = certificate.problem
+    return table_html(title, [("task", task_text(problem)), *certificate_facts(certificate), *more])
