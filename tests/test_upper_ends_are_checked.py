@@ -163,11 +163,11 @@ def a_lossy_team(loss: float) -> Any:
 
 def test_upper_ends_count_everything_that_was_left_out() -> None:
     tree: Any = SimpleNamespace(value=0.5, rank=3, dropped=0.02)
-    bound = nominal_bound(a_lossy_team(1e-3), tree, True, 0.05)
+    bound = nominal_bound(a_lossy_team(1e-3), tree, 0.0, True, 0.05)
     assert bound.gap is not None and bound.lower <= 0.5 and bound.lower + bound.gap >= 0.5 + 0.02 + 0.01 + 0.05
     rounding = SimpleNamespace(tolerance=1e-6)
     trains: Any = SimpleNamespace(value=0.5, rank=3, terms=SimpleNamespace(error=1e-4), rounding=rounding)
-    bound = train_bound(a_lossy_team(1e-3), trains, 0.52)
+    bound = train_bound(a_lossy_team(1e-3), trains, 0.0, 0.52)
     assert bound.gap is not None and bound.lower <= 0.5 - 1e-4 and bound.lower + bound.gap >= 0.52 + 0.01
     none = Terms((np.zeros((0, 10)), np.zeros((0, 10))), (np.zeros((0, 2), dtype=np.int64),))
     assert stranded_mass(a_lossy_team(1e-3), (), [Occupancy(none, 0.01)] * 3) >= 0.03 + 2e-3 * (0 + 1 + 2)
