@@ -80,8 +80,8 @@ def certificate_of(
             coordinates=model.relation.coordinates,
             relation=describe_relation(model.relation),
             lattice=model.lattice,
-            masks=joint.masks[i],
-            start_masks=joint.start_masks[i],
+            masks=model.of_cells(joint.masks[i]),
+            start_masks=model.of_cells(joint.start_masks[i]),
             policy=best.policies[i][:1] if best.stationary else best.policies[i],
             menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
         )
@@ -138,6 +138,9 @@ def bounds_from_above(
     """What no policy attains, on the same finite models and of the continuous system (None: not known)."""
     start = start_of(problem, joint)
     anywhere = continuous_upper_bound(problem, joint, start)
+    if any(model.is_linear for model in joint.models):
+        # Their values are lower bounds cell by cell, so the best of them bounds nothing from above.
+        return {"abstract_upper_bound": None, "continuous_upper_bound": anywhere}
     most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)
     if anywhere is not None and certificate.delta == 0.0:  # what abstract policies attain, continuous ones do
         most = min(most, anywhere)

@@ -118,8 +118,15 @@ class CertificateReader:
         # Choices are lattice points, or inputs of a menu whose entries are lattice points.
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
-        if (entry["relation"]["kind"] != "exact") != (menu is not None):
+        kind = entry["relation"]["kind"]
+        if (kind not in ("exact", "linear")) != (menu is not None):
             raise ValueError("a relation and its choices do not belong together")
+        choices = points if menu is None else menu.shape[1]
+        if kind == "linear":
+            # Inputs, or lattice points with one of two gains.
+            choices = len(entry["relation"]["menu"]) or 2 * points
+            if any(len(axis) < 2 for axis in lattice):
+                raise ValueError("the lattice of a linear agent has axes of a single point")
         return AgentPart(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),
@@ -127,7 +134,7 @@ class CertificateReader:
             relation=entry["relation"],
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
             start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
-            policy=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
+            policy=self._integers(entry["law"], shape, choices, least=-1),
             menu=menu,
         )
 
@@ -172,9 +179,7 @@ class CertificateReader:
         entry = self.header["terms"]
         if len(entry["factors"]) != self.n_agents or len(entry["index"]) != self.n_states:
             raise ValueError("the value function has the wrong size")
-        factors = tuple(
-            self._array(k, "f", (None, a.grid.n_cells)) for k, a in zip(entry["factors"], agents, strict=True)
-        )
+        factors = tuple(self._array(k, "f", (None, a.n_places)) for k, a in zip(entry["factors"], agents, strict=True))
         index = tuple(self._integers(k, (None, self.n_agents), None) for k in entry["index"])
         for rows in index:
             if len(rows) and any(rows[:, i].max() >= len(distinct) for i, distinct in enumerate(factors)):

@@ -42,6 +42,7 @@ from ..values import UNIT, Terms
 from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
+from .linear_check import places_of
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
@@ -154,15 +155,32 @@ def _check_form(certificate: Certificate) -> list[str]:
     point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
     if certificate.start != ("point" if point else "mean"):
         failures.append(f"its start is called {certificate.start!r}, which it is not")
-    if any((part.relation["kind"] == "exact") != (part.menu is None) for part in certificate.agents):
+    if any((part.relation["kind"] in ("exact", "linear")) != (part.menu is None) for part in certificate.agents):
         failures.append("a relation and its choices do not belong together")
     tree = certificate.rounding is None
+    if any(part.relation["kind"] == "linear" for part in certificate.agents):
+        if not tree or certificate.bound != "nominal" or certificate.gap is not None:
+            failures.append("its linear agents have a value or a bound that is not for them")
+        failures += _uneven_lattices(certificate)
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
     if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
         failures.append("whether it is exact does not fit its gap")
     if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
         failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
+    return failures
+
+
+def _uneven_lattices(certificate: Certificate) -> list[str]:
+    """Lattices of linear agents are evenly spaced, so that positions in steps are right."""
+    failures = []
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        if part.relation["kind"] == "linear":
+            for axis in part.lattice:
+                even = axis[0] + (axis[-1] - axis[0]) * np.linspace(0.0, 1.0, len(axis))
+                step = (axis[-1] - axis[0]) / max(1, len(axis) - 1)
+                if len(axis) < 2 or not step > 0 or np.any(np.abs(axis - even) > 1e-9 * step):
+                    failures.append(f"the lattice of agent `{agent.name}` is not evenly spaced")
     return failures
 
 
@@ -280,7 +298,7 @@ def _undecided(certificate: Certificate) -> float:
 def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: float) -> list[str]:
     """The claims are not larger than what was regrown."""
     failures = []
-    n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
+    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in certificate.agents) + len(certificate.agents)
     counted = max((len(kept) for step in certificate.skeleton for kept in step.kept), default=0)
     rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):

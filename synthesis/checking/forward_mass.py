@@ -20,6 +20,7 @@ from scipy.sparse import csr_matrix
 from ..cells import FloatArray
 from ..certificates import axis_tables
 from .geometry import start_shares
+from .linear_check import hat_weights, masks_of
 
 if TYPE_CHECKING:
     from ..certificates import Certificate
@@ -87,13 +88,16 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
 def mass_at_start(certificate: Certificate) -> Mass:
     """Mass before the first step, the first letter read."""
     problem, agents = certificate.problem, certificate.agents
-    shares = [start_shares(a, p)[None] for a, p in zip(problem.agents, agents, strict=True)]
+    shares = [
+        (hat_weights(a, p) if p.relation["kind"] == "linear" else start_shares(a, p))[None]
+        for a, p in zip(problem.agents, agents, strict=True)
+    ]
     automaton, point = problem.automaton, certificate.start == "point"
     if point or (automaton.finished[automaton.initial]):  # no letter is asked
         q = problem.initial_q if point else automaton.initial
         known = [] if q is None else [q]
         return Mass(shares, np.zeros((len(known), len(agents)), dtype=np.int64), np.array(known, dtype=np.int64))
-    factors = [part.start_masks * own for part, own in zip(agents, shares, strict=True)]
+    factors = [masks_of(part, part.start_masks) * own for part, own in zip(agents, shares, strict=True)]
     return Mass(factors, certificate.start_mask.astype(np.int64), certificate.start_target.astype(np.int64))
 
 
