@@ -139,6 +139,15 @@ class LinearAgent:
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
 
+    # Copy and pickle the fields alone: what is cached can be computed again.
+    def __getstate__(self) -> dict[str, Any]:
+        return {"name": self.name, **{key: getattr(self, key) for key in _ARRAYS}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            # a pickled array comes back writable
+            object.__setattr__(self, key, read_only(value) if isinstance(value, np.ndarray) else value)
+
     def __repr__(self) -> str:
         sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
         deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))]
@@ -194,7 +203,8 @@ class LinearAgent:
         # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
         covariance = self.noise_covariance
         if (covariance == np.diag(np.diag(covariance))).all():
-            return read_only(np.diag(np.sqrt(np.diag(covariance))))
+            # the check of covariances lets variances through that rounding has pushed a little below zero
+            return read_only(np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0))))
         try:
             factor = np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors
