@@ -209,6 +209,20 @@ def test_a_start_outside_fails_even_the_task_true() -> None:
     assert worlds.accepted.tolist() == [True, False] and worlds.failed.tolist() == [False, True]
 
 
+@pytest.mark.parametrize("start", [-10.0, 1.0], ids=["without p", "with p"])
+def test_what_no_word_can_miss_is_satisfied_at_time_0(start: float) -> None:
+    """No letter decides `(F p) | (X !p)`, so that even an exit at time 1 comes too late; `F p` waits for p."""
+    agent = scalar(initial_state=[start], A=[[0.0]], B=[[1000.0]])
+    region = {"p": cg.Proposition("left", [0.0], [5.0])}
+    for formula, satisfied in (("(F p) | (X !p)", True), ("F p", start > 0)):
+        task = cg.Specification(formula, "co-safe")
+        problem = cg.Problem(name="task", horizon=3, agents=[agent], propositions=region, specification=task)
+        env = cg.central_env(problem)
+        assert env.reset(seed=0)[1]["satisfied"] == satisfied
+        _, reward, terminated, _, info = env.step(np.ones(1))
+        assert terminated and info["satisfied"] == satisfied and reward == float(satisfied)
+
+
 def test_finite_traces_are_judged_at_the_horizon_only() -> None:
     dynamics = core.Dynamics.of(two_agents([[0.5]], horizon=2, semantics="finite-trace", formula="F goal"))
     worlds = core.initial_at(dynamics, np.array([[2.0, 0.0], [0.0, 0.0]]))

@@ -1,4 +1,4 @@
-"""Public records print themselves in a few lines without arrays; problems, syntheses and reports are tables in notebooks."""
+"""Public records print themselves in a few lines without arrays; the main ones are tables in notebooks."""
 
 from __future__ import annotations
 

@@ -91,6 +91,7 @@ class LinearAgent:
     output_matrix: np.ndarray
     offset: np.ndarray
 
+    # Fourteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
