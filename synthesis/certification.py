@@ -116,7 +116,7 @@ def certificate_of(
 def best_bound(
     problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
 ) -> tuple[Sweep, Bound, dict[str, float]]:
-    """Return the tree with the largest lower bound on the policies of ``best``, that bound, and all bounds by name."""
+    """The largest bound that applies to the policies of ``best``, the tree it was read off, and all bounds by name."""
     if all(model.delta == 0.0 for model in joint.models):
         stranded = 0.0
         if abstraction.is_exact and any(np.any(model.choices.resting_choice < 0) for model in joint.models):

@@ -225,7 +225,7 @@ def _check_relations(certificate: Certificate) -> list[str]:
 
 
 def _check_above(certificate: Certificate, gap: float) -> tuple[float | None, list[str]]:
-    """Return an upper bound on what the policies attain, and a failure if the certificate claims less."""
+    """What the policies attain at most, and whether the certificate says less."""
     failures = inexact(certificate)
     above = None if failures else attained(certificate)
     if above is not None and not above <= certificate.lower_bound + gap:

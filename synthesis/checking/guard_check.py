@@ -30,7 +30,7 @@ def wrong_guards(certificate: Certificate) -> list[str]:
 
 def _check_guard_set(
     certificate: Certificate, masks: list[NDArray], source: NDArray, target: NDArray, mask: NDArray, starting: bool
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """What is wrong with one set of guards."""
     problem, automaton = certificate.problem, certificate.problem.automaton
     meets, letters = [], []
