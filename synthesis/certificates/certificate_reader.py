@@ -113,6 +113,7 @@ class CertificateReader:
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
         points = math.prod(len(axis) for axis in lattice)
+        # A stationary policy is stored once, for all times; "law" is the name of the policy in files.
         times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
         shape = (times, self.n_states, grid.n_cells)
         # Choices are lattice points, or inputs of a menu whose entries are lattice points.
@@ -143,6 +144,7 @@ class CertificateReader:
         if len(entry) != self.n_states:
             raise ValueError("the tree has the wrong number of states")
         origins, merges, kept = [], [], []
+        # Per automaton state: vertices (guard, child), merges (into, absorbed, agent), and the vertices kept.
         for numbers in entry:
             origin = self._integers(numbers[0], (None, 2), None).astype(np.int64)
             n = len(origin)
@@ -164,14 +166,11 @@ class CertificateReader:
         for cells in self._each(entry["visited"], self.problem.horizon + 1, lambda item: item):
             if cells is not None and len(cells) != self.n_agents:
                 raise ValueError("its rounding does not name the cells of every agent")
-            visited.append(
-                None
-                if cells is None
-                else tuple(
-                    self._integers(k, (None,), a.grid.n_cells).astype(np.int64)
-                    for k, a in zip(cells, agents, strict=True)
-                )
-            )
+            if cells is None:  # all cells
+                visited.append(None)
+                continue
+            pairs = zip(cells, agents, strict=True)
+            visited.append(tuple(self._integers(k, (None,), a.grid.n_cells).astype(np.int64) for k, a in pairs))
         return Rounding(tolerance, tuple(visited))
 
     def _terms(self, agents: list[AgentPart]) -> Terms:

@@ -1,9 +1,9 @@
-"""The closed loop pushed forward, for checks: where the mass of a certificate's policies is at every time.
+"""The closed loop pushed forward in time, for checks: where the probability mass is at every time.
 
-Nothing of the search is used. The alive mass of each automaton state is a sum of products, one factor per agent, like
-the value; sums that differ in one agent only are one product, and the smallest products are dropped and counted. What
-has been accepted by the end, plus all that was dropped or lost, bounds from above what the policies attain on the
-cells: an evaluation of its own, forward in time, of what the value says backward.
+This module uses no code of the search. The undecided mass of each automaton state is a sum of products, one factor per
+agent, like the value. Products that differ in one agent only are united, and the smallest products are dropped and
+counted. The mass accepted by the end, plus all that was dropped or lost, is an upper bound on what the policies attain
+on the cells. It is computed forward in time, independently of the value, which is computed backward.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 
 class TooManyProducts(RuntimeError):
-    """The mass falls into more products than can be told apart in reasonable time."""
+    """The mass has more products than can be handled in reasonable time."""
 
 
 @dataclass
 class Mass:
-    """Mass that no decision has been made about, and what has become of the rest.
+    """Mass of the runs that are still undecided, and what became of the rest.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Mass:
     states : (N,) int array
         Automaton state of each product.
     accepted, dropped, stranded : float
-        Mass that was accepted for good, that was dropped for being small, and that was in cells without a choice.
+        Mass that was accepted, that was dropped because it was small, and that was in cells without a choice.
     """
 
     factors: list[FloatArray]
@@ -63,12 +63,12 @@ class Mass:
 
     @property
     def alive(self) -> float:
-        """Mass that no decision has been made about."""
+        """Total mass of the runs that are still undecided."""
         return float(self.totals.sum())
 
 
 def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
-    """Mass at times 0 .. T, dropping at most ``share`` per step; at most ``most`` products are kept.
+    """Yield the mass at times 0 .. T; each step drops at most ``share`` and keeps at most ``most`` products.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def _moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArra
 
 
 def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> Mass:
-    """The mass that is still undecided, like products united, small ones dropped."""
+    """Return the mass that is still undecided, with similar products united and small ones dropped."""
     automaton = certificate.problem.automaton
     accepted = mass.accepted + float(mass.totals[automaton.finished[mass.states]].sum())
     open_ = (mass.totals > 0) & ~automaton.absorbing[mass.states]
@@ -157,7 +157,7 @@ def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> M
 def _united(
     factors: list[FloatArray], index: NDArray[np.int64], states: NDArray[np.int64], most: int
 ) -> tuple[list[FloatArray], NDArray[np.int64], NDArray[np.int64]]:
-    """The same mass, in fewer products: those that differ in one agent's factor are summed."""
+    """Return the same mass as fewer products: those that differ in one agent's factor are summed."""
     factors, index = list(factors), index.copy()
     before = -1
     while before != len(index):

@@ -1,8 +1,8 @@
 """The value tree of a certificate, grown again vertex by vertex.
 
-Nothing of the search is used: the policies and the list of kept vertices come from the certificate, the kernel is built
-anew from the complementary error function, and united terms are regrown soundly for any choice,
-``a x b + a' x b' >= min(a, a') x (b + b')``. Whatever vertices a tree keeps, its sum is a lower bound.
+This module uses no code of the search. Policies and the list of kept vertices come from the certificate, the kernel is
+built anew from the complementary error function, and united terms are regrown by a rule that is sound for any choice,
+``a x b + a' x b' >= min(a, a') x (b + b')``. The sum over any set of vertices is a lower bound.
 """
 
 from __future__ import annotations
@@ -113,8 +113,13 @@ def _check_merges(into: NDArray, absorbed: NDArray, kept: NDArray) -> None:
 
 
 def _unite(
-    masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, into: NDArray, absorbed: NDArray, own: NDArray
-) -> FloatArray:  # fmt: skip
+    masks: NDArray[np.bool_],
+    factors: FloatArray,
+    keys: NDArray,
+    into: NDArray,
+    absorbed: NDArray,
+    own: NDArray,
+) -> FloatArray:
     """One agent's factors (N, S) of the vertices before smoothing: masked, and united as the tree says."""
     vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
     for a, b, is_sum in zip(into.tolist(), absorbed.tolist(), own.tolist(), strict=True):
