@@ -30,7 +30,10 @@ from .certificates import EXACT_GAP, AgentPart, Certificate, Synthesis
 from .models import Abstraction, InputMenu, JointModel, start_of
 from .relations import describe_relation
 from .search import FINAL, Found, Relaxation, Sweep, TrainSweep, forward, sweep
-from .values import start_above
+from .values import Terms, start_above
+
+STORED_MARGIN = 1e-6
+"""Share of the largest value of a factor by which it is stored lower: far above rounding, far below what matters."""
 
 
 def certified(
@@ -107,11 +110,24 @@ def certificate_of(
         start_target=joint.start_guards.target,
         start_mask=joint.start_guards.mask,
         skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
-        terms=grown.terms if isinstance(grown, Sweep) else None,
+        terms=_stored(joint, grown.terms) if isinstance(grown, Sweep) else None,
         rank=grown.rank,
         settings=settings,
         rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
     )
+
+
+def _stored(joint: JointModel, terms: Terms) -> Terms:
+    """Return the value function to be stored: factors of linear agents a little lower, which a lower bound may be.
+
+    What remains after unions from below, and how much an image bends, depend on rounding in both directions; a check
+    that computes both anew must find no factor too large.
+    """
+    factors = []
+    for model, rows in zip(joint.models, terms.factors, strict=True):
+        lower = np.maximum(rows - STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None], 0.0)
+        factors.append(lower if model.is_linear else rows)
+    return Terms(tuple(factors), terms.index)
 
 
 def best_bound(

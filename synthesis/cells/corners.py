@@ -26,7 +26,7 @@ def spread(values: NDArray, shape: tuple[int, ...]) -> NDArray:
     table = values.reshape(*values.shape[:-1], *shape)
     for axis in range(len(shape)):
         table = np.repeat(table, 2, axis=values.ndim - 1 + axis)
-    return table.reshape(*values.shape[:-1], -1)
+    return table.reshape(*values.shape[:-1], math.prod(shape) * 2 ** len(shape))
 
 
 def of_cells(values: NDArray, shape: tuple[int, ...]) -> NDArray:
@@ -44,7 +44,7 @@ def to_places(values: NDArray, shape: tuple[int, ...]) -> NDArray:
     table = values.reshape(*lead, *shape, *(2,) * d)
     first = len(lead)
     order = [*range(first), *(first + k + side * d for k in range(d) for side in (0, 1))]
-    return table.transpose(order).reshape(*lead, -1)
+    return table.transpose(order).reshape(*lead, math.prod(shape) * 2**d)
 
 
 def corner_sides(d: int) -> NDArray[np.int64]:

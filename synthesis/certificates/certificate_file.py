@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import write_bytes
 from ...envs.problem import problem_from_dict
-from ..values import Rounding, Skeleton, Terms
+from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
 from .part import AgentPart
@@ -267,11 +267,16 @@ def _put_rounding(pool: _Pool, rounding: Rounding) -> dict[str, Any]:
     return {"tolerance": rounding.tolerance, "visited": visited}
 
 
+def _rests(merges: Merges) -> list[NDArray[Any]]:
+    """Return the remainders of unions as one array, where there are any."""
+    return [merges.rests] if np.any(merges.rests) else []
+
+
 def _put_skeleton(pool: _Pool, step: Skeleton) -> list[list[int]]:
     """Return the entry of one time of the tree, its arrays put into the pool."""
     states = zip(step.origin, step.merges, step.kept, strict=True)
     small = np.int32
     return [
-        [pool.put(a.astype(small)) for a in (origin, merges.into, merges.absorbed, merges.agent, kept)]
+        [pool.put(a.astype(small)) for a in (origin, merges.into, merges.absorbed, merges.agent, kept, *_rests(merges))]
         for origin, merges, kept in states
     ]

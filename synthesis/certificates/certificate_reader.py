@@ -152,7 +152,12 @@ class CertificateReader:
             absorbed = self._integers(numbers[2], (len(into),), n).astype(np.int64)
             agent = self._integers(numbers[3], (len(into),), self.n_agents).astype(np.int64)
             origins.append(origin)
-            merges.append(Merges(into, absorbed, agent))
+            rest = None
+            if len(numbers) > 5:
+                rest = self._integers(numbers[5], (len(into),), self.n_agents + 1, -self.n_agents).astype(np.int64)
+                if np.any(np.abs(rest) - 1 == agent):
+                    raise ValueError("a remainder differs in the agent whose factors were added")
+            merges.append(Merges(into, absorbed, agent, rest))
             kept.append(self._integers(numbers[4], (None,), n).astype(np.int64))
         return Skeleton(tuple(origins), tuple(merges), tuple(kept))
 

@@ -25,9 +25,13 @@ HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
 
 ROUNDING = 9.9e-12
-"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13."""
+"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13. A point counts
+as one of the lattice within as many steps."""
 
 UNIT = 2.0**-53
+
+RELATIVE = 1e-11
+"""Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
 
 CHUNK = 3_000_000
 """Numbers that are formed at once."""
@@ -38,7 +42,10 @@ EVEN = 2e-9
 
 @dataclass(frozen=True, eq=False)
 class LinearTables:
-    """Hat masses (Z, 2 S) of every axis, from below, their derivatives, and the steps between points of images."""
+    """Hat masses (Z, 2 S) of every axis, from below, their derivatives, and the steps between points of images.
+
+    ``between`` says whether points between those of the lattice are read, and paid for.
+    """
 
     masses: list[FloatArray]
     slopes: list[FloatArray]
@@ -46,6 +53,7 @@ class LinearTables:
     steps: FloatArray
     parts: int
     slack: float
+    between: bool
 
 
 def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
@@ -61,15 +69,16 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
     per_cell = np.rint(widest / pitch)
     even = all(float(np.ptp(w)) <= EVEN * float(w.max()) for w in widths)
-    aligned = targets and even and np.all(per_cell == per_cell[0]) and per_cell[0] % 2 == 0
-    parts = int(per_cell[0]) if aligned else 2
+    parts = int(part.relation["parts"])
+    aligned = bool(targets and even and np.all((per_cell % 2 == 0) & (per_cell % parts == 0)))
     gain = np.eye(len(widest)) if targets else _grid_matrix(agent, part)
     steps = (gain * widest).T / parts
     if not aligned:
         steps = np.concatenate([steps, np.diag(pitch)])
-    slack = sum(_fourth(u / deviations, e / deviations) for u in steps for e in steps) / 64.0
+    slack = float(sum(_fourth(u / deviations, e / deviations) for u in steps for e in steps)) / 64.0
+    slack += ROUNDING * (2.0 + float(np.sum(pitch / deviations)))
     masses, slopes, curvatures = tables
-    return LinearTables(masses, slopes, curvatures, steps, parts, float(slack))
+    return LinearTables(masses, slopes, curvatures, steps, parts, slack, not aligned)
 
 
 def _grid_matrix(agent: LinearAgent, part: AgentPart) -> FloatArray:
@@ -88,12 +97,12 @@ def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray
     far = a + b > 0
     mass = np.where(far, above[:, :-1] - above[:, 1:], below[:, 1:] - below[:, :-1])
     first = phi[:, :-1] - phi[:, 1:] - a * mass  # E (y - left end)^+ inside the cell, in deviations
-    tails = np.where(far, above[:, :-1] + above[:, 1:], below[:, 1:] + below[:, :-1])
-    error = (40.0 + 6.0 * t**2) * phi
-    error = error[:, :-1] + error[:, 1:] + (2.0 + np.abs(a) + np.abs(b)) * (30.0 + 8.0 * (a**2 + b**2)) * tails
-    error *= UNIT / np.minimum(width, 1.0)
-    right = np.maximum(first / width - error / 2.0, 0.0)
-    left = np.maximum(mass - first / width - error / 2.0, 0.0)
+    # Errors of densities and tails at both edges, each on the side where it is small; then of what is made of them.
+    density, tail = (40.0 + 6.0 * t**2) * phi, (30.0 + 8.0 * t**2) * np.minimum(above, below)
+    of_mass = tail[:, :-1] + tail[:, 1:] + 4.0 * mass
+    of_first = density[:, :-1] + density[:, 1:] + (1.0 + np.abs(a)) * of_mass
+    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass), 0.0)
+    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass), 0.0)
     slope = (phi[:, :-1] - mass / width, mass / width - phi[:, 1:])
     rise = (phi[:, 1:] - phi[:, :-1]) / width
     bend = (a * phi[:, :-1] + rise, -b * phi[:, 1:] - rise)
@@ -108,7 +117,8 @@ def _fourth(u: FloatArray, e: FloatArray) -> float:
     if size == 0.0:
         return 0.0
     along = abs(float(np.dot(u, e))) / size
-    across = math.sqrt(max(0.0, float(np.dot(u, u)) - along * along))
+    # A difference of nearly equal squares: rounded up.
+    across = math.sqrt(max(0.0, float(np.dot(u, u)) - along * along) + 1e-14 * float(np.dot(u, u)))
     straight, mixed, square = HALF_NORMS
     return size * size * (straight * along * along + 2.0 * mixed * along * across + square * across * across)
 
@@ -122,11 +132,20 @@ def _applied(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
 
 
 def linear_values(
-    agent: LinearAgent, part: AgentPart, tables: LinearTables, factors: FloatArray, t: int, q: int
-) -> FloatArray:
-    """Value factors (n, places) one step earlier, below the truth on every cell, of factors (n, places) >= 0."""
+    agent: LinearAgent,
+    part: AgentPart,
+    tables: LinearTables,
+    factors: FloatArray,
+    t: int,
+    q: int,
+    stored: FloatArray | None = None,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Value factors (n, places) one step earlier, below the truth on every cell, of factors (n, places) >= 0.
+
+    Also which ``stored`` factors (n, places) are proved to be below the truth, too: (n,).
+    """
     if not len(factors):
-        return np.zeros((0, places_of(part)))
+        return np.zeros((0, places_of(part))), np.ones(0, dtype=bool)
     values, bends = _applied(factors, tables.masses), np.zeros((len(factors), 1))
     d = len(tables.masses)
     seconds: dict[tuple[int, int], FloatArray] = {}
@@ -137,18 +156,37 @@ def linear_values(
     for u in tables.steps:
         along = sum((1.0 + (i != j)) * u[i] * u[j] * second for (i, j), second in seconds.items())
         bends = bends + np.maximum(along, 0.0) / 8.0
-    bends = bends + (tables.slack + ROUNDING) * factors.max(axis=1, initial=0.0)[:, None]
+    bends = bends + tables.slack * factors.max(axis=1, initial=0.0)[:, None]
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))
     chosen_cells = np.flatnonzero(policy >= 0)
+    proved = np.ones(len(factors), dtype=bool)
+    if stored is not None:
+        by_cell = _by_cell(stored, part.grid.shape)
+        # Where there is no choice the value is 0.
+        proved = np.all(stored >= 0.0, axis=1) & ~by_cell[:, policy < 0].any(axis=(1, 2))
     pieces = len(chosen_cells) * len(factors) * (tables.parts + 1) ** d // CHUNK + 1
     for cells in np.array_split(chosen_cells, pieces):
         if len(cells):
-            result[:, cells] = _corner_values(agent, part, tables, values, bends, cells, policy[cells])
+            lower, at, lacking, blend = _corner_values(agent, part, tables, values, bends, cells, policy[cells])
+            result[:, cells] = lower
+            if stored is not None:
+                # Any multilinear function will do that is below f at the points that are read by what f may lack.
+                between = by_cell[:, cells] @ blend
+                fits = np.all(between + lacking[:, :, None] <= at * (1.0 + RELATIVE), axis=2)
+                proved &= np.all(fits | ~between.any(axis=2), axis=1)
     # From the corners of each cell to the ends of intervals, axis by axis.
     result = result.reshape(len(factors), *part.grid.shape, *(2,) * d)
     order = [0, *(axis for k in range(d) for axis in (1 + k, 1 + d + k))]
-    return result.transpose(order).reshape(len(factors), -1)
+    return result.transpose(order).reshape(len(factors), -1), proved
+
+
+def _by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Factors (n, places) by cell and corner: (n, S, 2^d)."""
+    d = len(shape)
+    table = rows.reshape(len(rows), *(n for size in shape for n in (size, 2)))
+    order = [0, *range(1, 2 * d, 2), *range(2, 2 * d + 1, 2)]
+    return table.transpose(order).reshape(len(rows), math.prod(shape), 2**d)
 
 
 def _corner_values(
@@ -159,8 +197,12 @@ def _corner_values(
     bends: FloatArray,
     cells: NDArray[np.int64],
     choices: NDArray[np.integer],
-) -> FloatArray:
-    """Corners (n, C, 2^d) of multilinear functions below the value of every point of the cells."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Corners (n, C, 2^d) of multilinear functions below the value of every point of the cells.
+
+    Also the values (n, C, K) at the points that are read, what they may lack between them (n, C), and the weights
+    (2^d, K) of corners at these points.
+    """
     d, shape = len(part.lattice), tuple(len(axis) for axis in part.lattice)
     n_points = math.prod(shape)
     places = np.unravel_index(cells, part.grid.shape)
@@ -180,26 +222,32 @@ def _corner_values(
     position = z[:, None] + np.einsum("sij,sj,kj->ski", gains, half, 2.0 * share - 1.0)
     first = np.array([axis[0] for axis in part.lattice])
     pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-    at, lacking, inside = _read(values, bends, (position - first) / pitch, shape)
+    at, lacking, inside = _read(values, bends, (position - first) / pitch, shape, tables.between)
     # A choice that commands one mean has one value, and loses nothing.
     fixed = ~gains.any(axis=(1, 2))
     lacking[:, fixed] = 0.0
     sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
     corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
     blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)
-    return _below(at, corners, corners @ blend, lacking) * inside[:, None]
+    # An image that leaves the lattice is not known there.
+    at, lower = at * inside[:, None], _below(at, corners, corners @ blend, lacking) * inside[:, None]
+    return lower, at, lacking, blend
 
 
 def _read(
-    values: FloatArray, bends: FloatArray, position: FloatArray, shape: tuple[int, ...]
+    values: FloatArray, bends: FloatArray, position: FloatArray, shape: tuple[int, ...], between: bool
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Values (n, C, K) at positions (C, K, d) in lattice steps, what they may lack (n, C), and images inside (C,)."""
+    """Values (n, C, K) at positions (C, K, d) in lattice steps, what they may lack (n, C), and images inside (C,).
+
+    Images that are said to lie on the lattice and do not are not read.
+    """
     whole = np.rint(position)
-    exact = np.abs(position - whole) <= 1e-7
+    exact = np.abs(position - whole) <= ROUNDING
     base = np.where(exact, whole, np.floor(position)).astype(np.int64)
     rest = np.where(exact, 0.0, position - base)
     last = np.array(shape) - 1
     inside = np.all((base >= 0) & (base + (rest > 0) <= last), axis=(1, 2))
+    inside &= between | np.all(exact, axis=(1, 2))
     base[~inside] = 0
     read, lacking = np.zeros((len(values), *position.shape[:2])), np.zeros((len(values), len(position)))
     for corner in itertools.product((0, 1), repeat=len(shape)):
@@ -222,8 +270,9 @@ def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: Fl
     scale = np.minimum(1.0, ratio.min(axis=2)) * (1.0 - 4.0 * UNIT)
     moved, scaled = corners - shift[:, :, None], scale[:, :, None] * corners
     average = corners.mean(axis=2)
-    result = np.where((scale * average >= floor)[:, :, None], scaled, floor[:, :, None])
-    take = np.all(moved >= 0.0, axis=2) & (average - shift >= np.maximum(scale * average, floor))
+    # Two forms often have the same mean; the earlier one is taken unless the other is clearly better.
+    result = np.where((scale * average >= (1.0 - 1e-6) * floor)[:, :, None], scaled, floor[:, :, None])
+    take = np.all(moved >= 0.0, axis=2) & (average - shift >= (1.0 - 1e-6) * np.maximum(scale * average, floor))
     return np.where(take[:, :, None], moved, result)
 
 

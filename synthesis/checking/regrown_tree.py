@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, axis_tables, smooth
-from ..values import Terms
+from ..values import Merges, Terms
 from .forward_mass import mass_at_start
 from .linear_check import linear_tables, linear_values, masks_of, places_of
 
@@ -51,14 +51,24 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 raise BrokenTreeError("its tree lists a vertex twice")
             below = _children(index, certificate.guard_target[guard], child, n_agents)
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
-            _check_merges(merges.into, merges.absorbed, kept)
+            _check_merges(merges, kept)
             for i, part in enumerate(certificate.agents):
                 keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
-                vertex = _unite(masks[i], factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
+                vertex = _unite(masks[i], factors[i], keys, merges, i)
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent = linear[i]
                 if tables_of_agent is not None:
-                    values = linear_values(certificate.problem.agents[i], part, tables_of_agent, distinct, t, q)
+                    stored = None
+                    if t == 0 and certificate.terms is not None and len(certificate.terms.index[q]) == len(kept):
+                        # The stored factors need not be those that are best here, but must be below the truth.
+                        distinct, where = vertex[kept], np.arange(len(kept))
+                        stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
+                    agent = certificate.problem.agents[i]
+                    values, proved = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
+                    if not np.all(proved):
+                        raise BrokenTreeError(
+                            f"a stored factor of agent `{agent.name}` is not proved to be a lower bound"
+                        )
                 else:
                     points = part.points(t, q)
                     values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
@@ -101,29 +111,38 @@ def _children(index: list[NDArray[np.int64]], target: NDArray, child: NDArray, n
     return below
 
 
-def _check_merges(into: NDArray, absorbed: NDArray, kept: NDArray) -> None:
-    """No vertex may be counted twice: absorbed once at most, never used afterwards, kept once at most."""
+def _check_merges(merges: Merges, kept: NDArray[np.int64]) -> None:
+    """No vertex may be counted twice: absorbed once at most, never used afterwards, kept once at most.
+
+    A vertex that a remainder takes the place of goes on as that remainder.
+    """
     gone: set[int] = set()
-    for a, b in zip(into.tolist(), absorbed.tolist(), strict=True):
+    for a, b, rest in zip(merges.into.tolist(), merges.absorbed.tolist(), merges.rests.tolist(), strict=True):
         if a == b or a in gone or b in gone:
             raise BrokenTreeError("its tree counts a vertex twice")
-        gone.add(b)
+        if rest == 0:
+            gone.add(b)
+    if np.any((merges.rests != 0) & (np.abs(merges.rests) - 1 == merges.agent)):
+        raise BrokenTreeError("its tree keeps a remainder that is none")
     if len(np.unique(kept)) != len(kept) or gone & set(kept.tolist()):
         raise BrokenTreeError("its tree counts a vertex twice")
 
 
-def _unite(
-    masks: NDArray[np.bool_],
-    factors: FloatArray,
-    keys: NDArray,
-    into: NDArray,
-    absorbed: NDArray,
-    own: NDArray,
-) -> FloatArray:
-    """One agent's factors (N, S) of the vertices before smoothing: masked, and united as the tree says."""
+def _unite(masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, merges: Merges, i: int) -> FloatArray:
+    """Factors (N, S) of agent i of the vertices before smoothing: masked, and united as the tree says.
+
+    ``a x b + a' x b' >= (a + a') x m + a x (b - m)`` with m the minimum of b and b': the last product, or that of the
+    other vertex, may stay as a remainder. Where products have more factors, m stands in all but one of them.
+    """
     vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
-    for a, b, is_sum in zip(into.tolist(), absorbed.tolist(), own.tolist(), strict=True):
-        vertex[a] = vertex[a] + vertex[b] if is_sum else np.minimum(vertex[a], vertex[b])
+    columns = (merges.into, merges.absorbed, merges.agent, merges.rests)
+    for a, b, agent, rest in zip(*(column.tolist() for column in columns), strict=True):
+        first, second = vertex[a].copy(), vertex[b].copy()
+        kept = first if rest > 0 else second
+        least = np.minimum(first, second)
+        vertex[a] = first + second if agent == i else least
+        if rest:
+            vertex[b] = kept if agent == i else (kept - least if abs(rest) - 1 == i else least)
     return vertex
 
 

@@ -19,6 +19,7 @@ from .agent_models import SNAPPED_POINTS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table
+from .linear_kernel import LinearKernel
 
 __all__ = [
     "Abstraction",
@@ -30,6 +31,7 @@ __all__ = [
     "JointModel",
     "Kernel",
     "LATTICE_BLOCK",
+    "LinearKernel",
     "Policies",
     "REACH_DEVIATIONS",
     "Relations",

@@ -26,20 +26,55 @@ from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_pla
 from ..relations import LinearRelation
 from .choices import InputMenu, StepPolicy, TargetWindows, target_windows
 
-ON_LATTICE = 1e-7
+ON_LATTICE = 1e-11
 """Share of a lattice step within which a point counts as one of the lattice; bends allow for it."""
 
 NUMBERS_AT_ONCE = 4_000_000
 """Numbers of factors at points that are formed at once: 32 MB."""
 
-FINALISTS = 3
+ROUGH_PARTS = 2
+"""Parts of each side of an image at which it is read to choose a policy."""
+
+FINALISTS = 2
 """Inputs of a menu whose loss is computed before one is chosen."""
 
 LEAST_SHARE = 1e-12
 """Share of the largest weight below which a cell is not worth a decision: it keeps what it has."""
 
+DRAW = 1.0 - 1e-6
+"""Share of the mean of another lower bound from which the earlier form is taken."""
+
 PREFERENCE = 1e-9
 """Relative improvement below which the incumbent stays."""
+
+
+@dataclass(frozen=True, eq=False)
+class SubLattice:
+    """Points inside a cell at whose images values are read.
+
+    Parameters
+    ----------
+    points : (K, d) array
+        From -1 to 1 along each axis, in C order.
+    corners : (2^d,) int array
+        Which of them are the corners of the cell.
+    interpolation : (2^d, K) array
+        Weights of the corners at the points.
+    """
+
+    points: FloatArray
+    corners: NDArray[np.int64]
+    interpolation: FloatArray
+
+    @classmethod
+    def of(cls, d: int, parts: int) -> SubLattice:
+        """Return the points that cut each side of a cell into equal parts."""
+        points = np.array(list(product(np.linspace(-1.0, 1.0, parts + 1), repeat=d)))
+        sides = corner_sides(d)
+        corners = np.ravel_multi_index(tuple((sides * parts).T), (parts + 1,) * d)
+        share = 0.5 * (points + 1.0)
+        weights = np.prod(np.where(sides[:, None, :], share[None], 1.0 - share[None]), axis=2)
+        return cls(points, corners, weights)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,8 +90,6 @@ class AffineChoices:
     lattice : tuple of (Z_k,) arrays
         Evenly spaced lattice axes.
     relation : LinearRelation
-    parts : int
-        Parts that each side of a cell is cut into to see how its image bends.
     per_cell : int
         Lattice points per cell and axis.
     windows : tuple of TargetWindows
@@ -66,7 +99,6 @@ class AffineChoices:
     grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: LinearRelation
-    parts: int
     per_cell: int
     windows: tuple[TargetWindows, ...] = ()
     memory: dict[str, object] = field(default_factory=dict, repr=False)
@@ -103,23 +135,10 @@ class AffineChoices:
         )
 
     @cached_property
-    def _sub_points(self) -> FloatArray:
-        """Points (K, d) of the sub-lattice of a cell, from -1 to 1 along each axis, in C order."""
-        axis = np.linspace(-1.0, 1.0, self.parts + 1)
-        return np.array(list(product(axis, repeat=len(self.lattice))))
-
-    @cached_property
-    def _corners(self) -> NDArray[np.int64]:
-        """Which points of the sub-lattice are the corners of the cell (2^d,)."""
-        sides = corner_sides(len(self.lattice)) * self.parts
-        return np.ravel_multi_index(tuple(sides.T), (self.parts + 1,) * len(self.lattice))
-
-    @cached_property
-    def _interpolation(self) -> FloatArray:
-        """Weights (2^d, K) of the corners at the points of the sub-lattice."""
-        share = 0.5 * (self._sub_points + 1.0)
-        sides = corner_sides(len(self.lattice))
-        return np.prod(np.where(sides[:, None, :], share[None], 1.0 - share[None]), axis=2)
+    def _sub_lattices(self) -> tuple[SubLattice, SubLattice]:
+        """Where images are read: for lower bounds, and to choose by."""
+        d, parts = len(self.lattice), self.relation.parts
+        return SubLattice.of(d, parts), SubLattice.of(d, min(parts, ROUGH_PARTS))
 
     def centres(self, cells: NDArray[np.int64], policy: StepPolicy) -> FloatArray:
         """Return the means (C, d) of the centres of cells under choices (C,)."""
@@ -149,20 +168,24 @@ class AffineChoices:
         number = policy // self.n_points if self.windows else np.zeros(len(policy), dtype=np.int64)
         return self.relation.gains[number]
 
-    def read(self, table: FloatArray, policy: StepPolicy) -> FloatArray:
-        """Return lower bounds (n, 2^d S) at all places under a policy, from values and bends (n, 2 Z)."""
+    def read(self, table: FloatArray, policy: StepPolicy, rough: bool = False) -> FloatArray:
+        """Return lower bounds (n, 2^d S) at all places under a policy, from values and bends (n, 2 Z).
+
+        Images are read at few points if ``rough``: about right, and no bounds.
+        """
         cells = np.flatnonzero(policy >= 0)
         values = np.zeros((len(table), self.grid.n_cells, 2 ** len(self.lattice)))
-        values[:, cells] = self.at(table, cells, policy[cells])
+        values[:, cells] = self.at(table, cells, policy[cells], rough)
         return to_places(values, self.grid.shape)
 
-    def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
-        """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,)."""
+    def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
+        """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""
+        sub_lattice = self._sub_lattices[rough]
         values = np.empty((len(table), len(cells), 2 ** len(self.lattice)))
         fixed = self._is_fixed(choices)
         values[:, fixed] = table[:, choices[fixed] % self.n_points][..., None]
-        for rows in self._chunks(np.flatnonzero(~fixed), len(table) * len(self._sub_points)):
-            values[:, rows] = self._of_images(table, cells[rows], choices[rows])
+        for rows in self._chunks(np.flatnonzero(~fixed), len(table) * len(sub_lattice.points)):
+            values[:, rows] = self._of_images(table, cells[rows], choices[rows], sub_lattice)
         return values
 
     def _is_fixed(self, choices: NDArray) -> NDArray[np.bool_]:
@@ -174,14 +197,16 @@ class AffineChoices:
         if len(rows):
             yield from np.array_split(rows, len(rows) * numbers // NUMBERS_AT_ONCE + 1)
 
-    def _of_images(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
+    def _of_images(
+        self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, sub_lattice: SubLattice
+    ) -> FloatArray:
         """Return the same for choices whose means move with the state."""
         gains = self._gains_of(choices)
-        offsets = np.einsum("sij,sj,kj->ski", gains, self.grid.half_widths[cells], self._sub_points)
+        offsets = np.einsum("sij,sj,kj->ski", gains, self.grid.half_widths[cells], sub_lattice.points)
         positions = (self.centres(cells, choices)[:, None] + offsets - self.origin) / self.pitch
         values, bend, inside = self._interpolated(table, positions)
-        corners = values[:, :, self._corners]
-        lower = best_below(values, corners, bend, self._interpolation)
+        corners = values[:, :, sub_lattice.corners]
+        lower = best_below(values, corners, bend, sub_lattice.interpolation)
         # An image that leaves the lattice is not known there: the value of its cell is 0.
         return lower * inside[:, None]
 
@@ -241,8 +266,8 @@ class AffineChoices:
     def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
         """Return weighted values (C,) of choices with their losses; minus infinity where there is no choice."""
         score = np.full(len(cells), -np.inf)
-        for rows in self._chunks(np.flatnonzero(choices >= 0), len(table) * len(self._sub_points)):
-            values = self.at(table, cells[rows], choices[rows])
+        for rows in self._chunks(np.flatnonzero(choices >= 0), len(table) * len(self._sub_lattices[True].points)):
+            values = self.at(table, cells[rows], choices[rows], rough=True)
             score[rows] = np.einsum("nsc,nsc->s", weights[:, rows], values)
         return score
 
@@ -399,5 +424,6 @@ def best_below(values: FloatArray, corners: FloatArray, bend: FloatArray, interp
     mean = corners.mean(axis=2)
     by_shift = np.where(fits, mean - shift, -1.0)
     by_theta = theta * mean
-    best = np.where((by_theta >= constant)[..., None], theta[..., None] * corners, constant[..., None])
-    return np.where((by_shift >= np.maximum(by_theta, constant))[..., None], additive, best)
+    # Where the worst point is the centre, two forms have the same mean: rounding must not decide between them.
+    best = np.where((by_theta >= DRAW * constant)[..., None], theta[..., None] * corners, constant[..., None])
+    return np.where((by_shift >= DRAW * np.maximum(by_theta, constant))[..., None], additive, best)

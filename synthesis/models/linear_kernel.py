@@ -34,7 +34,8 @@ FOURTH, MIXED, SQUARED = 1.40031, 0.60241, 0.4684
 """Half the L1 norms of ``phi''''``, of ``phi''' phi'`` and of ``phi'' phi''``, rounded up."""
 
 ROUNDING_OF_BENDS = 1e-11
-"""Share of the largest value that is added to a bend: far above the rounding of sums and second derivatives."""
+"""Share of the largest value that is added to a bend: far above the rounding of sums and second derivatives. Points
+count as lattice points within as many lattice steps, too."""
 
 HAT_SLACK = 64.0
 """Units in the last place by which a density may be off near the mean, several times over."""
@@ -128,6 +129,8 @@ class LinearKernel(Kernel):
         Steps u_k between points that are read.
     lattice_steps : (L, d) array
         Steps of the lattice, where points are read between its points; else empty.
+    rounding : float
+        Share of the largest value that is added to bends.
     """
 
     slopes: tuple[AxisTable, ...] = ()
@@ -135,11 +138,17 @@ class LinearKernel(Kernel):
     deviations: FloatArray = field(default_factory=lambda: np.ones(1))
     steps: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
     lattice_steps: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
+    rounding: float = 3 * ROUNDING_OF_BENDS
 
     @property
     def n_points(self) -> int:
         """Number of lattice points Z."""
         return math.prod(self.lattice_shape)
+
+    def rough(self, factors: NDArray) -> NDArray:
+        """Return the same without second derivatives: about right, for choosing policies and for nothing else."""
+        values = super().smooth(factors)
+        return np.concatenate([values, np.zeros_like(values)], axis=1)
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return values and bends (n, 2 Z) at every lattice point of factors (n, 2^d S), nonnegative."""
@@ -154,14 +163,13 @@ class LinearKernel(Kernel):
                     along += weight * derivative
             bends += 0.125 * np.maximum(along, 0.0)
         largest = factors.max(axis=1, initial=0.0)
-        bends += (self.slack + ROUNDING_OF_BENDS) * largest[:, None]
+        bends += (self.slack + self.rounding) * largest[:, None]
         return np.concatenate([values, bends], axis=1)
 
     @cached_property
     def slack(self) -> float:
         """What bends may be larger between the points where they are read, for factors of at most 1."""
-        every = [*self.steps, *self.lattice_steps]
-        return float(sum(_fourth(u / self.deviations, e / self.deviations) / 64.0 for u in every for e in every))
+        return slack_of(self.steps, self.lattice_steps, self.deviations)
 
     @cached_property
     def _pairs(self) -> list[tuple[int, int]]:
@@ -179,6 +187,17 @@ class LinearKernel(Kernel):
         return Kernel(tuple(tables)).smooth(factors)
 
 
+def rounding_of_bends(pitch: FloatArray) -> float:
+    """Return what is added to bends for rounding; ``pitch`` (d,) are lattice steps in standard deviations."""
+    return ROUNDING_OF_BENDS * (2.0 + float(np.sum(pitch)))
+
+
+def slack_of(steps: FloatArray, lattice_steps: FloatArray, deviations: FloatArray) -> float:
+    """Return an upper bound on how much larger bends are between the points where they are read (largest value 1)."""
+    every = np.concatenate([steps, lattice_steps]) / deviations
+    return float(sum(_fourth(u, e) for u in every for e in every)) / 64.0
+
+
 def _fourth(u: FloatArray, e: FloatArray) -> float:
     """Return a bound on ``sup |d_e^2 d_u^2 g|`` for factors of at most 1, in standard deviations."""
     length = float(e @ e)
@@ -186,7 +205,8 @@ def _fourth(u: FloatArray, e: FloatArray) -> float:
         return 0.0
     # Split u into its part along e and the rest: the density is the same in every direction.
     along = abs(float(u @ e)) / math.sqrt(length)
-    across = math.sqrt(max(0.0, float(u @ u) - along**2))
+    # Rounded up: a difference that should be 0 has a root far above it.
+    across = math.sqrt(max(0.0, float(u @ u) - along**2) + 1e-14 * float(u @ u))
     return length * (FOURTH * along**2 + 2.0 * MIXED * along * across + SQUARED * across**2)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -11,7 +12,7 @@ from ..cells import FloatArray, Grid, in_grid_coordinates
 from ..relations import LinearRelation, linear_relation
 from .affine_choices import AffineChoices
 from .choices import target_windows
-from .linear_kernel import LinearKernel, hat_tables, uniform_axis
+from .linear_kernel import LinearKernel, hat_tables, rounding_of_bends, slack_of, uniform_axis
 
 POINTS_PER_CELL = 4
 """Lattice points per cell and axis: at four, rounding a target costs a hundredth of what cells cost."""
@@ -25,8 +26,11 @@ BEYOND_GRID = 3.0
 EVEN = 1e-9
 """Relative difference of widths up to which the cells of an axis count as equal."""
 
-PARTS_OF_IMAGES = 2
-"""Parts of each side of a cell at which images that lie between lattice points are read."""
+LEAST_SLACK = 2e-4
+"""Largest slack per step, for want of fourth derivatives, with which an image is read in few parts."""
+
+MOST_PARTS = 8
+"""Most parts that each side of an image is read in."""
 
 
 def linear_model(
@@ -39,17 +43,24 @@ def linear_model(
     per_cell = per_cell or POINTS_PER_CELL
     reaches_all = np.linalg.matrix_rank(agent.B) == agent.n_states
     relation = linear_relation(agent, coordinates, None if reaches_all else input_menu(agent))
+    # How finely images are read depends on the lattice, and that on the relation.
     deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
     lattice = _lattice(agent, relation, grid, deviations, per_cell)
     even = all(np.ptp(np.diff(edges)) <= EVEN * np.max(np.diff(edges)) for edges in grid.edges)
     on_lattice = bool(relation.steers) and even and per_cell % 2 == 0
-    parts = per_cell if on_lattice else PARTS_OF_IMAGES
     # Steps between the points of an image that are read: of a widest cell, along each side.
     widest = np.array([np.max(np.diff(edges)) for edges in grid.edges])
     gain = np.eye(len(widest)) if relation.steers else relation.A
-    steps = (gain * widest).T / parts
     pitch = np.array([axis[1] - axis[0] for axis in lattice])
     lattice_steps = np.zeros((0, len(pitch))) if on_lattice else np.diag(pitch)
+    # As few parts as will do; those of images on the lattice are whole lattice steps.
+    possible = [n for n in range(2, per_cell + 1) if per_cell % n == 0] if on_lattice else [2, 4, MOST_PARTS]
+    parts = possible[-1]
+    for parts in possible:
+        steps = (gain * widest).T / parts
+        if slack_of(steps, lattice_steps, deviations) <= LEAST_SLACK:
+            break
+    relation = replace(relation, parts=parts)
     masses, slopes, curvatures, loss = [], [], [], 0.0
     for axis, edges, deviation in zip(lattice, grid.edges, deviations, strict=True):
         (mass, slope, curvature), missing = hat_tables(axis, edges, float(deviation))
@@ -57,9 +68,12 @@ def linear_model(
         slopes.append(slope)
         curvatures.append(curvature)
         loss += missing
-    kernel = LinearKernel(tuple(masses), loss, tuple(slopes), tuple(curvatures), deviations, steps, lattice_steps)
+    rounding = rounding_of_bends(pitch / deviations)
+    kernel = LinearKernel(
+        tuple(masses), loss, tuple(slopes), tuple(curvatures), deviations, steps, lattice_steps, rounding
+    )
     windows = tuple(target_windows(steer, grid, lattice) for steer in relation.steers)
-    return relation, lattice, kernel, AffineChoices(grid, lattice, relation, parts, per_cell, windows)
+    return relation, lattice, kernel, AffineChoices(grid, lattice, relation, per_cell, windows)
 
 
 def input_menu(agent: LinearAgent) -> FloatArray:

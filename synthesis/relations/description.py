@@ -1,9 +1,9 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "linear", "menu"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``,
-``{"kind": "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback",
-"coupling", "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and
-nothing in them is trusted.
+``{"kind": "exact"}``, ``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs",
+"delta"}``, ``{"kind": "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon",
+"feedback", "coupling", "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from
+files, and nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Relation = ExactRelation | LinearRelation | CoupledRelation
 
 NUMBER_ENTRIES = {
     "exact": (),
-    "linear": (),
+    "linear": ("parts",),
     "paper": ("epsilon", "feedback", "inputs", "delta"),
     "tube": (),
     "ellipsoid": ("epsilon", "delta"),
@@ -44,12 +44,16 @@ ARRAY_ENTRIES = {
 """Entries that are arrays, by kind."""
 
 
+MOST_PARTS = 16
+"""Most parts of each side of an image: what a file may ask a check to compute."""
+
+
 def describe_relation(relation: Relation) -> dict[str, Any]:
     """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
     if isinstance(relation, ExactRelation):
         return {"kind": "exact"}
     if isinstance(relation, LinearRelation):
-        return {"kind": "linear", "menu": relation.menu.tolist()}
+        return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
     if relation.kind == "paper":
         return {
             "kind": "paper",
@@ -76,7 +80,7 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
         return exact_relation(agent, coordinates)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
-        return linear_relation(agent, coordinates, menu if len(menu) else None)
+        return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
     if kind == "paper":
         if not np.array_equal(coordinates, np.eye(len(coordinates))):
             raise ValueError("the `paper` relation is for grids in state coordinates")
@@ -103,6 +107,8 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
+    if description["kind"] == "linear" and description["parts"] not in range(1, MOST_PARTS + 1):
+        raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}

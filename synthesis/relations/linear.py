@@ -41,6 +41,8 @@ class LinearRelation:
         Interfaces of the gains 0 and 1; empty for agents whose inputs do not reach every mean.
     menu : (A, m) array
         Inputs of such agents; empty for all others.
+    parts : int
+        Parts of each side of a cell at whose ends the value on its image is read, to see how it bends.
     """
 
     A: FloatArray
@@ -49,6 +51,7 @@ class LinearRelation:
     coordinates: FloatArray
     steers: tuple[ExactRelation, ...]
     menu: FloatArray
+    parts: int = 2
 
     kind = "linear"
     delta = 0.0
@@ -80,7 +83,7 @@ class LinearRelation:
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
         of_steers = [array for steer in self.steers for array in (*steer.arrays, np.array([steer.gain]))]
-        return (self.A, self.B, self.offset, self.coordinates, self.menu, *of_steers)
+        return (self.A, self.B, self.offset, self.coordinates, self.menu, np.array([self.parts]), *of_steers)
 
     def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
@@ -93,7 +96,9 @@ class LinearRelation:
         return moved + missed_cells(sizes, sizes.read, edges)
 
 
-def linear_relation(agent: LinearAgent, coordinates: FloatArray, menu: FloatArray | None = None) -> LinearRelation:
+def linear_relation(
+    agent: LinearAgent, coordinates: FloatArray, menu: FloatArray | None = None, parts: int = 2
+) -> LinearRelation:
     """Return the linear relation of an agent in the given grid coordinates.
 
     Parameters
@@ -102,6 +107,8 @@ def linear_relation(agent: LinearAgent, coordinates: FloatArray, menu: FloatArra
     coordinates : (d, d) array
     menu : (A, m) array, optional
         Inputs to choose from; by default targets are chosen, which needs ``B`` of full row rank.
+    parts : int
+        See ``LinearRelation``.
 
     Raises
     ------
@@ -117,4 +124,4 @@ def linear_relation(agent: LinearAgent, coordinates: FloatArray, menu: FloatArra
         box = agent.input_box
         if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
             raise RelationRefused(f"agent `{agent.name}`: the linear relation needs inputs inside their box")
-    return LinearRelation(moves.A, moves.B, moves.offset, coordinates, steers, menu)
+    return LinearRelation(moves.A, moves.B, moves.offset, coordinates, steers, menu, parts)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from ..cells import FloatArray, alike_text
 from ..models import JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
+from .ladder import Arrivals
 from .occupancy import push
 from .tree import Candidates, Loss, assemble, candidates, read, terminal_terms
 
@@ -149,10 +151,11 @@ def sweep(
     improve: bool,
     loss: Loss | None = None,
     watch: Callable[[Stage], None] | None = None,
+    climb: bool = True,
 ) -> Sweep:
     """Make one pass: alive mass forward under ``policies``, value backward; every agent answers if ``improve``.
 
-    The value is a lower bound up to rounding.
+    The value is a lower bound up to rounding; of linear agents only if they do not answer, and about right if they do.
 
     Parameters
     ----------
@@ -168,6 +171,8 @@ def sweep(
         What lost relations take from smoothed factors, see ``candidates``.
     watch : callable, optional
         Shown every (time, automaton state) once its policies are set.
+    climb : bool
+        Whether terms of linear agents are united from below (``ladders``).
     """
     occupancies = [_nowhere(joint)] * joint.horizon if start is None else _forward(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies)
@@ -177,7 +182,8 @@ def sweep(
     for t in reversed(range(joint.horizon)):
         # Taken off the list to free memory: early times have many terms, late ones much mass.
         occupancy = occupancies.pop()
-        options = candidates(joint.guards, joint.masks, joint.models, terms, loss)
+        arrivals = _arrivals(joint, occupancy, policies, t) if climb else None
+        options = candidates(joint.guards, joint.masks, joint.models, terms, loss, arrivals, rough=improve)
         parts, kept = [], []
         for q in range(joint.n_states):
             # Where nothing is left to decide the value is 1 or 0.
@@ -186,7 +192,7 @@ def sweep(
                 parts.append((ones, rows))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
-            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies])
+            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies], improve)
             # Answers at time t leave the occupancies up to t as they are: they depend on earlier policies only.
             if improve and len(stage.rows):
                 stage.improve()
@@ -209,6 +215,26 @@ def sweep(
     return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
 
+def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: int) -> Arrivals | None:
+    """Return what weighs ladders at time t: where the mass of each agent arrives; None if no agent is linear."""
+    if not any(model.is_linear for model in joint.models):
+        return None
+
+    def arriving(q: int) -> list[NDArray[Any]]:
+        rows, factors = occupancy.terms.index[q], [to_host(factor) for factor in occupancy.terms.factors]
+        if not len(rows):
+            return [np.full(n, 1.0 / n) for n in joint.n_cells]
+        totals = np.stack([factor.sum(axis=1)[rows[:, i]] for i, factor in enumerate(factors)])
+        masses = []
+        for i, model in enumerate(joint.models):
+            others = np.prod(np.delete(totals, i, axis=0), axis=0)
+            marginal = np.bincount(rows[:, i], weights=others, minlength=len(factors[i])) @ factors[i]
+            masses.append(model.kernel.push(marginal[None], model.choices.points(policies[i][t, q]))[0])
+        return masses
+
+    return arriving
+
+
 def _nowhere(joint: JointModel) -> Occupancy:
     """Return an occupancy without any mass."""
     rows = np.zeros((0, len(joint.models)), dtype=np.int64)
@@ -219,8 +245,15 @@ class Stage:
     """One (time, automaton state): candidate terms, the mass that reaches them, and each agent's policy."""
 
     def __init__(
-        self, joint: JointModel, options: Candidates, occupancy: Occupancy, q: int, policies: Sequence[StepPolicy]
+        self,
+        joint: JointModel,
+        options: Candidates,
+        occupancy: Occupancy,
+        q: int,
+        policies: Sequence[StepPolicy],
+        rough: bool = False,
     ) -> None:
+        self.rough = rough
         self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
@@ -228,7 +261,7 @@ class Stage:
         for i, policy in enumerate(self.policies):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
-            self.values.append(read(self.models[i].choices, table, policy))
+            self.values.append(read(self.models[i].choices, table, policy, rough))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
         if self.is_met:
@@ -273,7 +306,7 @@ class Stage:
                         weights[unmet] = beside(usual, weights)
                 self.policies[i] = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
             # The next agents answer to what this one does now.
-            self.values[i] = read(model.choices, self.smoothed[i], self.policies[i])
+            self.values[i] = read(model.choices, self.smoothed[i], self.policies[i], self.rough)
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,6 +29,12 @@ from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
 """What the last pass over a tree, with frozen policies, may leave out."""
+
+LINEAR_LIMITS = Limits(contribution=1e-5, elsewhere=1e-2, mass=1e-6, rank=40)
+"""What sweeps of linear agents leave out at least: every term costs them its bends, and many terms much time."""
+
+LINEAR_FINAL = Limits(contribution=1e-7, elsewhere=1e-3, mass=1e-8, rank=120)
+"""What their evaluation leaves out."""
 
 MANY_TERMS = 64
 """Terms of a naive value tree from which tensor trains are used instead, unless the caller decides."""
@@ -47,6 +53,9 @@ SAME_VALUE_SHARE = 1e-5
 
 LEAST_PROGRESS = 1e-7
 """Relative improvement below which a sweep over trees was the last from its start."""
+
+LINEAR_PROGRESS = 3e-4
+"""The same for linear agents, whose sweeps are long and about right only."""
 
 LEAST_ROOM = 1e-9
 """Relative distance from the upper bound below which nothing is left to gain on these cells."""
@@ -162,7 +171,7 @@ class Found:
     values: list[float]
     starts: dict[str, float]
     relaxations: tuple[Relaxation, ...]
-    unilateral_gain: float
+    unilateral_gain: float | None
 
     def __repr__(self) -> str:
         first_rows = [("starts", len(self.starts)), ("sweeps", len(self.values))]
@@ -170,7 +179,7 @@ class Found:
         rows = [
             *first_rows,
             ("best start", best),
-            ("alone", f"an agent gains about {self.unilateral_gain:.2g} at most"),
+            ("alone", f"an agent gains about {self.unilateral_gain or 0.0:.2g} at most"),
         ]
         form = "tensor trains" if isinstance(self.best, TrainSweep) else "a tree"
         return tree_text(f"Found: value {self.best.value:.6g} on {form}, not rounded down", rows)
@@ -195,6 +204,13 @@ def find_policies(
     relaxations : tuple of Relaxation, optional
         Relaxations of all agents, if they were solved before.
     """
+    # Lower bounds that are no linear maps of their factors hold for nonnegative factors alone: no tensor trains.
+    linear = any(model.is_linear for model in joint.models)
+    may_use_trains = search.value == "auto" and not linear
+    if linear:
+        if search.value == "train":
+            raise ValueError("`value`: expected 'auto' or 'tree' with the relation `linear`, got 'train'")
+        search = replace(search, limits=_coarser(search.limits, LINEAR_LIMITS))
     start = start_of(problem, joint)
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
@@ -203,8 +219,6 @@ def find_policies(
     first_limits, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
         first_limits = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, many_terms)})
-    # Lower bounds that are no linear maps of their factors hold for nonnegative factors alone: no tensor trains.
-    may_use_trains = search.value == "auto" and not any(model.is_linear for model in joint.models)
     naive, uses_trains = None, search.value == "train"
     if not given:
         naive = sweep(joint, resting_policies(joint), None, first_limits, improve=True)
@@ -219,6 +233,10 @@ def find_policies(
         best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
+    if linear:
+        # Whether unions from below gain more than their minima lose is seen by trying.
+        tried = [sweep(joint, policies, start, LINEAR_FINAL, improve=False, climb=climb) for climb in (True, False)]
+        return Found(max(tried, key=lambda s: s.value), trees.values, trees.starts, relaxations, None)
     frozen, gain = _frozen(joint, policies, start)
     # Go on with the full tree while one agent alone could still gain.
     for _ in range(POLISHING if search.max_sweeps else 0):
@@ -232,6 +250,12 @@ def find_policies(
             break
         frozen, gain = polished, polished_gain
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
+
+
+def _coarser(first: Limits, second: Limits) -> Limits:
+    """Return limits that leave out as much as either of two."""
+    larger = {name: max(getattr(first, name), getattr(second, name)) for name in ("contribution", "elsewhere", "mass")}
+    return Limits(**larger, rank=min(first.rank, second.rank))
 
 
 def most_terms(joint: JointModel) -> int:
@@ -255,6 +279,7 @@ class _TreeAscent:
 
     def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
         self.joint, self.start, self.how, self.most = joint, start, search, most
+        self.progress = LINEAR_PROGRESS if any(model.is_linear for model in joint.models) else LEAST_PROGRESS
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
         self.best: Sweep | None = None
@@ -309,7 +334,7 @@ class _TreeAscent:
             self.starts[name] = max(outcome.value, self.starts.get(name, 0.0))
             self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
             self.how.tell(name, self.best.value)
-            if outcome.value <= last * (1 + LEAST_PROGRESS) or outcome.value >= self.most * (1 - LEAST_ROOM):
+            if outcome.value <= last * (1 + self.progress) or outcome.value >= self.most * (1 - LEAST_ROOM):
                 break
             last, policies = outcome.value, outcome.policies
         # Without a sweep the policies are only evaluated.

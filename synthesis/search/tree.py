@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AffineChoices, AgentModel, Choices, StepPolicy
+from ..models import AffineChoices, AgentModel, Choices, LinearKernel, StepPolicy
 from ..values import (
     Guards,
     IndexArray,
@@ -38,6 +38,7 @@ from ..values import (
     take,
     to_host,
 )
+from .ladder import Arrivals, ladders
 
 SMOOTHED_AT_ONCE = 256
 """Factors of several agents that are smoothed in one product: enough for a fast one, few enough for memory."""
@@ -80,13 +81,21 @@ def terminal_terms(accepting: NDArray[np.bool_], n_cells: Sequence[int], dtype: 
 
 
 def candidates(
-    guards: Guards, masks: Sequence[NDArray], models: Sequence[AgentModel], value: Terms, loss: Loss | None = None
+    guards: Guards,
+    masks: Sequence[NDArray],
+    models: Sequence[AgentModel],
+    value: Terms,
+    loss: Loss | None = None,
+    arrivals: Arrivals | None = None,
+    rough: bool = False,
 ) -> Candidates:
     """Return all products of a guard with a term of its target state, masked, united where possible, and smoothed.
 
     Nothing is lost, but for the kernel's lower bounds and what ``loss`` takes off: it turns a smoothed factor into a
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
-    agent's model, the masked factors (n, S) and the smoothed ones (n, Z).
+    agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
+    below (``ladders``). With ``rough`` the bends of linear agents are left out: what comes out is no lower bound, but
+    right enough for choosing policies.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -111,9 +120,12 @@ def candidates(
     # Unite before smoothing: sums of factors are smoothed as one.
     guard, child, rows = guard[alive], child[alive], rows[alive]
     remaining, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
+    if arrivals is not None and n_agents > 1:
+        factors = [to_host(factor) for factor in factors]
+        merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals))
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
-    smoothed = _smooth(models, factors)
+    smoothed = _smooth(models, factors, rough)
     if loss is not None:
         smoothed = tuple(
             beside(loss(m, to_host(before), to_host(after)), after)
@@ -148,17 +160,19 @@ def _per_state(smoothed: tuple[NDArray, ...], n_states: int, source: IndexArray,
         row.append(position[terms])
         merged = source[rows.merges.into] == q
         into, absorbed = rows.merges.into[merged], rows.merges.absorbed[merged]
-        united.append(Merges(position[into], position[absorbed], rows.merges.agent[merged]))
+        rest = None if rows.merges.rest is None else rows.merges.rest[merged]
+        united.append(Merges(position[into], position[absorbed], rows.merges.agent[merged], rest))
     return Candidates(smoothed, tuple(index), tuple(origin), tuple(united), tuple(row))
 
 
-def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
+def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray], rough: bool) -> tuple[NDArray, ...]:
     """Smooth the factors of all agents, those of agents with one kernel in common products."""
     smoothed: list[NDArray | None] = [None] * len(models)
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for batch in _batches(users, factors):
-            stacked = kernel.smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
+            smooth = kernel.rough if rough and isinstance(kernel, LinearKernel) else kernel.smooth
+            stacked = smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
             first = 0
             for i in batch:
                 smoothed[i] = stacked[first : first + len(factors[i])]
@@ -187,10 +201,13 @@ def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
     return values
 
 
-def read(choices: Choices, smoothed: NDArray, policy: StepPolicy) -> NDArray:
-    """Return the value factors (n, S) of an agent under a policy, from its smoothed factors; lower bounds."""
+def read(choices: Choices, smoothed: NDArray, policy: StepPolicy, rough: bool = False) -> NDArray:
+    """Return the value factors (n, S) of an agent under a policy, from its smoothed factors.
+
+    They are lower bounds, unless factors of linear agents are read in few points only (``rough``).
+    """
     if isinstance(choices, AffineChoices):
-        return beside(choices.read(to_host(smoothed), policy), smoothed)
+        return beside(choices.read(to_host(smoothed), policy, rough), smoothed)
     return gather(smoothed, choices.points(policy))
 
 

@@ -73,11 +73,30 @@ class Terms:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Merges:
-    """Which rows were united: row ``absorbed[k]`` was added to row ``into[k]`` in the factor of ``agent[k]``."""
+    """Which rows were united: row ``absorbed[k]`` was added to row ``into[k]`` in the factor of ``agent[k]``.
+
+    The other factors of ``into`` become the minima of both. Row ``absorbed[k]`` is gone if ``rest[k]`` is 0; else the
+    remainder of a union from below takes its place, that of ``into`` where ``rest[k] = j + 1``, its own where
+    ``rest[k] = -(j + 1)``: its factor of agent j less the minimum, the minima of further agents, and its factor of
+    ``agent[k]`` as it was.
+    """
 
     into: IndexArray
     absorbed: IndexArray
     agent: IndexArray
+    rest: IndexArray | None = None
+
+    @property
+    def rests(self) -> IndexArray:
+        """``rest``, zeros if no row leaves a remainder."""
+        return np.zeros(len(self.into), dtype=np.int64) if self.rest is None else self.rest
+
+    def followed_by(self, later: Merges) -> Merges:
+        """Return these unions and then later ones."""
+        if not len(later.into):
+            return self
+        names = ("into", "absorbed", "agent", "rests")
+        return Merges(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in names))
 
     def __repr__(self) -> str:
         return f"Merges(rows united: {len(self.into)})"
@@ -243,8 +262,11 @@ def candidate_depths(
     for target in np.unique(targets):
         here = targets == target
         row_depths[here] = depths[target][origin[here, 1]] + 1
-    for into, absorbed in zip(merges.into.tolist(), merges.absorbed.tolist(), strict=True):
-        row_depths[into] = max(row_depths[into], row_depths[absorbed])
+    for into, absorbed, rest in zip(*(a.tolist() for a in (merges.into, merges.absorbed, merges.rests)), strict=True):
+        deepest = max(row_depths[into], row_depths[absorbed])
+        row_depths[into] = deepest
+        if rest:
+            row_depths[absorbed] = deepest
     return row_depths
 
 

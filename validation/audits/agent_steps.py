@@ -115,8 +115,13 @@ def _factors_met(
         met = agent.masks[certificate.guard_mask[guard, i]][:, s] * following.factors[i][below[:, i]][:, s]
         met = met * ~outside[:, i]
         # Repeat how the tree united vertices: sums in the agent in which they differ, minima in all others.
-        for a, b, is_sum in zip(merges.into.tolist(), merges.absorbed.tolist(), (merges.agent == i).tolist()):
-            met[a] = met[a] + met[b] if is_sum else np.minimum(met[a], met[b])
+        columns = (merges.into, merges.absorbed, merges.agent, merges.rests)
+        for a, b, summed, rest in zip(*(column.tolist() for column in columns)):
+            first, second = met[a].copy(), met[b].copy()
+            least, kept = np.minimum(first, second), first if rest > 0 else second
+            met[a] = first + second if summed == i else least
+            if rest:
+                met[b] = kept if summed == i else (kept - least if abs(rest) - 1 == i else least)
         result.append(met[kept_rows])
     return result
 

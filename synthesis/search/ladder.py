@@ -1,0 +1,148 @@
+"""Ladders: terms united from below before they are smoothed, so that fewer edges are smoothed at all.
+
+Under the relation ``linear`` every term pays for how its factors bend, and a value that guards cut in two bends at
+the cut, on both sides. Two terms may be united from below in the factor of one agent i,
+
+    a x b + a' x b'  >=  (a + a') x m  +  remainder,        m = min(b, b'),
+
+where the remainder ``a x (b - m)`` or ``a' x (b' - m)`` takes the place of the second term. A ladder starts with the
+heaviest term and climbs down the others by weight, as long as the weight of the union grows; then the next ladder
+starts. With terms of more than two agents, m is the minimum in every other factor, and the remainder differs in one of
+them (docs/theory/linear.md, "Uniting from below"). Whatever is united, the sum is a lower bound; weights, from the mass
+that arrives, only say what pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..values import IndexArray, Merges
+
+NEGLIGIBLE = 1e-5
+"""Share of the weight of all terms below which a term neither starts a ladder nor joins one."""
+
+MOST_LADDERS = 12
+"""Ladders per automaton state and time: the first few hold nearly all of the weight."""
+
+REST = 1.0 - 1e-9
+"""Share of a factor of which a minimum is taken off: what is left has few digits, and must not be too large."""
+
+MOST_STEPS = 48
+"""Terms that a ladder looks at: the heaviest ones."""
+
+Arrivals = Callable[[int], Sequence[NDArray]]
+"""Mass (S_i,) of every agent that arrives from an automaton state, a heuristic weight."""
+
+
+def ladders(
+    factors: list[NDArray], rows: IndexArray, remaining: IndexArray, source: IndexArray, arrivals: Arrivals
+) -> Merges:
+    """Unite terms from below, state by state; ``factors`` and ``rows`` are changed in place.
+
+    Parameters
+    ----------
+    factors : list of (n_i, S_i) arrays
+        Extended by what is united.
+    rows : (N, I) array
+        Factor indices of the terms.
+    remaining : (L,) array
+        Rows that stand for terms; all of them still do afterwards.
+    source : (N,) array
+        Automaton state of each row.
+    arrivals : callable
+    """
+    history: list[tuple[int, int, int, int]] = []
+    for q in np.unique(source[remaining]):
+        here = remaining[source[remaining] == q]
+        if len(here) > 1:
+            _climb(factors, rows, here, arrivals(int(q)), history)
+    if not history:
+        return Merges.none()
+    columns = np.array(history, dtype=np.int64).T
+    return Merges(columns[0], columns[1], columns[2], columns[3])
+
+
+def _climb(
+    factors: list[NDArray],
+    rows: IndexArray,
+    here: IndexArray,
+    masses: Sequence[NDArray],
+    history: list[tuple[int, int, int, int]],
+) -> None:
+    """Unite the terms ``here`` of one automaton state; what is done is added to the history."""
+    n_agents = rows.shape[1]
+    terms = [factor[rows[here, i]] for i, factor in enumerate(factors)]
+    shares = np.stack([term @ mass for term, mass in zip(terms, masses, strict=True)])
+    changed = np.zeros((len(here), n_agents), dtype=bool)
+    done = np.zeros(len(here), dtype=bool)
+    for _ in range(MOST_LADDERS):
+        weights = shares.prod(axis=0)
+        heavy = weights > NEGLIGIBLE * weights.sum()
+        order = [int(k) for k in np.argsort(-weights, kind="stable") if heavy[k] and not done[k]][:MOST_STEPS]
+        if len(order) < 2:
+            break
+        head, others = order[0], order[1:]
+        done[head] = True
+        # Try the sum in the factor of each agent and take the ladder that gathers most.
+        tried = [_joined(terms, masses, i, head, others) for i in range(n_agents)]
+        best = max(range(n_agents), key=lambda i: tried[i][0])
+        for k in tried[best][1]:
+            rest = _unite(terms, masses, best, head, k)
+            history.append((int(here[head]), int(here[k]), best, rest))
+            for row in (head, k):
+                changed[row] = True
+                shares[:, row] = [term[row] @ mass for term, mass in zip(terms, masses, strict=True)]
+    for i in range(n_agents):
+        moved = np.flatnonzero(changed[:, i])
+        rows[here[moved], i] = len(factors[i]) + np.arange(len(moved))
+        factors[i] = np.concatenate([factors[i], terms[i][moved]])
+
+
+def _joined(
+    terms: Sequence[NDArray], masses: Sequence[NDArray], i: int, head: int, others: Sequence[int]
+) -> tuple[float, list[int]]:
+    """Return the weight of the ladder that sums in the factor of agent i, and the terms that join it."""
+    union = [term[head].copy() for term in terms]
+    weight, members = float(np.prod([u @ mass for u, mass in zip(union, masses, strict=True)])), []
+    for k in others:
+        larger = [u + term[k] if j == i else np.minimum(u, term[k]) for j, (u, term) in enumerate(zip(union, terms))]
+        heavier = float(np.prod([u @ mass for u, mass in zip(larger, masses, strict=True)]))
+        if heavier > weight:
+            union, weight, members = larger, heavier, [*members, k]
+    return weight, members
+
+
+def _unite(terms: Sequence[NDArray], masses: Sequence[NDArray], i: int, head: int, k: int) -> int:
+    """Unite term k into the head in the factor of agent i and put the heavier remainder in its place.
+
+    Returns ``j + 1`` if it is that of the head, ``-(j + 1)`` if it is that of term k, with j the other agent in whose
+    factor it differs; 0 if there is only one agent.
+    """
+    others = [j for j in range(len(terms)) if j != i]
+    least = {j: np.minimum(terms[j][head], terms[j][k]) for j in others}
+    rest, most = 0, -1.0
+    for j in others:
+        for sign, row in ((1, head), (-1, k)):
+            weight = float(terms[i][row] @ masses[i]) * float((terms[j][row] - least[j]) @ masses[j])
+            weight *= float(np.prod([least[n] @ masses[n] for n in others if n != j]))
+            if weight > most:
+                rest, most = sign * (j + 1), weight
+    apply_rest(terms, i, head, k, rest)
+    return rest
+
+
+def apply_rest(terms: Sequence[NDArray], i: int, head: int, k: int, rest: int) -> None:
+    """Unite row k into row ``head`` in the factor of agent i, and put the remainder ``rest`` in row k (in place)."""
+    for j, term in enumerate(terms):
+        first, second = term[head].copy(), term[k].copy()
+        if j == i:
+            term[head] = first + second
+            term[k] = first if rest > 0 else second
+        else:
+            least = np.minimum(first, second)
+            term[head] = least
+            kept = first if rest > 0 else second
+            term[k] = np.maximum(kept * REST - least, 0.0) if j == abs(rest) - 1 else least
