@@ -21,6 +21,9 @@ from .dense import dense_optimum
 MOST_MULTIPLICATIONS = 5e8
 """Multiplications that dense programming may take."""
 
+MOST_NUMBERS = 2e7
+"""Most numbers of an array of dense programming, 160 MB: joint lattice points count as well as joint cells."""
+
 CLOSE_ENOUGH = 1e-6
 """Relative distance of a bound from above at which a tighter one is not worth its time."""
 
@@ -51,9 +54,14 @@ def _is_small(joint: JointModel) -> bool:
     for model in joint.models:
         if isinstance(model.choices, TargetWindows) and not model.choices.relation.is_box:
             return False
-    entries = joint.n_states * math.prod(float(n) for n in joint.n_cells)
+    points = [math.prod(model.kernel.lattice_shape) for model in joint.models]
+    # Expectations are held at all joint lattice points, and turned into maxima over cells one agent after the other.
+    numbers = math.prod(float(max(n, z)) for n, z in zip(joint.n_cells, points, strict=True))
+    tables = sum(n * z for n, z in zip(joint.n_cells, points, strict=True))
+    entries = joint.n_states * max(math.prod(float(n) for n in joint.n_cells), numbers)
     axes = sum(n + _choices(model.choices) for n, model in zip(joint.n_cells, joint.models, strict=True))
-    return joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
+    fits = max(numbers, entries / joint.n_states, float(tables)) <= MOST_NUMBERS
+    return fits and joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
 
 
 def _choices(choices: TargetWindows | InputMenu) -> int:

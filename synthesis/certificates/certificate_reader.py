@@ -189,9 +189,9 @@ def _check_claim(claim: dict[str, Any]) -> None:
     bounds = claim["bounds"]
     if any(isinstance(value, bool) for value in (lower, gap)):
         raise ValueError("its bound is not a number")
-    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
+    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) and abs(v) <= 1e9 for v in bounds.values()):
         raise ValueError("its bounds are not numbers")
-    is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool)
+    is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool) and 0 <= claim["rank"] < 2**53
     if not texts or not isinstance(claim["exact"], bool) or not is_rank:
         raise ValueError("its header holds values of the wrong type")
     is_probability = isinstance(lower, float | int) and 0 <= lower <= 1

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,9 @@ NUMBER_ENTRIES = {
     "ellipsoid": ("epsilon", "delta"),
 }
 """Entries that are numbers, by kind."""
+
+LARGEST = 1e60
+"""Largest number of a description: products of a few such numbers are still numbers."""
 
 ARRAY_ENTRIES = {
     "exact": (),
@@ -92,7 +94,7 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
         raise ValueError("it has a relation of an unknown kind")
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
-    if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
+    if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
@@ -100,5 +102,5 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
-        if array.shape != expected or not array.size or not np.all(np.isfinite(array)):
+        if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
