@@ -112,7 +112,7 @@ def zip_bomb(folder: Path) -> object:
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open("0.npy", "w", force_zip64=True) as entry,
     ):
-        np.lib.format.write_array_header_1_0(entry, description)  # type: ignore[arg-type]
+        np.lib.format.write_array_header_1_0(entry, description)
         for _ in range(256):
             entry.write(bytes(2**24))
     return cg.load_certificate(file)

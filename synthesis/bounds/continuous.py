@@ -70,7 +70,7 @@ class Optimist:
     excess: float
 
     @classmethod
-    def of(cls, agent: LinearAgent, model: AgentModel, rounds: int) -> Optimist | None:
+    def of(cls, agent: LinearAgent, model: AgentModel, rounds: int = 1) -> Optimist | None:
         """Return the optimistic model on the cells of ``model``; None if its lattice would be too large.
 
         ``rounds`` says how often it will be used: times the states of the automaton.

@@ -91,7 +91,8 @@ class CertificateReader:
         """Return the array with a number, read-only, of given kinds of dtype and shape (None: any length)."""
         array = self.arrays[str(int(number))]
         fits = array.ndim == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
-        if array.dtype.kind not in kinds or not fits:
+        plain = array.dtype == np.float64 if kinds == "f" else array.dtype.isnative and array.dtype != np.uint64
+        if array.dtype.kind not in kinds or not plain or not fits:
             raise ValueError(f"array {number} has type {array.dtype} and shape {array.shape}, expected {shape}")
         if kinds == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"array {number} holds numbers that are not finite")
