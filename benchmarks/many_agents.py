@@ -28,9 +28,16 @@ def pairs(n_agents: int, horizon: int = 8) -> cg.Problem:
     """Every pair has to meet in one of two places, and all agents have to stay safe; all pairs start differently."""
     n = n_agents // 2
     drone = cg.LinearAgent(
-        name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.1]], state_low=[-4.0], state_high=[4.0],
-        input_low=[-2.0], input_high=[2.0], initial_state=[-2.0],
-    )  # fmt: skip
+        name="left",
+        A=[[0.9]],
+        B=[[0.5]],
+        noise_covariance=[[0.1]],
+        state_low=[-4.0],
+        state_high=[4.0],
+        input_low=[-2.0],
+        input_high=[2.0],
+        initial_state=[-2.0],
+    )
     starts = np.linspace(1.0, 3.0, n)
     left = [a.replace(initial_state=[-x]) for a, x in zip(drone.copies(n), starts, strict=True)]
     right = [a.replace(initial_state=[x]) for a, x in zip(drone.replace(name="right").copies(n), starts, strict=True)]
@@ -42,9 +49,12 @@ def pairs(n_agents: int, horizon: int = 8) -> cg.Problem:
     meet = [f"F (here_left_{k} & here_right_{k} | there_left_{k} & there_right_{k})" for k in range(n)]
     task = f"G (all(safe_left) & all(safe_right)) & {' & '.join(meet)}"
     return cg.Problem(
-        name="pairs", horizon=horizon, agents=[*left, *right], propositions=regions,
+        name="pairs",
+        horizon=horizon,
+        agents=[*left, *right],
+        propositions=regions,
         specification=cg.Specification(task, "finite-trace"),
-    )  # fmt: skip
+    )
 
 
 CELLS = 40
@@ -67,8 +77,16 @@ def measured() -> Rows:
             cg.synthesize(problem, CELLS)
             peak = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
-            rows.append({"task": family, "agents": n, "seconds": seconds, "MiB": peak / 2**20,
-                         "certified": result.certificate.lower_bound, "rank": result.certificate.rank})  # fmt: skip
+            rows.append(
+                {
+                    "task": family,
+                    "agents": n,
+                    "seconds": seconds,
+                    "MiB": peak / 2**20,
+                    "certified": result.certificate.lower_bound,
+                    "rank": result.certificate.rank,
+                }
+            )
     return rows
 
 

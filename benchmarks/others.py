@@ -117,8 +117,14 @@ def _in_storm(write: Callable[[], Explicit], horizon: int, ours: float, value: n
     loading, model = once(lambda: storm_model(explicit))
     checking, found = cpu(lambda: storm_reach_within(model, horizon), 1)
     difference = float(np.max(np.abs(found[: len(value)] - value)))
-    return {"states": len(explicit.goal), "entries": explicit.transitions.nnz, "write": writing / ours,
-            "load": loading / ours, "check": checking / ours, "difference": difference}  # fmt: skip
+    return {
+        "states": len(explicit.goal),
+        "entries": explicit.transitions.nnz,
+        "write": writing / ours,
+        "load": loading / ours,
+        "check": checking / ours,
+        "difference": difference,
+    }
 
 
 def vertex_row(name: str, cells: int, horizon: int, robust: bool) -> Row:
@@ -131,15 +137,26 @@ def vertex_row(name: str, cells: int, horizon: int, robust: bool) -> Row:
     where = np.random.default_rng(0).integers(0, cells, (1000, len(joint.models)))
     value = [steps[-1].terms.at(q, where) for q in range(joint.n_states)]
     apart = max(np.abs(value_at(own, where) - v).max() for own, v in zip(vertices, value))
-    return {"task": name, "cells": cells, "T": horizon, "form": kind, "vertices": max(map(len, vertices)),
-            "ours ms": 1e3 * ours, "per vertex / ours": plain / ours,
-            "difference": float(apart / max(v.max() for v in value))}  # fmt: skip
+    return {
+        "task": name,
+        "cells": cells,
+        "T": horizon,
+        "form": kind,
+        "vertices": max(map(len, vertices)),
+        "ours ms": 1e3 * ours,
+        "per vertex / ours": plain / ours,
+        "difference": float(apart / max(v.max() for v in value)),
+    }
 
 
 def against_vertices() -> Rows:
     """Compare the paper's two examples at sizes that the plain program can handle."""
-    cases = [("reach-avoid-v0", 1000, 10, True), ("reach-avoid-v0", 250, 10, False),
-             ("package-delivery-v0", 250, 12, True), ("package-delivery-v0", 100, 12, False)]  # fmt: skip
+    cases = [
+        ("reach-avoid-v0", 1000, 10, True),
+        ("reach-avoid-v0", 250, 10, False),
+        ("package-delivery-v0", 250, 12, True),
+        ("package-delivery-v0", 100, 12, False),
+    ]
     return [vertex_row(*case) for case in cases]
 
 
@@ -158,8 +175,11 @@ def loop_row(name: str, cells: int, episodes: int = 100) -> Row:
 
     alone, _ = once(loop)
     batch, _ = cpu(lambda: cg.rollout(problem, controller, 100_000), 1)
-    return {"task": name, "batch us per episode": 1e6 * batch / 100_000,
-            "loop / batch": (alone / episodes) / (batch / 100_000)}  # fmt: skip
+    return {
+        "task": name,
+        "batch us per episode": 1e6 * batch / 100_000,
+        "loop / batch": (alone / episodes) / (batch / 100_000),
+    }
 
 
 def against_loop() -> Rows:
@@ -170,8 +190,12 @@ def against_loop() -> Rows:
 def main() -> None:
     chosen = options(__doc__)
     results = {}
-    works = {"dense joint programming": against_dense, "Storm, times as ratios to ours": against_storm,
-             "one vertex after the other": against_vertices, "episode loop": against_loop}  # fmt: skip
+    works = {
+        "dense joint programming": against_dense,
+        "Storm, times as ratios to ours": against_storm,
+        "one vertex after the other": against_vertices,
+        "episode loop": against_loop,
+    }
     for title, work in works.items():
         results[title] = work()
         show(title, results[title])

@@ -113,8 +113,17 @@ def table(panels: dict[str, dict[str, Curve]]) -> Rows:
     for axis, lines in panels.items():
         for name, curve in lines.items():
             (first, quick), (last, slow) = curve[0], curve[-1]
-            rows.append({"against": axis, "task": name, "exponent": exponent(curve), "from": first, "ms": 1e3 * quick,
-                         "to": last, "then ms": 1e3 * slow})  # fmt: skip
+            rows.append(
+                {
+                    "against": axis,
+                    "task": name,
+                    "exponent": exponent(curve),
+                    "from": first,
+                    "ms": 1e3 * quick,
+                    "to": last,
+                    "then ms": 1e3 * slow,
+                }
+            )
     return rows
 
 

@@ -128,8 +128,12 @@ def sweep_row(name: str, cells: int, **settings: int) -> Row:
     model = joint.models[0]
     table, width = model.kernel.tables[0], float(np.diff(model.lattice[0]).mean())
     dense, per_cell = table.toarray(), round(float(np.diff(model.grid.edges[0]).mean()) / width)
-    forms = {"banded": table.smooth, "dense": AxisTable.dense(dense).smooth, "low rank": _low_rank(dense).smooth,
-             "fft": _on_finer_lattice(dense, per_cell)}  # fmt: skip
+    forms = {
+        "banded": table.smooth,
+        "dense": AxisTable.dense(dense).smooth,
+        "low rank": _low_rank(dense).smooth,
+        "fft": _on_finer_lattice(dense, per_cell),
+    }
     shares = {key: cpu(lambda f=form: [f(v) for v in met], 2)[0] / whole for key, form in forms.items()}  # type: ignore[misc]
     return {"task": name, "cells": cells, "factors": sum(map(len, met)), "sweep ms": 1e3 * whole} | shares
 

@@ -61,8 +61,11 @@ def guards_row(n_agents: int) -> Row:
         problem = cg.make_problem("invariance-v0", n_agents=n)
         sets = [np.eye(len(classes), dtype=bool) for classes in problem.labeling.classes]
         seconds.append(cpu(lambda problem=problem, sets=sets: compile_guards(problem, sets))[0])
-    return {"task": f"invariance, {n_agents} agents", "seconds": seconds[1], "as a multiple of a quarter of them":
-            seconds[1] / seconds[0]}  # fmt: skip
+    return {
+        "task": f"invariance, {n_agents} agents",
+        "seconds": seconds[1],
+        "as a multiple of a quarter of them": seconds[1] / seconds[0],
+    }
 
 
 def noise_alone(problem: cg.Problem, episodes: int) -> None:
@@ -100,9 +103,12 @@ COUPLED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
     ("reach-avoid-planar-v0", {}, {"cells": 40, "relation": "tube"}),
     ("reach-avoid-kinematic-v0", {}, {"cells": 40}),
     ("building-automation-v0", {}, {"cells": 80}),
-    ("reach-avoid-kinematic-v0", {"horizon": 8, "initial_state": [-6.0, 0.0, -4.0, 0.0]},
-     {"cells": 40, "relation": "ellipsoid", "delta": 0.001}),
-)  # fmt: skip
+    (
+        "reach-avoid-kinematic-v0",
+        {"horizon": 8, "initial_state": [-6.0, 0.0, -4.0, 0.0]},
+        {"cells": 40, "relation": "ellipsoid", "delta": 0.001},
+    ),
+)
 """Controllers that remember an abstract state: problem, what is replaced in it, and settings."""
 
 
@@ -119,9 +125,19 @@ def rollout_row(name: str, changes: dict[str, Any], settings: dict[str, Any], ep
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     relations = {agent.relation["kind"] for agent in result.certificate.agents}
-    return {"task": name, "relation": ", ".join(sorted(relations)), "T": problem.horizon, "episodes": episodes,
-            "seconds": seconds, "noise alone": alone, "ratio": seconds / alone, "target": 3.0,
-            "all to the end": to_the_end / alone, "MiB": peak / 2**20, "successes": runs.successes}  # fmt: skip
+    return {
+        "task": name,
+        "relation": ", ".join(sorted(relations)),
+        "T": problem.horizon,
+        "episodes": episodes,
+        "seconds": seconds,
+        "noise alone": alone,
+        "ratio": seconds / alone,
+        "target": 3.0,
+        "all to the end": to_the_end / alone,
+        "MiB": peak / 2**20,
+        "successes": runs.successes,
+    }
 
 
 def main() -> None:
@@ -136,7 +152,7 @@ def main() -> None:
         {"work": "PD8, T = 20, 1200 cells: one sweep", "seconds": delivery_sweep(), "target": 5.0},
         {"work": " ".join(("certigym", *with_rollouts)), "seconds": command(*with_rollouts), "target": 4.0},
         {"work": "certigym --help", "seconds": command("--help"), "target": 0.3},
-    ]  # fmt: skip
+    ]
     for row in measured:
         row["units"] = row["seconds"] / unit
     memoryless = (("reach-avoid-v0", {}, {"cells": 1000}), ("package-delivery-v0", {}, {"cells": 250}))

@@ -56,9 +56,17 @@ def sequential_rates(runs: int, length: int) -> list[dict[str, Any]]:
                 wrong += int((first_crossings(untruncated(k, n, bound)) < length).sum())
                 steps += np.minimum(against, in_favour).tolist()
                 missed += int((first_crossings(untruncated(k, n, truth)) < length).sum())
-            rows.append({"bound": bound, "truth": truth, "refuted": refuted / runs, "confirmed": confirmed / runs,
-                         "untruncated_rejects": wrong / runs, "median_episodes": float(np.median(steps)) + 1,
-                         "limits_ever_missed": missed / runs})  # fmt: skip
+            rows.append(
+                {
+                    "bound": bound,
+                    "truth": truth,
+                    "refuted": refuted / runs,
+                    "confirmed": confirmed / runs,
+                    "untruncated_rejects": wrong / runs,
+                    "median_episodes": float(np.median(steps)) + 1,
+                    "limits_ever_missed": missed / runs,
+                }
+            )
     return rows
 
 
@@ -66,11 +74,18 @@ def loud_problem(cut: float = 0.0) -> cg.Problem:
     """Return a problem of two noisy scalar agents with a sequence of regions, cut back at each side."""
     agents = [
         cg.LinearAgent(
-            name=name, A=[[0.9]], B=[[0.5]], noise_covariance=[[0.8]], state_low=[-4], state_high=[4], input_low=[-2],
-            input_high=[2], initial_state=[0.3],
+            name=name,
+            A=[[0.9]],
+            B=[[0.5]],
+            noise_covariance=[[0.8]],
+            state_low=[-4],
+            state_high=[4],
+            input_low=[-2],
+            input_high=[2],
+            initial_state=[0.3],
         )
         for name in ("one", "two")
-    ]  # fmt: skip
+    ]
     one, two = cg.Proposition("one", [1 + cut], [3 - cut]), cg.Proposition("two", [-3 + cut], [-1 - cut])
     task = cg.Specification("F (a & F c)", "co-safe")
     return cg.Problem(name="loud", horizon=4, agents=agents, propositions={"a": one, "c": two}, specification=task)

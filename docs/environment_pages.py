@@ -118,13 +118,16 @@ def _summary(id: str, problem: cg.Problem) -> str:
         ("Actions", "continuous; values beyond the box are clipped"),
         ("Action Shape", ", ".join(shapes)),
         ("Action Values", _ranges([(a.input_low, a.input_high) for a in problem.agents])),
-        ("Observation Shape", f"{', '.join(seen)}: own state, {problem.automaton.n_states} automaton "
-         "states one-hot, fraction of time left"),
+        (
+            "Observation Shape",
+            f"{', '.join(seen)}: own state, {problem.automaton.n_states} automaton "
+            "states one-hot, fraction of time left",
+        ),
         ("Observation Values", f"{_ranges([(a.state_low, a.state_high) for a in problem.agents])}, then [0, 1]"),
         ("State Shape", f"{env.state_space.shape}: the states of all agents, then as above"),
         ("State Values", "as the observations"),
         ("Centralised", f"action {(sum(a.n_inputs for a in problem.agents),)} in [-1, 1], observation = state"),
-    ]  # fmt: skip
+    ]
     return "| | |\n|---|---|\n" + "\n".join(f"| {key} | {value} |" for key, value in rows)
 
 
@@ -154,10 +157,14 @@ def _dynamics(problem: cg.Problem) -> str:
     for agents in groups.values():
         agent = agents[0]
         cells = [
-            _names([a.name for a in agents]), _matrix(agent.A), _matrix(agent.B), _matrix(agent.offset),
-            _matrix(agent.noise_covariance), _box(agent.state_low, agent.state_high),
+            _names([a.name for a in agents]),
+            _matrix(agent.A),
+            _matrix(agent.B),
+            _matrix(agent.offset),
+            _matrix(agent.noise_covariance),
+            _box(agent.state_low, agent.state_high),
             _box(agent.input_low, agent.input_high),
-        ]  # fmt: skip
+        ]
         lines.append("| " + " | ".join(cells) + " |")
     outputs = [a for a in problem.agents if not a.has_identity_output]
     lines += [f"\nOutput of `{a.name}`: `y = C x`, C = {_matrix(a.output_matrix)}." for a in outputs]
@@ -211,24 +218,29 @@ def _automaton(id: str, problem: cg.Problem) -> str:
     for number, edge in enumerate(drawn, 1):
         name = automaton.state_names[edge.source]
         kind = f" ({', '.join(kinds[edge.source])})" if kinds[edge.source] else ""
-        guard = edge.guard if edge.guard == "otherwise" else " or ".join(
-            part if part.endswith("more cubes") else f"`{part}`" for part in edge.guard.split(" or "))  # fmt: skip
+        guard = edge.guard
+        if guard != "otherwise":
+            guard = " or ".join(cube if cube.endswith("more cubes") else f"`{cube}`" for cube in guard.split(" or "))
         lines.append(f"| {number} | {name}{kind} | {guard} | {automaton.state_names[edge.target]} |")
     first = problem.initial_q
     begin = "" if first is None else f" The letter of the start leads to {automaton.state_names[first]}."
     return (
-        f"![The task automaton: {automaton.n_states} states]({id}.svg)\n\n" + "\n".join(lines) +
-        f"\n\nThe first letter read is that of the start.{begin} Letters that no point of the workspace has are left "
+        f"![The task automaton: {automaton.n_states} states]({id}.svg)\n\n"
+        + "\n".join(lines)
+        + f"\n\nThe first letter read is that of the start.{begin} Letters that no point of the workspace has are left "
         "out."
-    )  # fmt: skip
+    )
 
 
 def _start(problem: cg.Problem) -> str:
     groups: dict[str, list[str]] = {}
     for agent in problem.agents:
         start = agent.initial
-        text = f"({', '.join(f'{v:g}' for v in start.low)})" if start.is_point else "uniform in " + " x ".join(
-            f"[{a:g}, {b:g})" if a < b else f"{{{a:g}}}" for a, b in zip(start.low, start.high))  # fmt: skip
+        if start.is_point:
+            text = f"({', '.join(f'{v:g}' for v in start.low)})"
+        else:
+            axes = (f"[{a:g}, {b:g})" if a < b else f"{{{a:g}}}" for a, b in zip(start.low, start.high))
+            text = f"uniform in {' x '.join(axes)}"
         groups.setdefault(text, []).append(agent.name)
     return "; ".join(f"{_names(names)}: {text}" for text, names in groups.items()) + "."
 

@@ -78,8 +78,14 @@ def measured(id: str) -> dict[str, Any]:
 def _rollouts(problem: cg.Problem, policy: Any) -> dict[str, Any]:
     runs = rollout(problem, policy, EPISODES, SEED)
     low, high = clopper_pearson(runs.successes, runs.episodes, CONFIDENCE)
-    return {"episodes": EPISODES, "seed": SEED, "successes": runs.successes,
-            "confidence": CONFIDENCE, "low": low, "high": high}  # fmt: skip
+    return {
+        "episodes": EPISODES,
+        "seed": SEED,
+        "successes": runs.successes,
+        "confidence": CONFIDENCE,
+        "low": low,
+        "high": high,
+    }
 
 
 def main(arguments: list[str]) -> None:

@@ -8,13 +8,27 @@ import certigym as cg
 from certigym.envs.agents import Box
 
 cart = cg.LinearAgent(
-    name="cart", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.04]],
-    state_low=[-10], state_high=[10], input_low=[-3], input_high=[3], initial_state=[-6],
-)  # fmt: skip
+    name="cart",
+    A=[[0.9]],
+    B=[[0.5]],
+    noise_covariance=[[0.04]],
+    state_low=[-10],
+    state_high=[10],
+    input_low=[-3],
+    input_high=[3],
+    initial_state=[-6],
+)
 doors = cg.LinearAgent(
-    name="door", A=[[1.0]], B=[[0.2]], noise_covariance=[[0.01]],
-    state_low=[0], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.2],
-).copies(2)  # fmt: skip
+    name="door",
+    A=[[1.0]],
+    B=[[0.2]],
+    noise_covariance=[[0.01]],
+    state_low=[0],
+    state_high=[1],
+    input_low=[-1],
+    input_high=[1],
+    initial_state=[0.2],
+).copies(2)
 room: Box = cart.workspace
 print("the cart moves between", room.low, "and", room.high)
 
@@ -35,9 +49,12 @@ print(f"certified {cg.synthesize(problem, cells=150).certificate.lower_bound:.6f
 # an error points at the place in the formula
 try:
     cg.Problem(
-        name="typo", horizon=8, agents=[cart], propositions={"far": cg.Proposition("cart", [4], [10])},
+        name="typo",
+        horizon=8,
+        agents=[cart],
+        propositions={"far": cg.Proposition("cart", [4], [10])},
         specification=cg.Specification("F fra", "co-safe"),
-    )  # fmt: skip
+    )
 except cg.FormulaError as error:
     print(error)
 

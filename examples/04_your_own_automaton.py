@@ -26,9 +26,16 @@ by_hand = cg.automaton_from_transitions(
     semantics="co-safe",
 )
 cart = cg.LinearAgent(
-    name="cart", A=[[1.0]], B=[[1.0]], noise_covariance=[[0.04]],
-    state_low=[-10], state_high=[10], input_low=[-2], input_high=[2], initial_state=[-5],
-)  # fmt: skip
+    name="cart",
+    A=[[1.0]],
+    B=[[1.0]],
+    noise_covariance=[[0.04]],
+    state_low=[-10],
+    state_high=[10],
+    input_low=[-2],
+    input_high=[2],
+    initial_state=[-5],
+)
 regions = {"load": ([-6], [-4]), "hole": ([-1], [0]), "goal": ([4], [6])}
 problem = cg.Problem(
     name="start-again",

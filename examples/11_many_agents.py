@@ -5,9 +5,16 @@ from __future__ import annotations
 import certigym as cg
 
 drone = cg.LinearAgent(
-    name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.1]], state_low=[-4.0], state_high=[4.0],
-    input_low=[-2.0], input_high=[2.0], initial_state=[-2.0],
-)  # fmt: skip
+    name="left",
+    A=[[0.9]],
+    B=[[0.5]],
+    noise_covariance=[[0.1]],
+    state_low=[-4.0],
+    state_high=[4.0],
+    input_low=[-2.0],
+    input_high=[2.0],
+    initial_state=[-2.0],
+)
 agents = [*drone.copies(50), *drone.replace(name="right", initial_state=[2.0]).copies(50)]
 regions = {
     f"{name}_{side}": cg.Proposition(f"{side}_*", [low], [high])

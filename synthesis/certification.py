@@ -1,7 +1,7 @@
-"""What a synthesis gives: policies with their certificate, and what is known of how they were found.
+"""From the policies that a search has found to their certificate and the statistics of the search.
 
-``certificate_of`` turns the last evaluation of policies into a certificate: it takes the largest bound that applies,
-and, where nothing is lost, says how far above it the probability may be.
+``certificate_of`` turns the last evaluation of policies into a certificate. It takes the largest lower bound that
+applies and, where the finite models lose nothing, says how far above the bound the probability can be.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def certified(
     settings: dict[str, Any],
     search: str,
 ) -> Synthesis:
-    """What a search has ``found``, certified for its ``best`` policies, with what is known from above."""
+    """Certify the ``best`` policies of a search; the statistics also hold upper bounds for all policies."""
     certificate = certificate_of(problem, abstraction, joint, best, settings, search)
     stats: dict[str, object] = {
         "sweeps": found.values,
@@ -63,7 +63,10 @@ def certificate_of(
     settings: dict[str, Any],
     search: str,
 ) -> Certificate:
-    """Certificate of the policies of ``best``, a sweep with frozen policies, with the largest bound that applies."""
+    """Return a certificate, with the largest lower bound that applies, of the policies of ``best``.
+
+    ``best`` is a sweep that evaluated its policies without changing them.
+    """
     grown: Sweep | TrainSweep
     if isinstance(best, TrainSweep):
         above = None
@@ -80,8 +83,8 @@ def certificate_of(
             coordinates=model.relation.coordinates,
             relation=describe_relation(model.relation),
             lattice=model.lattice,
-            masks=joint.masks[i],
-            start_masks=joint.start_masks[i],
+            masks=model.of_cells(joint.masks[i]),
+            start_masks=model.of_cells(joint.start_masks[i]),
             policy=best.policies[i][:1] if best.stationary else best.policies[i],
             menu=model.choices.leads_to if isinstance(model.choices, InputMenu) else None,
         )
@@ -135,10 +138,13 @@ def best_bound(
 def bounds_from_above(
     problem: Problem, joint: JointModel, relaxations: tuple[Relaxation, ...], certificate: Certificate
 ) -> dict[str, object]:
-    """What no policy attains, on the same finite models and of the continuous system (None: not known)."""
+    """Return upper bounds for all policies, of the same finite models and of the continuous system (None: unknown)."""
     start = start_of(problem, joint)
     anywhere = continuous_upper_bound(problem, joint, start)
+    if any(model.is_linear for model in joint.models):
+        # Their values are lower bounds cell by cell, so the best of them bounds nothing from above.
+        return {"abstract_upper_bound": None, "continuous_upper_bound": anywhere}
     most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)
-    if anywhere is not None and certificate.delta == 0.0:  # what abstract policies attain, continuous ones do
+    if anywhere is not None and certificate.delta == 0.0:  # continuous policies attain all that abstract ones attain
         most = min(most, anywhere)
     return {"abstract_upper_bound": most, "continuous_upper_bound": anywhere}

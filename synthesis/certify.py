@@ -1,13 +1,14 @@
 """Certificates for policies that come from elsewhere: learned, written by hand, or read from a table.
 
-A decentralised policy is put on the cells of an abstraction ("wrapped"): in every cell, automaton state and step the
-agent aims at the admissible target mean that is nearest to the one which the policy's input leads to from the cell's
-centre, ``A m + B u + c`` (its input saturated first, as actuators saturate). The value tree then evaluates the wrapped
-policies, and the certificate belongs to them, not to the raw ones: controllers, rollouts and ``check`` all speak of
-the wrapped policy. ``improve`` goes on from there by coordinate ascent (THEORY section 5).
+A decentralised policy is put on the cells of an abstraction ("wrapped"). Take a cell with the centre m, an automaton
+state and a step. The policy's input u, saturated as actuators saturate, leads to the mean ``A m + B u + c``; the
+wrapped policy aims at the nearest admissible target. The value tree then evaluates the wrapped policy. The certificate
+belongs to the wrapped policy, not to the raw one, and so do the controllers, the rollouts and ``check``. ``improve``
+goes on from there by coordinate ascent (``docs/theory/tree.md``, "Occupancy-weighted ascent").
 
-Where the two differ: the raw policy acts on the state, the wrapped one on the cell; targets that some point of the cell
-could not reach within the input box are replaced by the nearest one that all of them can. Finer cells shrink both.
+The two policies differ in two ways. The raw one acts on the state, the wrapped one on the cell. And if some point of
+the cell cannot reach a target within the input box, the wrapped policy takes the nearest target that all points can
+reach. Finer cells make both differences smaller.
 """
 
 from __future__ import annotations
@@ -40,22 +41,25 @@ from .models import (
 )
 from .search import FINAL, Limits, Search, Sweep, sweep
 
+WORTHWHILE = 1e-7
+"""Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
+
 
 def certify(
     problem: Any, policy: Policy, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
 ) -> Synthesis:
-    """Certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
+    """Compute a certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
 
     Parameters
     ----------
     problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies.
     policy : Policy
-        Decentralised policies, in any form of ``synthesis.decentralised``.
+        Decentralised policies, in any form that ``synthesis.decentralised`` takes.
     cells : int, sequence of int or mapping from agent name, optional
-        Cells per axis; with more of them the wrapped policy is closer to the raw one.
+        Cells per axis; with more cells the wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
-        As for ``abstract``: relations are not compared.
+        As for ``abstract``. Relations are not compared.
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -63,12 +67,12 @@ def certify(
     -------
     Synthesis
         ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
-        ``rollout(problem, as_controller(problem, policy), ...)``; no bound speaks of it.
+        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it.
 
     Raises
     ------
     ValueError
-        If the policy has an unknown form or answers with anything but finite inputs, or the relation does not apply.
+        If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
     clock, problem = _Clock(), as_problem(problem)
     wrapped = _wrapped(problem, policy, cells, relation, settings)
@@ -88,19 +92,19 @@ def improve(
     progress: Callable[[str, float], None] | None = None,
     **settings: Any,
 ) -> Synthesis:
-    """The best policies that coordinate ascent finds from ``policy``, with their certificate.
+    """Improve ``policy`` by coordinate ascent; return the best policies and a certified lower bound for them.
 
-    The bound is at least that of ``certify`` with the same cells and settings: the two policies are evaluated alike and
-    compared, the wrapped policy among them.
+    The bound is at least that of ``certify`` with the same cells and settings: the wrapped policy is one of the
+    candidates, and all candidates are evaluated in the same way.
 
     Parameters
     ----------
     problem, policy, cells, relation, **settings
         As for ``certify``.
     max_sweeps : int
-        Most sweeps; the search stops earlier when nothing improves.
+        Largest number of sweeps; the search stops earlier when nothing improves.
     limits : Limits, optional
-        Pruning during the search.
+        How trees are pruned during the search.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     """
@@ -111,22 +115,23 @@ def improve(
     clock.abstracted()
     best = sweep(joint, wrapped.policies, start, FINAL, improve=False)
     values, last, top = [best.value], best, best
+    # every sweep improves the policies of the one before, until the value stops rising
     for _ in range(max_sweeps):
         before, last = last.value, sweep(joint, last.policies, start, search.limits, improve=True)
         values.append(last.value)
-        top = max(top, last, key=lambda found: found.value)
+        top = max(top, last, key=lambda candidate: candidate.value)
         search.tell("from the given policy", max(values))
-        if last.value <= before * (1 + 1e-7):
+        if last.value <= before * (1 + WORTHWHILE):
             break
-    # pruning may have flattered a sweep: what counts is the value of frozen policies, pruned as little as can be
+    # pruning may have favoured a sweep: evaluate its policies again, unchanged and pruned as little as possible
     frozen = sweep(joint, top.policies, start, FINAL, improve=False)
-    best = max(best, frozen, key=lambda found: found.value)
+    best = max(best, frozen, key=lambda candidate: candidate.value)
     name = "coordinate ascent from a given policy"
     return _synthesis(problem, wrapped, best, values, name, clock, {"max_sweeps": max_sweeps})
 
 
 def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> Policies:
-    """Policy tables (T, Q, S), one per agent: admissible choices with the mean nearest to that of the policy's input.
+    """Return policy tables (T, Q, S), one per agent: the admissible choice with the mean nearest to the policy's.
 
     Choices are compared at the centre of each cell, by Euclidean distance in grid coordinates divided by the cell
     widths; -1 where no choice is admissible.
@@ -144,22 +149,27 @@ def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> P
 
 
 def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
-    """Admissible choice (S,) of each cell with the mean nearest to ``means`` (d, S), grid coordinates; -1 for none."""
+    """Return the admissible choice (S,) of each cell whose mean is nearest to ``means`` (d, S); -1 if there is none.
+
+    Means are in grid coordinates.
+    """
     scale = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in model.grid.edges])
     choices = model.choices
     if isinstance(choices, TargetWindows):
         return _nearest_targets(choices, means, scale)
     points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, len(scale))
     offered = choices.leads_to
+    # distances of all choices on offer, in cell widths; places of the menu that are empty are infinitely far
     gaps = (((points[np.maximum(offered, 0)] - means.T[:, None]) / scale) ** 2).sum(axis=-1)
     gaps = np.where(offered < 0, np.inf, gaps)
     return np.where((offered >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
 
 
 def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
-    """Per axis the nearest point of the window; where that is not admissible (no box), a search over the window."""
+    """Take the nearest point of the window along each axis; where that is not admissible, search the whole window."""
     indices = []
     for k, axis in enumerate(windows.lattice):
+        # the two lattice points around the mean, the nearer of them, and then the nearest one inside the window
         above = np.clip(np.searchsorted(axis, means[k]), 1, max(1, len(axis) - 1))
         below = above - 1
         above = np.minimum(above, len(axis) - 1)
@@ -168,36 +178,37 @@ def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArra
     empty = np.any(windows.low >= windows.high, axis=1)
     targets = np.ravel_multi_index([np.where(empty, 0, index) for index in indices], windows.shape)
     targets = np.where(empty, -1, targets)
-    wrong = np.flatnonzero(~empty & ~windows.admissible(np.arange(len(targets)), np.maximum(targets, 0)))
-    for s in wrong:
+    # the admissible targets need not fill the window: it is a box around them
+    refused = np.flatnonzero(~empty & ~windows.admissible(np.arange(len(targets)), np.maximum(targets, 0)))
+    for s in refused:
         targets[s] = _search(windows, int(s), means[:, s], scale)
     return targets.astype(np.int32)
 
 
 def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArray) -> int:
-    """Nearest admissible target of one cell among all of its window, or -1."""
+    """Return the nearest admissible target of one cell in its whole window, or -1."""
     ranges = [np.arange(a, b) for a, b in zip(windows.low[cell], windows.high[cell], strict=True)]
-    mesh = [own.ravel() for own in np.meshgrid(*ranges, indexing="ij")]
+    mesh = [indices.ravel() for indices in np.meshgrid(*ranges, indexing="ij")]
     flat = np.ravel_multi_index(mesh, windows.shape)
     admissible = windows.admissible(np.full(len(flat), cell), flat)
     if not admissible.any():
         return -1
     gaps = np.zeros(len(flat))
-    for axis, own, goal, width in zip(windows.lattice, mesh, mean, scale, strict=True):
-        gaps += ((axis[own] - goal) / width) ** 2
+    for axis, indices, goal, width in zip(windows.lattice, mesh, mean, scale, strict=True):
+        gaps += ((axis[indices] - goal) / width) ** 2
     return int(flat[np.where(admissible, gaps, np.inf).argmin()])
 
 
 def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: FloatArray) -> FloatArray:
-    """Means (d, S) of the next states in grid coordinates, the inputs saturated."""
+    """Return the means (d, S) of the next states in grid coordinates, with the inputs saturated."""
     box = agent.input_box
-    used = np.clip(inputs, box.low[:, None], box.high[:, None])
-    return model.relation.to_grid(agent.A @ states + agent.B @ used + np.asarray(agent.offset)[:, None])
+    saturated = np.clip(inputs, box.low[:, None], box.high[:, None])
+    return model.relation.to_grid(agent.A @ states + agent.B @ saturated + np.asarray(agent.offset)[:, None])
 
 
 @dataclass(frozen=True)
 class _Wrapped:
-    """A given policy put on cells: finite models, alone and joined, and the policy tables of all agents."""
+    """A given policy on cells: the finite models, the joint model, and the policy tables of all agents."""
 
     abstraction: Abstraction
     joint: JointModel
@@ -208,23 +219,23 @@ def _wrapped(
     problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
 ) -> _Wrapped:
     """Put a policy on the cells of finite models."""
-    given = decentralised(problem, policy)
+    raw = decentralised(problem, policy)
     abstraction = abstract(problem, cells, relation=relation, **settings)
-    return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, given))
+    return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, raw))
 
 
 class _Clock:
-    """Seconds that the finite models took, and the rest."""
+    """Seconds that the finite models took, and seconds since then."""
 
     def __init__(self) -> None:
         self.began = self.middle = time.perf_counter()
 
     def abstracted(self) -> None:
-        """The finite models are there."""
+        """Note that the finite models are finished."""
         self.middle = time.perf_counter()
 
     def seconds(self) -> dict[str, float]:
-        """Seconds until the models were there, and since."""
+        """Return the seconds until the models were finished, and those since."""
         return {"abstract": self.middle - self.began, "synthesize": time.perf_counter() - self.middle}
 
 
@@ -237,7 +248,7 @@ def _synthesis(
     clock: _Clock,
     used: dict[str, Any],
 ) -> Synthesis:
-    """Certificate and statistics of the best policy."""
+    """Return certificate and statistics of the best policy."""
     settings = {**wrapped.abstraction.settings, **used, "final_limits": vars(FINAL)}
     certificate = certificate_of(problem, wrapped.abstraction, wrapped.joint, best, settings, name)
     stats = {"seconds": clock.seconds(), "sweeps": values, "rank": certificate.rank, "dropped": best.dropped}

@@ -1,6 +1,6 @@
-"""One problem at several horizons, each search beginning with what the last one found, and without any deadline.
+"""One problem at several horizons, and without a deadline; each search begins with the policies of the one before.
 
-For co-safe tasks the value of T steps is a lower bound of the value without a deadline, and rises with T.
+For co-safe tasks the value of T steps is a lower bound on the value without a deadline, and rises with T.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from .certificates import Synthesis
 from .synthesize import synthesize
 
 TOLERANCE = 1e-6
-"""What a doubled horizon may add before ``without_deadline`` stops."""
+"""Gain of a doubled horizon at which ``without_deadline`` stops: a smaller gain is not worth twice the time."""
 
 LONGEST = 1000
-"""Longest horizon that ``without_deadline`` tries."""
+"""Longest horizon that ``without_deadline`` tries: seven doublings of the horizon 7."""
 
 
 def synthesize_horizons(
@@ -29,9 +29,9 @@ def synthesize_horizons(
     Parameters
     ----------
     problem : Problem, id or path
-        Its own horizon does not matter.
+        The horizon of this problem does not matter.
     horizons : iterable of int
-        Control steps.
+        Numbers of control steps.
     cells, **settings
         As for ``synthesize``.
 
@@ -41,14 +41,15 @@ def synthesize_horizons(
         In the order of ``horizons``.
     """
     asked = list(horizons)
-    found = {one.certificate.problem.horizon: one for one in each_horizon(problem, asked, cells, **settings)}
-    return [found[horizon] for horizon in asked]
+    results = each_horizon(problem, asked, cells, **settings)
+    of_horizon = {result.certificate.problem.horizon: result for result in results}
+    return [of_horizon[horizon] for horizon in asked]
 
 
 def each_horizon(
     problem: Any, horizons: Iterable[int], cells: CellCounts = None, **settings: Any
-) -> Iterator[Synthesis]:  # fmt: skip
-    """``synthesize_horizons`` one by one, in increasing order."""
+) -> Iterator[Synthesis]:
+    """Yield the results of ``synthesize_horizons`` one by one, in increasing order of the horizon."""
     problem = as_problem(problem)
     last: Synthesis | None = None
     for horizon in sorted(set(horizons)):
@@ -57,7 +58,7 @@ def each_horizon(
 
 
 def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
-    """Synthesis that begins with the last one, unless cells or relation are to be chosen anew."""
+    """Synthesize from the policies of the last horizon, unless cells or relation are to be chosen anew."""
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
     if last is None or problem.groups or chosen_anew:
         return synthesize(problem, cells, **settings)
@@ -70,30 +71,31 @@ def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings:
 def without_deadline(
     problem: Any, cells: CellCounts = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
 ) -> Synthesis:
-    """Stationary policies for a co-safe task, and a lower bound on satisfying it at any time.
+    """Compute stationary policies for a co-safe task, and a lower bound on the probability of ever satisfying it.
 
-    The horizon is doubled, from the problem's own, until the bound gains less than ``tolerance``.
+    The horizon of the problem is doubled until the bound gains less than ``tolerance``.
 
     Parameters
     ----------
     problem : Problem, id or path
+        One co-safe task; the search begins with its horizon.
     cells, **settings
         As for ``synthesize``.
     tolerance : float
-        Gain at which to stop: an observation, no bound on what still longer horizons would add.
+        Gain at which to stop. It is an observation, not a bound on what longer horizons would add.
     longest : int
-        Longest horizon.
+        Longest horizon, in control steps.
 
     Returns
     -------
     Synthesis
-        With the largest bound of all horizons tried; its certificate is about that horizon (``certificate.problem``)
-        and, by ``certificate.unbounded``, about all longer ones.
+        The synthesis with the largest bound among all horizons tried. Its certificate is about that horizon
+        (``certificate.problem``) and, by ``certificate.unbounded``, about all longer ones.
 
     Raises
     ------
     ValueError
-        If the task is not co-safe: then more time may do harm.
+        If the task is not co-safe, because then more time can lower the probability; or if it decomposes.
     """
     problem = as_problem(problem)
     if not problem.specification.is_co_safe:
@@ -106,8 +108,8 @@ def without_deadline(
     settings = {**settings, "stationary": True}
     best = _from(None, problem, cells, settings)
     while 2 * best.certificate.problem.horizon <= longest:
-        found = _from(best, problem.replace(horizon=2 * best.certificate.problem.horizon), cells, settings)
-        if found.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
-            return max(best, found, key=lambda one: one.certificate.lower_bound)
-        best = found
+        longer = _from(best, problem.replace(horizon=2 * best.certificate.problem.horizon), cells, settings)
+        if longer.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
+            return max(best, longer, key=lambda result: result.certificate.lower_bound)
+        best = longer
     return best

@@ -1,4 +1,4 @@
-"""Synthesis of a task that decomposes into independent tasks: each on its own, equal ones once."""
+"""Synthesis of a problem that decomposes into independent tasks: one synthesis for each kind of task."""
 
 from __future__ import annotations
 
@@ -19,37 +19,40 @@ SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
 def synthesize_parts(
     problem: Problem, cells: CellCounts, relation: Relations, synthesize_task: SynthesizeTask
 ) -> Synthesis:
-    """Synthesize every independent task, those that differ in names alone once, and put the certificates together."""
+    """Synthesize every independent task, once where tasks differ only in names, and join the certificates."""
     check_names("cells", cells, problem)
-    found: dict[tuple[str, str], Synthesis] = {}
-    parts = []
+    distinct: dict[tuple[str, str], Synthesis] = {}
+    results = []
     for task in problem.tasks:
-        own, kinds = _of_task(task, cells), _of_task(task, relation)
-        asked = [[o.get(a) for a in task.agent_names] if isinstance(o, Mapping) else o for o in (own, kinds)]
+        task_cells, kinds = _of_task(task, cells), _of_task(task, relation)
+        # the key holds what was asked for agent by agent in order, so that names make no difference
+        options = (task_cells, kinds)
+        asked = [[o.get(name) for name in task.agent_names] if isinstance(o, Mapping) else o for o in options]
         key = (nameless(task), str(asked))
-        if key not in found:
-            found[key] = synthesize_task(task, own, kinds)
-        parts.append(found[key])
-    certificate = product_certificate(problem, tuple(part.certificate for part in parts))
-    each: list[dict[str, Any]] = [part.stats for part in found.values()]
+        if key not in distinct:
+            distinct[key] = synthesize_task(task, task_cells, kinds)
+        results.append(distinct[key])
+    certificate = product_certificate(problem, tuple(result.certificate for result in results))
+    each: list[dict[str, Any]] = [result.stats for result in distinct.values()]
     stats: dict[str, Any] = {
-        "seconds": {name: sum(own["seconds"][name] for own in each) for name in each[0]["seconds"]},
-        "sweeps": [value for own in each for value in own["sweeps"]],
+        "seconds": {name: sum(entry["seconds"][name] for entry in each) for name in each[0]["seconds"]},
+        "sweeps": [value for entry in each for value in entry["sweeps"]],
         "rank": certificate.rank,
-        "dropped": sum(dict(part.stats)["dropped"] for part in parts),
-        "tasks": len(parts),
-        "distinct_tasks": len(found),
+        "dropped": sum(dict(result.stats)["dropped"] for result in results),
+        "tasks": len(results),
+        "distinct_tasks": len(distinct),
     }
     if compared := relations_tried(certificate):
         stats["tried"] = compared
-    if not problem.specification.is_co_safe:  # of these the parts ask for more than the whole does
+    # no such bound for co-safe tasks: there the independent tasks together ask for more than the whole problem does
+    if not problem.specification.is_co_safe:
         for name in ("abstract_upper_bound", "continuous_upper_bound"):
-            bounds: list[Any] = [dict(part.stats)[name] for part in parts]
+            bounds: list[Any] = [dict(result.stats)[name] for result in results]
             if None not in bounds:
-                stats[name] = min(1.0, math.prod(bounds) * (1.0 + 4.0 * len(parts) * UNIT))
+                stats[name] = min(1.0, math.prod(bounds) * (1.0 + 4.0 * len(results) * UNIT))
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
-def _of_task(task: Problem, given: Any) -> Any:
-    """What is given for the agents of a task: the entries of a mapping, or the whole."""
-    return {a: given[a] for a in task.agent_names if a in given} if isinstance(given, Mapping) else given
+def _of_task(task: Problem, option: Any) -> Any:
+    """Return what an option says about the agents of a task: entries of a mapping, or the option itself."""
+    return {a: option[a] for a in task.agent_names if a in option} if isinstance(option, Mapping) else option

@@ -1,4 +1,4 @@
-"""From a problem to a certificate and its controllers: finite models, search, result."""
+"""From a problem to a certificate and its controllers: build finite models, search policies, certify them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary
 from .values import HOST, device_put
 
 Clock = tuple[float, float]
-"""When the work began, and when the finite models were there, in seconds of ``perf_counter``."""
+"""When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Plan:
     Parameters
     ----------
     settings : Settings
-        Of the relations.
+        Settings of the relations.
     search : Search
-        For policies.
+        How policies are searched for.
     budget : Budget or None
-        If given, cells are made finer until it is used up.
+        If there is one, cells are made finer until it is used up.
     """
 
     settings: Settings
@@ -52,7 +52,8 @@ class Plan:
     budget: Budget | None
 
 
-# The door of the package: its options are flat, as users and the command line have them, and become records at once.
+# Thirteen parameters, because this is the door of the package: its options are flat, as users and the command line have
+# them, and become records (`Plan`) at once.
 def synthesize(
     problem: Any,
     cells: CellCounts = None,
@@ -70,76 +71,79 @@ def synthesize(
     stationary: bool = False,
     **settings: Any,
 ) -> Synthesis:
-    """Per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
+    """Compute per-agent controllers for ``problem`` and a certified lower bound on its satisfaction probability.
 
     Parameters
     ----------
     problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies. A task that decomposes into independent tasks
-        (``problem.groups``) is certified part by part, and gives a ``ProductCertificate``.
+        (``problem.groups``) is certified task by task, and gives a ``ProductCertificate``.
     cells : int, sequence of int or mapping from agent name, optional
-        Cells per axis; more of them cost time and raise the bound. Default: by dimension (see ``abstract``), doubled
-        where relations are compared and none applies.
+        Cells per axis. More cells cost time and raise the bound. The default depends on the dimension (see
+        ``abstract``); it is doubled where relations are compared and none applies.
     relation : str, or mapping from agent name to str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents). ``"auto"``, also for agents that a mapping leaves out: ``exact`` where it
-        leaves most of the inputs to the policy; elsewhere ``exact``, ``tube`` and ``ellipsoid`` as far as they apply,
-        and the largest bound is kept (see ``relation_choice``). ``"best"``: the same without any shortcut, ``paper``
-        included. ``"quick"``: ``exact`` or ``tube``, without comparing (see ``abstract``).
+        choice), ``"paper"`` (scalar agents). ``"auto"``, which also holds for agents that a mapping leaves out, takes
+        ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``, ``tube`` and
+        ``ellipsoid`` that apply and keeps the largest bound (see ``relation_choice``). ``"best"`` tries all of them
+        without any shortcut, ``paper`` included. ``"quick"`` takes ``exact`` or ``tube`` without comparing (see
+        ``abstract``).
     max_sweeps : int
-        Most improving sweeps after the first; the search stops earlier when nothing improves.
+        Largest number of improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional
-        Pruning during the search.
+        How trees are pruned during the search.
     value : str
-        How the value function is held: ``"tree"`` of products (exact up to what is pruned), ``"train"`` (tensor trains,
-        rounded with a certified error: for tasks whose trees grow too many terms), or ``"auto"``.
+        How the value function is stored: as a ``"tree"`` of products (exact up to what is pruned), as a ``"train"``
+        (tensor trains, rounded with a certified error, for tasks whose trees grow too many terms), or ``"auto"``.
     progress : callable, optional
         Called with a short text and the best value so far after each sweep.
     memory, accuracy : float, optional
-        Instead of ``cells``: bytes that may be taken, and the change of the bound that is not worth finer cells. Cells
-        are made finer until one of them is used up; how they were chosen is in ``stats["cells"]`` (see ``refine``).
+        A budget instead of ``cells``: the memory in bytes that may be used, and the gain of the bound that is not worth
+        finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how they were
+        chosen (see ``refine``).
     device : str
-        Where sweeps over the value tree compute: ``"numpy"``, or a library and its device, such as ``"torch:cuda"``
-        (extra ``device``; see ``devices``). Results agree to rounding, for which every bound has a reserve.
+        Where sweeps over the value tree are computed: ``"numpy"``, or a library and its device, such as
+        ``"torch:cuda"`` (extra ``device``; see ``devices``). Results agree up to rounding, for which every bound has a
+        reserve.
     restarts : int
-        Further starts of the search, from the best policies with their plans advanced or delayed.
+        Number of further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
-        Policies to begin with, of the same agents, cells and relation, for any horizon (see ``horizons``); ``"auto"``
-        is then their relation.
+        Certificate whose policies the search begins with. Its agents, cells and relations must be the same, its horizon
+        need not (see ``horizons``); ``"auto"`` then stands for its relations.
     stationary : bool
-        Policies that do not look at the time, for tasks without a deadline (see ``without_deadline``).
+        Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
     **settings
         Further settings of the relation (see ``Settings``).
 
     Returns
     -------
     Synthesis
-        ``certificate.lower_bound`` holds from the problem's start: its initial state, or on average over its box. With
-        delta > 0 all bounds that apply are computed and the best one is reported.
+        ``certificate.lower_bound`` holds at the problem's start: at its initial state, or on average over its start
+        box. With delta > 0 all bounds that apply are computed and the largest one is reported.
 
     Raises
     ------
     ValueError
-        If the problem has no start, the relation does not apply to an agent, or the device is not there.
+        If the problem has no start, the relation does not apply to an agent, or the device does not exist.
     """
     pruning = Limits() if limits is None else limits
     search = Search(max_sweeps, pruning, value, restarts, progress, stationary, device)
     check_settings(settings)
-    device_put(device)  # refuses what is not there before any work is done
+    device_put(device)  # refuses a device that does not exist before any work is done
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     plan = Plan(Settings(**settings), search, budget)
     problem = as_problem(problem)
     if problem.groups:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
-        return synthesize_parts(problem, cells, relation, lambda task, own, kinds: _of_task(task, own, kinds, plan))
+        return synthesize_parts(problem, cells, relation, lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan))
     return _of_task(problem, cells, relation, plan, start)
 
 
 def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
-    """Synthesis of one task, by the procedure that relations, budget and start ask for."""
+    """Synthesize one task, by the procedure that relations, budget and start ask for."""
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if plan.budget is not None:
         _refuse_start(start, "a budget")
@@ -158,30 +162,34 @@ def _of_task(
 def _plain(
     problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
-    """Synthesis on given cells under one given relation per agent."""
+    """Synthesize on given cells under one given relation per agent."""
     began = time.perf_counter()
     abstraction = abstraction_of(problem, cells, kinds, plan.settings)
     abstracted = time.perf_counter()
-    given = {} if start is None else policies_from(start, problem, abstraction)
-    result = _on(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, given)
+    policies = {} if start is None else policies_from(start, problem, abstraction)
+    result = _on(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, policies)
     return replace(result, stats={**result.stats, "seconds": _seconds((began, abstracted))})
 
 
 def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
-    """Synthesis that begins with the policies of a certificate; what is not asked for is as it is there."""
-    theirs = [part.relation["kind"] for part in checked_certificate(start).agents]
-    if cells is None and len(theirs) == problem.n_agents:
+    """Synthesize from the policies of a certificate; cells and relations default to those of the certificate."""
+    start_kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
+    if cells is None and len(start_kinds) == problem.n_agents:
         cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
-    if len(theirs) == len(kinds) and "auto" in kinds:
-        kinds = [other if kind == "auto" else kind for kind, other in zip(kinds, theirs, strict=True)]
+    if len(start_kinds) == len(kinds) and "auto" in kinds:
+        kinds = [from_start if kind == "auto" else kind for kind, from_start in zip(kinds, start_kinds, strict=True)]
         plan = replace(plan, settings=plan.settings.of_kinds(kinds))
     return _plain(problem, cells, kinds, plan, start)
 
 
 def _compared(
-    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, known: Synthesis | None = None
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, quick_result: Synthesis | None = None
 ) -> Synthesis:
-    """The synthesis with the largest bound among relations that apply; what was tried is kept with the certificate."""
+    """Return the synthesis with the largest bound among all relations that apply.
+
+    The certificate records which relations were tried. ``quick_result`` is a synthesis on the same cells, if there is
+    one already.
+    """
     began = time.perf_counter()
     tries = Tries(problem, groups_of(problem, cells, kinds, plan.settings), plan.settings, plan.search.device)
     abstracted = time.perf_counter()
@@ -189,7 +197,7 @@ def _compared(
     def run(abstraction: Abstraction, joint: JointModel, relaxations: tuple[Relaxation, ...]) -> Synthesis:
         return _on(problem, abstraction, joint, plan.search, {}, relaxations)
 
-    best, tried = tries.best(run, known, every="best" in kinds)
+    best, tried = tries.best(run, quick_result, every="best" in kinds)
     stats = {**best.stats, "seconds": _seconds((began, abstracted))}
     certificate = best.certificate
     if len(tried) > 1:
@@ -199,16 +207,17 @@ def _compared(
 
 
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
-    """The best synthesis within a budget; the record of its cells is kept with the settings of the certificate.
+    """Return the best synthesis within a budget; the settings of its certificate record how the cells were chosen.
 
-    Relations are compared on the last cells only; what led to them is the quick choice.
+    Relations are compared on the last cells only. The cells are chosen under the relations of the quick choice.
     """
     quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
     first = replace(plan, settings=plan.settings.of_kinds(quick))
     best, record = refine(problem, lambda cells: _plain(problem, cells, quick, first), quick, budget)
     if quick != kinds:
         parts = zip(problem.agent_names, best.certificate.agents, strict=True)
-        best = _compared(problem, {name: part.grid.shape for name, part in parts}, kinds, plan, best)
+        cells = {name: part.grid.shape for name, part in parts}
+        best = _compared(problem, cells, kinds, plan, best)
     certificate = best.certificate
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
@@ -220,24 +229,24 @@ def _on(
     abstraction: Abstraction,
     joint: JointModel,
     search: Search,
-    given: dict[str, Policies],
+    starts: dict[str, Policies],
     relaxations: tuple[Relaxation, ...] | None = None,
 ) -> Synthesis:
-    """Search on finite models, from the ``given`` policies if there are any, and certify what was found."""
-    found = find_policies(problem, joint, search, given, relaxations)
-    best = stationary_best(problem, joint, found, search.limits) if search.stationary else found.best
+    """Search on finite models, from the policies ``starts`` if there are any, and certify the result."""
+    result = find_policies(problem, joint, search, starts, relaxations)
+    best = stationary_best(problem, joint, result, search.limits) if search.stationary else result.best
     name = f"{'stationary policies from ' if search.stationary else ''}occupancy-weighted coordinate ascent"
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
-    return certified(problem, abstraction, joint, found, best, used, name)
+    return certified(problem, abstraction, joint, result, best, used, name)
 
 
 def _seconds(clock: Clock) -> dict[str, float]:
-    """Seconds that the finite models took, and the rest until now."""
+    """Return the seconds that the finite models took, and those from then until now."""
     began, abstracted = clock
     return {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}
 
 
 def _refuse_start(start: Certificate | None, what: str) -> None:
-    """Refuse policies to begin with where none can be taken."""
+    """Refuse a certificate to start from where the search cannot use one."""
     if start is not None:
         raise ValueError(f"`start`: expected none for {what}, got a certificate; leave it out")

@@ -31,14 +31,16 @@ LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
 def regions(shrunk: float = 0.0, **changes: Any) -> cg.Problem:
     """Two loud agents; the goal regions can be cut back by ``shrunk`` at each side."""
     return cg.Problem(
-        name="two", horizon=4, agents=[scalar_agent("one", **LOUD, **changes), scalar_agent("two", **LOUD, **changes)],
+        name="two",
+        horizon=4,
+        agents=[scalar_agent("one", **LOUD, **changes), scalar_agent("two", **LOUD, **changes)],
         propositions={
             "a": cg.Proposition("one", [1.0 + shrunk], [3.0 - shrunk]),
             "b": cg.Proposition("one", [-2.0], [0.0]),
             "c": cg.Proposition("two", [-3.0 + shrunk], [-1.0 - shrunk]),
         },
         specification=cg.Specification("(!b | !c) U (a & F c)", "co-safe"),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +99,16 @@ def bound_raised(c: Certificate) -> AuditReport:
 @pytest.mark.parametrize(
     "sabotage",
     [
-        variance_for_standard_deviation, guards_overlap, one_step_too_many, policy_one_step_late, input_clipped,
-        wrong_feedback_sign, label_not_shrunk, bound_raised,
+        variance_for_standard_deviation,
+        guards_overlap,
+        one_step_too_many,
+        policy_one_step_late,
+        input_clipped,
+        wrong_feedback_sign,
+        label_not_shrunk,
+        bound_raised,
     ],
-)  # fmt: skip
+)
 def test_sabotage_is_refuted(certificate: Certificate, sabotage: Any) -> None:
     report = sabotage(certificate)
     assert report.refuted, str(report)
@@ -196,13 +204,23 @@ def test_coupled_controllers_pass_at_their_own_cells_and_louder_noise_is_refuted
 def test_tube_controllers_pass_and_louder_noise_is_refuted() -> None:
     """An agent with fewer inputs than states: the abstract state is remembered, delta is 0."""
     cart = cg.LinearAgent(
-        name="cart", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=[[0.02, 0], [0, 0.02]],
-        state_low=[-4, -2], state_high=[4, 2], input_low=[-2], input_high=[2], initial_state=[-2, 0],
-    )  # fmt: skip
+        name="cart",
+        A=[[1, 0.5], [0, 1]],
+        B=[[0.125], [0.5]],
+        noise_covariance=[[0.02, 0], [0, 0.02]],
+        state_low=[-4, -2],
+        state_high=[4, 2],
+        input_low=[-2],
+        input_high=[2],
+        initial_state=[-2, 0],
+    )
     problem = cg.Problem(
-        name="cart", horizon=6, agents=[cart], propositions={"g": cg.Proposition("cart", [0, -2], [4, 2])},
+        name="cart",
+        horizon=6,
+        agents=[cart],
+        propositions={"g": cg.Proposition("cart", [0, -2], [4, 2])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     certificate = cg.synthesize(problem, {"cart": [60, 40]}, relation="tube").certificate
     assert certificate.lower_bound > 0.9
     report = audit(certificate, EPISODES, confidence=CONFIDENCE)

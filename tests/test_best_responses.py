@@ -15,9 +15,16 @@ from problems import scalar_agent
 def plane(A: list[list[float]], B: list[list[float]]) -> cg.LinearAgent:
     m = len(B[0])
     return cg.LinearAgent(
-        name="one", A=A, B=B, noise_covariance=[[0.2, 0.0], [0.0, 0.3]], state_low=[-2, -3], state_high=[2, 3],
-        input_low=[-2.0] * m, input_high=[2.5] * m, initial_state=[0, 0],
-    )  # fmt: skip
+        name="one",
+        A=A,
+        B=B,
+        noise_covariance=[[0.2, 0.0], [0.0, 0.3]],
+        state_low=[-2, -3],
+        state_high=[2, 3],
+        input_low=[-2.0] * m,
+        input_high=[2.5] * m,
+        initial_state=[0, 0],
+    )
 
 
 AGENTS = {
@@ -68,9 +75,12 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
 
 def test_the_incumbent_stays_where_nothing_is_better() -> None:
     problem = cg.Problem(
-        name="p", horizon=1, agents=[scalar_agent("one")], propositions={"g": cg.Proposition("one", [0.5], [1.5])},
+        name="p",
+        horizon=1,
+        agents=[scalar_agent("one")],
+        propositions={"g": cg.Proposition("one", [0.5], [1.5])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     choices = abstract(problem, 40).models[0].choices
     assert isinstance(choices, TargetWindows)
     flat = np.ones((1, int(np.prod(choices.shape))))
@@ -83,9 +93,12 @@ def test_the_incumbent_stays_where_nothing_is_better() -> None:
 def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation: str) -> None:
     agent = AGENTS["diagonal"]
     problem = cg.Problem(
-        name="p", horizon=1, agents=[agent], propositions={"g": cg.Proposition("one", [0.5, 0.5], [1.5, 1.5])},
+        name="p",
+        horizon=1,
+        agents=[agent],
+        propositions={"g": cg.Proposition("one", [0.5, 0.5], [1.5, 1.5])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     choices = abstract(problem, [40, 30], relation=relation).models[0].choices
     points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(1)

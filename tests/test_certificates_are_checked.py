@@ -146,12 +146,23 @@ def drop_the_last_step(c: Certificate) -> Certificate:
 @pytest.mark.parametrize(
     "tamper",
     [
-        raise_the_bound, command_beyond_the_inputs, use_another_policy, narrow_the_cells, let_guards_overlap,
-        swap_targets, count_a_vertex_twice, inflate_the_value_elsewhere, drop_the_last_step,
-        hide_factors_behind_signs, turn_the_reserve_for_rounding_around, keep_no_reserve_for_rounding, keep_no_tree,
-        list_a_larger_bound, call_the_start_a_box,
+        raise_the_bound,
+        command_beyond_the_inputs,
+        use_another_policy,
+        narrow_the_cells,
+        let_guards_overlap,
+        swap_targets,
+        count_a_vertex_twice,
+        inflate_the_value_elsewhere,
+        drop_the_last_step,
+        hide_factors_behind_signs,
+        turn_the_reserve_for_rounding_around,
+        keep_no_reserve_for_rounding,
+        keep_no_tree,
+        list_a_larger_bound,
+        call_the_start_a_box,
     ],
-)  # fmt: skip
+)
 def test_tampered_certificates_are_refused(
     certificate: Certificate, tamper: Callable[[Certificate], Certificate]
 ) -> None:
@@ -166,9 +177,12 @@ def test_tampered_certificates_are_refused(
 def test_bounds_that_forget_lost_relations_are_refused(value: str) -> None:
     """The value of an abstraction alone, under any name, is no bound where relations can be lost."""
     problem = cg.Problem(
-        name="one", horizon=3, agents=[scalar_agent("one", A=[[1.1]])],
-        propositions={"goal": cg.Proposition("one", [1.0], [3.0])}, specification=cg.Specification("F goal", "co-safe"),
-    )  # fmt: skip
+        name="one",
+        horizon=3,
+        agents=[scalar_agent("one", A=[[1.1]])],
+        propositions={"goal": cg.Proposition("one", [1.0], [3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
     certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3, value=value).certificate
     assert certificate.delta > 0 and certificate.lower_bound > 0.1 and cg.check(certificate)
     assert not cg.check(replace(certificate, lower_bound=certificate.lower_bound + 0.01))
@@ -181,35 +195,53 @@ def test_bounds_that_forget_lost_relations_are_refused(value: str) -> None:
 def test_scalar_relations_are_refused_on_grids_in_other_coordinates() -> None:
     """Cells that look narrow in other coordinates would make ``delta`` small."""
     problem = cg.Problem(
-        name="one", horizon=3, agents=[scalar_agent("one", A=[[1.1]])],
-        propositions={"goal": cg.Proposition("one", [1.0], [3.0])}, specification=cg.Specification("F goal", "co-safe"),
-    )  # fmt: skip
+        name="one",
+        horizon=3,
+        agents=[scalar_agent("one", A=[[1.1]])],
+        propositions={"goal": cg.Proposition("one", [1.0], [3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
     certificate = cg.synthesize(problem, 200, relation="paper", epsilon=0.3).certificate
     part = certificate.agents[0]
     moved = with_agent(
-        certificate, 0, coordinates=np.array([[2.0]]), grid=Grid((part.grid.edges[0] / 2.0,)),
+        certificate,
+        0,
+        coordinates=np.array([[2.0]]),
+        grid=Grid((part.grid.edges[0] / 2.0,)),
         lattice=(part.lattice[0] / 2.0,),
-    )  # fmt: skip
+    )
     assert "state coordinates" in str(cg.check(moved))
 
 
 def test_correlated_noise_is_not_hidden_by_the_scale_of_an_axis() -> None:
-    values: dict[str, Any] = {"A": np.eye(2), "B": np.eye(2), "state_low": [-1, -1], "state_high": [1, 1],
-                              "input_low": [-1, -1], "input_high": [1, 1], "initial_state": [0, 0]}  # fmt: skip
+    values: dict[str, Any] = {
+        "A": np.eye(2),
+        "B": np.eye(2),
+        "state_low": [-1, -1],
+        "state_high": [1, 1],
+        "input_low": [-1, -1],
+        "input_high": [1, 1],
+        "initial_state": [0, 0],
+    }
     alone, together = (
         cg.Problem(
-            name="one", horizon=2, agents=[cg.LinearAgent(name="one", noise_covariance=[[0.1, c], [c, 0.1]], **values)],
-            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])}, specification=cg.Specification("F g", "co-safe"),
+            name="one",
+            horizon=2,
+            agents=[cg.LinearAgent(name="one", noise_covariance=[[0.1, c], [c, 0.1]], **values)],
+            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])},
+            specification=cg.Specification("F g", "co-safe"),
         )
         for c in (0.0, 0.09)
-    )  # fmt: skip
+    )
     certificate = cg.synthesize(alone, 8).certificate
     part, scale = certificate.agents[0], np.array([1e13, 1.0])
     hidden = with_agent(
-        replace(certificate, problem=together), 0, coordinates=np.diag(scale),
+        replace(certificate, problem=together),
+        0,
+        coordinates=np.diag(scale),
         grid=Grid(tuple(own / s for own, s in zip(part.grid.edges, scale, strict=True))),
         lattice=tuple(own / s for own, s in zip(part.lattice, scale, strict=True)),
-    )  # fmt: skip
+    )
     assert "not independent" in str(cg.check(hidden))
     flat = with_agent(certificate, 0, coordinates=np.ones((2, 2)))
     assert "cannot be inverted" in str(cg.check(flat))
@@ -279,13 +311,23 @@ def test_damaged_and_hostile_files_are_refused(certificate: Certificate, tmp_pat
 
 def test_the_exact_relation_needs_inputs_for_every_state() -> None:
     agent = cg.LinearAgent(
-        name="cart", A=[[1, 0.5], [0, 1]], B=[[0], [0.5]], noise_covariance=[[0.1, 0], [0, 0.1]], state_low=[-1, -1],
-        state_high=[1, 1], input_low=[-1], input_high=[1], initial_state=[0, 0],
-    )  # fmt: skip
+        name="cart",
+        A=[[1, 0.5], [0, 1]],
+        B=[[0], [0.5]],
+        noise_covariance=[[0.1, 0], [0, 0.1]],
+        state_low=[-1, -1],
+        state_high=[1, 1],
+        input_low=[-1],
+        input_high=[1],
+        initial_state=[0, 0],
+    )
     problem = cg.Problem(
-        name="cart", horizon=2, agents=[agent], propositions={"g": cg.Proposition("cart", [0, 0], [1, 1])},
+        name="cart",
+        horizon=2,
+        agents=[agent],
+        propositions={"g": cg.Proposition("cart", [0, 0], [1, 1])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     with pytest.raises(ValueError, match="full row rank"):
         cg.synthesize(problem, 8, relation="exact")
 
@@ -293,8 +335,11 @@ def test_the_exact_relation_needs_inputs_for_every_state() -> None:
 def test_singular_noise_is_refused_with_advice() -> None:
     agent = scalar_agent("one", noise_covariance=[[0.0]])
     problem = cg.Problem(
-        name="still", horizon=2, agents=[agent], propositions={"g": cg.Proposition("one", [0], [1])},
+        name="still",
+        horizon=2,
+        agents=[agent],
+        propositions={"g": cg.Proposition("one", [0], [1])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     with pytest.raises(ValueError, match="positive definite"):
         cg.synthesize(problem, 8)

@@ -64,9 +64,13 @@ def test_a_stranger_needs_only_the_file(raw: bytes, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
     for command in (["check", "c.npz"], ["validate", "c.npz", "--episodes", "500"], ["audit", "c.npz"]):
         done = subprocess.run(
-            [sys.executable, "-m", "certigym", *command], cwd=tmp_path, env=environment, capture_output=True, text=True,
+            [sys.executable, "-m", "certigym", *command],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
             check=False,
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.npz"]
 
@@ -216,11 +220,17 @@ def npy_header(shape: tuple[int, ...], dtype: str) -> bytes:
 @pytest.mark.parametrize(
     "member",
     [
-        npy_header((2**40,), "<f8"), npy_header((2**31, 2**31), "|b1"), npy_header((10,), "|O") + b"\x80\x04N.",
-        npy_header((-5,), "<f8"), b"\x93NUMPY\x01\x00", b"", b"\x80\x04N.", npy_header((3,), "<f8") + bytes(99),
+        npy_header((2**40,), "<f8"),
+        npy_header((2**31, 2**31), "|b1"),
+        npy_header((10,), "|O") + b"\x80\x04N.",
+        npy_header((-5,), "<f8"),
+        b"\x93NUMPY\x01\x00",
+        b"",
+        b"\x80\x04N.",
+        npy_header((3,), "<f8") + bytes(99),
     ],
     ids=["shape bomb", "overflowing shape", "objects", "negative shape", "no header", "empty", "pickle", "too long"],
-)  # fmt: skip
+)
 def test_hostile_arrays_are_refused_before_memory_is_taken(raw: bytes, member: bytes, tmp_path: Path) -> None:
     path = tmp_path / "c.npz"
     with zipfile.ZipFile(io.BytesIO(raw)) as old, zipfile.ZipFile(path, "w") as new:
@@ -272,9 +282,12 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
     inner[3:, 3:] = True
     kept = inner.ravel()
     cut = replace(
-        part, grid=Grid(tuple(edges[3:].copy() for edges in part.grid.edges)), masks=part.masks[:, kept],
-        start_masks=part.start_masks[:, kept], policy=part.policy[:, :, kept],
-    )  # fmt: skip
+        part,
+        grid=Grid(tuple(edges[3:].copy() for edges in part.grid.edges)),
+        masks=part.masks[:, kept],
+        start_masks=part.start_masks[:, kept],
+        policy=part.policy[:, :, kept],
+    )
     bad = replace(certificate, agents=(cut, *certificate.agents[1:]), lower_bound=0.0)
     bad = replace(bad, terms=regrow(bad))
     report = cg.check(bad)

@@ -32,9 +32,21 @@ semantics = "co-safe"
 """
 
 KEYS = {
-    "problem", "horizon", "method", "lower_bound", "exact", "episodes", "successes", "estimate", "ci_low", "ci_high",
-    "confidence", "verdict", "rank", "seconds",
-}  # fmt: skip
+    "problem",
+    "horizon",
+    "method",
+    "lower_bound",
+    "exact",
+    "episodes",
+    "successes",
+    "estimate",
+    "ci_low",
+    "ci_high",
+    "confidence",
+    "verdict",
+    "rank",
+    "seconds",
+}
 
 
 @pytest.fixture

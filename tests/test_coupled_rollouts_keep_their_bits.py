@@ -29,11 +29,16 @@ def turned() -> cg.Problem:
     """A cart with correlated noise, and two scalar agents that share grid and relation."""
     lines = [agent.replace(initial_state=[0.2]) for agent in two_agents(noise_covariance=[[0.4]], offset=[0.15]).agents]
     return cg.Problem(
-        name="turned", horizon=6, agents=[cart(noise_covariance=[[0.4, 0.2], [0.2, 0.5]], offset=[0.1, -0.05]), *lines],
-        propositions={"goal": cg.Proposition("cart", [-2.0, -3.0], [5.0, 3.0]),
-                      "one": cg.Proposition("one", [0.0], [3.0]), "two": cg.Proposition("two", [-3.0], [0.0])},
+        name="turned",
+        horizon=6,
+        agents=[cart(noise_covariance=[[0.4, 0.2], [0.2, 0.5]], offset=[0.1, -0.05]), *lines],
+        propositions={
+            "goal": cg.Proposition("cart", [-2.0, -3.0], [5.0, 3.0]),
+            "one": cg.Proposition("one", [0.0], [3.0]),
+            "two": cg.Proposition("two", [-3.0], [0.0]),
+        },
         specification=cg.Specification("F (goal & one & F two)", "co-safe"),
-    )  # fmt: skip
+    )
 
 
 LOUD = two_agents(horizon=5, noise_covariance=[[0.6]])
@@ -262,12 +267,20 @@ def test_every_chunk_has_auxiliary_draws_of_its_own() -> None:
 
 def test_agents_of_a_block_move_by_their_own_matrices() -> None:
     """Entries are left out only where they are 0 for all of them."""
-    other = cart(name="other", A=[[0.9, 0.0], [-0.2, 1.1]], B=[[0.3], [0.0]], offset=[0.0, 0.4],
-                 noise_covariance=[[0.4, 0.2], [0.2, 0.5]])  # fmt: skip
+    other = cart(
+        name="other",
+        A=[[0.9, 0.0], [-0.2, 1.1]],
+        B=[[0.3], [0.0]],
+        offset=[0.0, 0.4],
+        noise_covariance=[[0.4, 0.2], [0.2, 0.5]],
+    )
     problem = cg.Problem(
-        name="unlike", horizon=3, agents=[cart(), other], propositions={"p": cg.Proposition("cart", [0, 0], [1, 1])},
+        name="unlike",
+        horizon=3,
+        agents=[cart(), other],
+        propositions={"p": cg.Proposition("cart", [0, 0], [1, 1])},
         specification=cg.Specification("F p", "co-safe"),
-    )  # fmt: skip
+    )
     ((block,), rng) = Dynamics.of(problem).blocks, np.random.default_rng(4)
     x, u, z = rng.normal(size=(2, 2, 50)), rng.normal(size=(1, 2, 50)), rng.normal(size=(2, 2, 50))
     following = core.successor(block, x, u, z)

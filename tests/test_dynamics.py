@@ -76,6 +76,18 @@ def test_singular_covariance_moves_along_its_range() -> None:
     assert np.allclose(2.0 * after.states[0][0], after.states[0][1], atol=1e-12)
 
 
+@pytest.mark.parametrize("negative", [-1e-18, -1e-16])
+def test_variances_a_little_below_zero_count_as_zero(negative: float) -> None:
+    """Rounding leaves such eigenvalues in covariances that users compute; neither form of the factor may be NaN."""
+    diagonal = planar(noise_covariance=[[1.0, 0.0], [0.0, negative]])
+    assert diagonal.noise_factor.tolist() == [[1.0, 0.0], [0.0, 0.0]] and "standard deviation 1, 0" in repr(diagonal)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    covariance = turn @ np.diag([1.0, negative]) @ turn.T
+    full = planar(noise_covariance=(covariance + covariance.T) / 2)
+    assert np.isfinite(full.noise_factor).all()
+    assert np.allclose(full.noise_factor @ full.noise_factor.T, full.noise_covariance, atol=1e-14)
+
+
 def test_the_start_is_uniform_in_its_box_and_draws_nothing_for_points() -> None:
     """Fixed seed, n = 100,000, false alarm 1e-6 over 2 claims (Hoeffding); the gap seen is .9 % of the width."""
     dynamics = core.Dynamics.of(mixed_problem())
@@ -195,6 +207,20 @@ def test_a_start_outside_fails_even_the_task_true() -> None:
     dynamics = core.Dynamics.of(two_agents([[0.0]], formula="true"))
     worlds = core.initial_at(dynamics, np.array([[0.0, 0.0], [0.0, 4.5]]))
     assert worlds.accepted.tolist() == [True, False] and worlds.failed.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("start", [-10.0, 1.0], ids=["without p", "with p"])
+def test_what_no_word_can_miss_is_satisfied_at_time_0(start: float) -> None:
+    """No letter decides `(F p) | (X !p)`, so that even an exit at time 1 comes too late; `F p` waits for p."""
+    agent = scalar(initial_state=[start], A=[[0.0]], B=[[1000.0]])
+    region = {"p": cg.Proposition("left", [0.0], [5.0])}
+    for formula, satisfied in (("(F p) | (X !p)", True), ("F p", start > 0)):
+        task = cg.Specification(formula, "co-safe")
+        problem = cg.Problem(name="task", horizon=3, agents=[agent], propositions=region, specification=task)
+        env = cg.central_env(problem)
+        assert env.reset(seed=0)[1]["satisfied"] == satisfied
+        _, reward, terminated, _, info = env.step(np.ones(1))
+        assert terminated and info["satisfied"] == satisfied and reward == float(satisfied)
 
 
 def test_finite_traces_are_judged_at_the_horizon_only() -> None:

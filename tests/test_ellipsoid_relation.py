@@ -254,8 +254,17 @@ def test_three_states_and_their_four_pairs_of_vertices() -> None:
     """Every vertex of W, 20,000 errors: a chain of three integrators."""
     low, high = [-6.0] * 3, [6.0] * 3
     A, B, noise = np.eye(3) + 0.5 * np.eye(3, k=1), [[0.0], [0.0], [0.5]], 0.1 * np.eye(3)
-    agent = cg.LinearAgent(name="x", A=A, B=B, noise_covariance=noise, state_low=low, state_high=high,
-                           input_low=[-8.0], input_high=[8.0], initial_state=[0.0] * 3)  # fmt: skip
+    agent = cg.LinearAgent(
+        name="x",
+        A=A,
+        B=B,
+        noise_covariance=noise,
+        state_low=low,
+        state_high=high,
+        input_low=[-8.0],
+        input_high=[8.0],
+        initial_state=[0.0] * 3,
+    )
     grid = cells(agent)
     found = find_ellipsoid(agent, grid, np.eye(3), np.full(3, 3.0), 0.01, share=0.4)
     relation = ellipsoid_relation(agent, grid, np.eye(3), found)

@@ -119,13 +119,23 @@ def test_the_nearest_admissible_target_is_taken(form: str) -> None:
     """Against a comparison with every admissible target, for windows that are boxes and such that are not."""
     inputs = [[0.5, 0.0], [0.0, 0.6]] if form == "diagonal" else [[0.5, 0.3], [-0.2, 0.6]]
     agent = cg.LinearAgent(
-        name="plane", A=[[0.9, 0.1], [0.0, 0.8]], B=inputs, noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
-        state_low=[-3, -3], state_high=[3, 3], input_low=[-2, -1], input_high=[2, 2], initial_state=[0, 0],
-    )  # fmt: skip
+        name="plane",
+        A=[[0.9, 0.1], [0.0, 0.8]],
+        B=inputs,
+        noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
+        state_low=[-3, -3],
+        state_high=[3, 3],
+        input_low=[-2, -1],
+        input_high=[2, 2],
+        initial_state=[0, 0],
+    )
     problem = cg.Problem(
-        name="plane", horizon=2, agents=[agent], propositions={"goal": cg.Proposition("plane", [1, 1], [3, 3])},
+        name="plane",
+        horizon=2,
+        agents=[agent],
+        propositions={"goal": cg.Proposition("plane", [1, 1], [3, 3])},
         specification=cg.Specification("F goal", "co-safe"),
-    )  # fmt: skip
+    )
     (model,) = abstract(problem, 9, relation="exact").models
     windows = model.choices
     assert isinstance(windows, TargetWindows)
@@ -160,13 +170,23 @@ def test_other_relations_choose_the_nearest_input() -> None:
 def test_agents_with_fewer_inputs_than_states_are_wrapped_in_tubes() -> None:
     """A double integrator: its controllers remember an abstract state, and the bound holds (1e-6)."""
     cart = cg.LinearAgent(
-        name="cart", A=[[1.0, 0.5], [0.0, 1.0]], B=[[0.125], [0.5]], noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
-        state_low=[-6, -4], state_high=[6, 4], input_low=[-6], input_high=[6], initial_state=[-3.0, 0.0],
-    )  # fmt: skip
+        name="cart",
+        A=[[1.0, 0.5], [0.0, 1.0]],
+        B=[[0.125], [0.5]],
+        noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
+        state_low=[-6, -4],
+        state_high=[6, 4],
+        input_low=[-6],
+        input_high=[6],
+        initial_state=[-3.0, 0.0],
+    )
     problem = cg.Problem(
-        name="cart", horizon=8, agents=[cart], propositions={"goal": cg.Proposition("cart", [0.0, -4.0], [4.0, 4.0])},
+        name="cart",
+        horizon=8,
+        agents=[cart],
+        propositions={"goal": cg.Proposition("cart", [0.0, -4.0], [4.0, 4.0])},
         specification=cg.Specification("F goal", "co-safe"),
-    )  # fmt: skip
+    )
 
     def pull(x: Any, q: int, time: int) -> Any:
         return [0.6 * (1.0 - x[0]) - x[1]]
@@ -213,6 +233,9 @@ def test_wrong_policies_are_refused() -> None:
 
 def _renamed() -> cg.Problem:
     return cg.Problem(
-        name="one", horizon=2, agents=[scalar_agent("other")],
-        propositions={"a": cg.Proposition("other", [1.0], [3.0])}, specification=cg.Specification("F a", "co-safe"),
-    )  # fmt: skip
+        name="one",
+        horizon=2,
+        agents=[scalar_agent("other")],
+        propositions={"a": cg.Proposition("other", [1.0], [3.0])},
+        specification=cg.Specification("F a", "co-safe"),
+    )

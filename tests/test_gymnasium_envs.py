@@ -304,3 +304,17 @@ def test_reset_options_replace_the_start_of_every_form() -> None:
     assert env.reset(seed=0, options=options)[1]["state"].tolist() == [-7.0, -3.0]
     assert envs.reset(seed=0, options=options)[1]["state"].tolist() == [[-7.0, -3.0]] * 2
     assert envs.reset(seed=0)[1]["state"][0].tolist() != [-7.0, -3.0]
+
+
+@pytest.mark.parametrize("start", [[-10.0, -3.0], [4.0, 4.0]], ids=["at the horizon", "by the verdict"])
+def test_no_step_follows_the_end_of_an_episode(start: list[float]) -> None:
+    env = cg.central_env("reach-avoid-v0", horizon=2, initial_state=start)
+    env.reset(seed=0)
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, _ = env.step(np.zeros(2))
+        ended = terminated or truncated
+    with pytest.raises(RuntimeError, match="the episode has ended; call `reset` before `step`"):
+        env.step(np.zeros(2))
+    env.reset(seed=1)
+    assert env.step(np.zeros(2))[4]["time"] <= 1

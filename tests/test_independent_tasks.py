@@ -41,13 +41,23 @@ def _every_size_falls_apart(monkeypatch: pytest.MonkeyPatch) -> None:
         ("F any(pair) & G all(second)", [((0, 1), "F (a | d) & G b & G d"), ((2,), "G f")]),
         ("F a & (c U e)", [((0,), "F a"), ((1, 2), "c U e")]),
     ],
-)  # fmt: skip
+)
 def test_conjunctions_fall_apart_by_agents(formula: str, expected: list[tuple[tuple[int, ...], str]]) -> None:
     assert groups_of(formula) == expected
 
 
-@pytest.mark.parametrize("formula", ["F (a & c & e)", "F a & F c | F e", "F a", "all(first) U f", "F a & F c & false",
-                                     "F a & F c & G X true", "F a & F c & X[2] G true"])  # fmt: skip
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "F (a & c & e)",
+        "F a & F c | F e",
+        "F a",
+        "all(first) U f",
+        "F a & F c & false",
+        "F a & F c & G X true",
+        "F a & F c & X[2] G true",
+    ],
+)
 def test_other_tasks_stay_whole(formula: str) -> None:
     assert groups_of(formula) == []
 

@@ -20,17 +20,30 @@ from certigym.cli.main import main
 PROBLEM = cg.make_problem("reach-avoid-v0", horizon=3)
 RESULT = cg.synthesize(PROBLEM, cells=20)
 PLANAR: dict[str, Any] = {
-    "A": [[1.0, 0.5], [0.0, 1.0]], "B": [[0.0], [0.5]], "noise_covariance": np.eye(2) * 0.1, "state_low": [-10, -5],
-    "state_high": [10, 5], "input_low": [-1], "input_high": [1], "initial_state": [0, 0],
-}  # fmt: skip
+    "A": [[1.0, 0.5], [0.0, 1.0]],
+    "B": [[0.0], [0.5]],
+    "noise_covariance": np.eye(2) * 0.1,
+    "state_low": [-10, -5],
+    "state_high": [10, 5],
+    "input_low": [-1],
+    "input_high": [1],
+    "initial_state": [0, 0],
+}
 STRIP = {"goal": cg.Proposition("cart", [4, -5], [6, 5])}
 
 
 def agent(**changes: Any) -> cg.LinearAgent:
     given: dict[str, Any] = {
-        "name": "cart", "A": [[0.9]], "B": [[0.5]], "noise_covariance": [[0.04]], "state_low": [-10],
-        "state_high": [10], "input_low": [-3], "input_high": [3], "initial_state": [-6],
-    }  # fmt: skip
+        "name": "cart",
+        "A": [[0.9]],
+        "B": [[0.5]],
+        "noise_covariance": [[0.04]],
+        "state_low": [-10],
+        "state_high": [10],
+        "input_low": [-3],
+        "input_high": [3],
+        "initial_state": [-6],
+    }
     return cg.LinearAgent(**{**given, **changes})
 
 
@@ -38,10 +51,12 @@ def problem(
     who: cg.LinearAgent | None = None, propositions: Any = None, formula: str = "F goal", **changes: Any
 ) -> Any:
     given: dict[str, Any] = {
-        "name": "task", "horizon": 5, "agents": [who or agent()],
+        "name": "task",
+        "horizon": 5,
+        "agents": [who or agent()],
         "propositions": propositions or {"goal": cg.Proposition("cart", [4], [6])},
         "specification": cg.Specification(formula, "co-safe"),
-    }  # fmt: skip
+    }
     return cg.Problem(**{**given, **changes})
 
 
@@ -253,9 +268,12 @@ COMMANDS = [
 
 @pytest.mark.parametrize(("arguments", "remedy"), COMMANDS)
 def test_command_line(
-    arguments: list[str], remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    remedy: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("a-file").write_text("", encoding="utf-8")
     assert main(arguments) == 2

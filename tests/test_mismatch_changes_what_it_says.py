@@ -137,9 +137,15 @@ def test_stress_reports_how_far_the_bound_survives(certificate: Certificate) -> 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"noise_scale": -1.0}, {"noise_family": "cauchy"}, {"delay": -1}, {"delay": 0.5}, {"dropout": 1.5},
-     {"actuator_bias": float("nan")}],
-)  # fmt: skip
+    [
+        {"noise_scale": -1.0},
+        {"noise_family": "cauchy"},
+        {"delay": -1},
+        {"delay": 0.5},
+        {"dropout": 1.5},
+        {"actuator_bias": float("nan")},
+    ],
+)
 def test_mismatches_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Mismatch(**wrong)

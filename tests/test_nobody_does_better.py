@@ -34,9 +34,12 @@ def test_one_step_lies_above_what_points_and_inputs_lead_to(n_cells: int, dynami
     """Expectations by the normal distribution function, at many points of every cell and many inputs."""
     agent = scalar_agent("one", A=dynamics[0], B=dynamics[1], offset=[0.3], noise_covariance=[[0.16]])
     problem = cg.Problem(
-        name="one", horizon=1, agents=[agent], propositions={"a": cg.Proposition("one", [1.0], [3.0])},
+        name="one",
+        horizon=1,
+        agents=[agent],
+        propositions={"a": cg.Proposition("one", [1.0], [3.0])},
         specification=cg.Specification("F a", "co-safe"),
-    )  # fmt: skip
+    )
     model = abstract(problem, n_cells, relation="auto").models[0]
     optimist = Optimist.of(agent, model)
     assert optimist is not None
@@ -54,13 +57,23 @@ def test_one_step_lies_above_what_points_and_inputs_lead_to(n_cells: int, dynami
 
 def test_one_step_in_the_plane_with_correlated_noise() -> None:
     agent = cg.LinearAgent(
-        name="one", A=[[0.9, 0.3], [-0.2, 0.8]], B=[[0.0], [0.4]], noise_covariance=[[0.3, 0.15], [0.15, 0.2]],
-        state_low=[-3.0, -3.0], state_high=[3.0, 3.0], input_low=[-1.0], input_high=[1.0], initial_state=[0.0, 0.0],
-    )  # fmt: skip
+        name="one",
+        A=[[0.9, 0.3], [-0.2, 0.8]],
+        B=[[0.0], [0.4]],
+        noise_covariance=[[0.3, 0.15], [0.15, 0.2]],
+        state_low=[-3.0, -3.0],
+        state_high=[3.0, 3.0],
+        input_low=[-1.0],
+        input_high=[1.0],
+        initial_state=[0.0, 0.0],
+    )
     problem = cg.Problem(
-        name="one", horizon=1, agents=[agent], propositions={"a": cg.Proposition("one", [1.0, 1.0], [3.0, 3.0])},
+        name="one",
+        horizon=1,
+        agents=[agent],
+        propositions={"a": cg.Proposition("one", [1.0, 1.0], [3.0, 3.0])},
         specification=cg.Specification("F a", "co-safe"),
-    )  # fmt: skip
+    )
     model = abstract(problem, 24, relation="tube").models[0]
     optimist, rng = Optimist.of(agent, model), np.random.default_rng(0)
     assert optimist is not None
@@ -123,9 +136,14 @@ def test_random_problems_stay_below(seed: int) -> None:
     formula = ["(!b | !c) U a", "F (a & F c)", "!b U (a & d)", "G (!b | !c)"][seed % 4]
     semantics = "finite-trace" if formula.startswith("G") else "co-safe"
     problem = two_agents(
-        formula, semantics, horizon=3, A=[[rng.uniform(0.5, 1.2)]], offset=[rng.uniform(-0.2, 0.2)],
-        noise_covariance=[[rng.uniform(0.05, 0.5)]], initial_state=[rng.uniform(-1.5, 0.9)],
-    )  # fmt: skip
+        formula,
+        semantics,
+        horizon=3,
+        A=[[rng.uniform(0.5, 1.2)]],
+        offset=[rng.uniform(-0.2, 0.2)],
+        noise_covariance=[[rng.uniform(0.05, 0.5)]],
+        initial_state=[rng.uniform(-1.5, 0.9)],
+    )
     certificate = cg.synthesize(problem, 120).certificate
     for cells in (20, 40, 80):
         assert certificate.lower_bound <= bound(problem, cells)
@@ -144,9 +162,12 @@ def test_independent_tasks_multiply_them() -> None:
     meet = " & ".join(f"F near_{k}" for k in range(11))
     agents = scalar_agent("one", initial_state=[-1.0]).copies(11)
     problem = cg.Problem(
-        name="many", horizon=1, agents=agents, propositions={"near": cg.Proposition("one_*", [0.0], [1.0])},
+        name="many",
+        horizon=1,
+        agents=agents,
+        propositions={"near": cg.Proposition("one_*", [0.0], [1.0])},
         specification=cg.Specification(meet, "finite-trace"),
-    )  # fmt: skip
+    )
     result = cg.synthesize(problem, 400)
     most = result.stats["continuous_upper_bound"]
     alone = cg.synthesize(problem.tasks[0], 400).stats["continuous_upper_bound"]
@@ -157,12 +178,23 @@ def test_independent_tasks_multiply_them() -> None:
 def test_starts_whose_letter_is_not_certain_count_in_full() -> None:
     """A ninth of the start box is in the region, which cuts through the cell that holds the box."""
     agent = cg.LinearAgent(
-        name="plane", A=0.5 * np.eye(2), B=np.eye(2), noise_covariance=0.1 * np.eye(2), output_matrix=[[1.0, 1.0]],
-        state_low=[-4.0, -4.0], state_high=[4.0, 4.0], input_low=[-0.01, -0.01], input_high=[0.01, 0.01],
-        initial_low=[-0.2, -0.2], initial_high=[0.2, 0.2],
-    )  # fmt: skip
+        name="plane",
+        A=0.5 * np.eye(2),
+        B=np.eye(2),
+        noise_covariance=0.1 * np.eye(2),
+        output_matrix=[[1.0, 1.0]],
+        state_low=[-4.0, -4.0],
+        state_high=[4.0, 4.0],
+        input_low=[-0.01, -0.01],
+        input_high=[0.01, 0.01],
+        initial_low=[-0.2, -0.2],
+        initial_high=[0.2, 0.2],
+    )
     problem = cg.Problem(
-        name="cut", horizon=1, agents=[agent], propositions={"near": cg.Proposition("plane", [0.0], [0.05])},
+        name="cut",
+        horizon=1,
+        agents=[agent],
+        propositions={"near": cg.Proposition("plane", [0.0], [0.05])},
         specification=cg.Specification("near", "co-safe"),
-    )  # fmt: skip
+    )
     assert bound(problem, 5) > 0.05 * 2.5 * 0.9

@@ -56,8 +56,20 @@ def installed(archive: Path, folder: Path) -> Path:
     inside = {"base": str(folder), "platbase": str(folder)}
     site, here = (Path(sysconfig.get_path("purelib", vars=v)) for v in (inside, None))
     (site / "dependencies.pth").write_text(f"{here}\n", encoding="utf-8")  # of a path so named, .pth files do not count
-    command = [sys.executable, "-m", "pip", "--python", str(program), "install", "--quiet", "--no-deps", "--no-index",
-               "--no-build-isolation", "--no-warn-script-location", str(archive)]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        str(program),
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--no-build-isolation",
+        "--no-warn-script-location",
+        str(archive),
+    ]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return binary

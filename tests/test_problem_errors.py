@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 from typing import Any
 
@@ -129,6 +131,9 @@ def test_replace_names_its_argument() -> None:
         problem.replace(initial_state=[[1.0]])
     with pytest.raises(ValueError, match="`horizon`"):
         problem.replace(horizon=-1)
+    for name in ("", "a\nb", "x" * 201, 3):
+        with pytest.raises(ValueError, match="`name`: expected a line of 1 to 200 printable characters"):
+            problem.replace(name=name)  # type: ignore[arg-type]
 
 
 def test_suite_arguments() -> None:
@@ -149,6 +154,22 @@ def test_arrays_are_read_only_and_copied() -> None:
     assert agent.A[0, 0] == 0.9
     with pytest.raises(ValueError, match="read-only"):
         agent.A[0, 0] = 1.0
+
+
+def test_arrays_stay_read_only_when_records_travel() -> None:
+    """Pickled arrays come back writable unless the record sees to it."""
+    agent = planar()
+    assert agent.workspace.low[0] == -10.0 and agent.noise_factor.shape == (2, 2)  # cached from here on
+    records = [agent, agent.workspace, cg.Proposition("left", [0.0], [5.0]), cg.make_problem("reach-avoid-v0")]
+    for record in records:
+        for twin in (pickle.loads(pickle.dumps(record)), copy.deepcopy(record), copy.copy(record)):
+            members = [twin, *twin.agents, *twin.propositions.values()] if isinstance(twin, cg.Problem) else [twin]
+            arrays = [value for member in members for value in vars(member).values() if isinstance(value, np.ndarray)]
+            assert not any(array.flags.writeable for array in arrays) and repr(twin) == repr(record)
+            assert arrays or isinstance(twin, cg.Problem)
+    twin = pickle.loads(pickle.dumps(agent))
+    assert twin.to_dict() == agent.to_dict() and not twin.workspace.low.flags.writeable
+    assert agent.copies(2)[1].A is agent.A
 
 
 def test_messages_stay_on_one_line() -> None:

@@ -42,10 +42,16 @@ def pairs(n: int, horizon: int = 5, semantics: str = "finite-trace", starts: Seq
     for k in range(n):
         for side, sign in (("left", 1.0), ("right", -1.0)):
             agent = cg.LinearAgent(
-                name=f"{side}_{k}", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]], state_low=[-4.0],
-                state_high=[4.0], input_low=[-2.0], input_high=[2.0],
+                name=f"{side}_{k}",
+                A=[[0.9]],
+                B=[[0.5]],
+                noise_covariance=[[0.25]],
+                state_low=[-4.0],
+                state_high=[4.0],
+                input_low=[-2.0],
+                input_high=[2.0],
                 initial_state=[sign * starts[k % len(starts)]],
-            )  # fmt: skip
+            )
             agents.append(agent)
     regions = {"a": (-1.0, 0.0), "b": (0.0, 1.0), "safe": (-3.0, 3.0)}
     propositions = {
@@ -57,9 +63,12 @@ def pairs(n: int, horizon: int = 5, semantics: str = "finite-trace", starts: Seq
     stay = "G" if semantics == "finite-trace" else f"G[0,{horizon}]"
     formula = f"{stay} (all(safe_left) & all(safe_right)) & {meet}"
     return cg.Problem(
-        name="pairs", horizon=horizon, agents=agents, propositions=propositions,
+        name="pairs",
+        horizon=horizon,
+        agents=agents,
+        propositions=propositions,
         specification=cg.Specification(formula, semantics),
-    )  # fmt: skip
+    )
 
 
 def apart(monkeypatch: pytest.MonkeyPatch, *arguments: object, **named: object) -> cg.Problem:
@@ -76,9 +85,7 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
     together = dense_optimum(whole, list(abstract(whole, 8).models))
     parts = [dense_optimum(task, list(abstract(task, 8).models)) for task in problem.tasks]
     for q in range(whole.automaton.n_states):  # states by the states of the parts, found by their values
-        choices = [
-            np.einsum("ab,cd->abcd", first, second) for first in parts[0] for second in parts[1]
-        ]  # fmt: skip
+        choices = [np.einsum("ab,cd->abcd", first, second) for first in parts[0] for second in parts[1]]
         assert min(np.abs(together[q] - choice).max() for choice in choices) < 1e-12
     certificate = cg.synthesize(problem, 8).certificate
     assert isinstance(certificate, ProductCertificate)
@@ -218,10 +225,12 @@ def test_tasks_that_differ_in_a_region_alone_differ(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(independent, "MOST_STATES", 0)
     agents = [pairs(1).agents[0].replace(name=name) for name in ("one", "two")]
     problem = cg.Problem(
-        name="goals", horizon=3, agents=agents,
+        name="goals",
+        horizon=3,
+        agents=agents,
         propositions={"a": cg.Proposition("one", [-1.0], [0.0]), "b": cg.Proposition("two", [1.0], [2.0])},
         specification=cg.Specification("F a & F b", "finite-trace"),
-    )  # fmt: skip
+    )
     result = cg.synthesize(problem, 20)
     assert result.stats["distinct_tasks"] == 2 and cg.check(result.certificate)
 
@@ -258,9 +267,12 @@ def test_agents_without_a_task_have_to_stay_in_the_workspace(monkeypatch: pytest
     base = pairs(2, 3)
     idle = base.agents[0].replace(name="idle", A=[[1.0]], B=[[0.01]], initial_state=[3.9])
     problem = cg.Problem(
-        name="idle", horizon=3, agents=[*base.agents, idle], propositions=base.declared,
+        name="idle",
+        horizon=3,
+        agents=[*base.agents, idle],
+        propositions=base.declared,
         specification=base.specification,
-    )  # fmt: skip
+    )
     assert [group.agents for group in problem.groups] == [(0, 1), (2, 3), (4,)]
     with_idle, without = (cg.synthesize(p, 40).certificate for p in (problem, apart(monkeypatch, 2, 3)))
     assert with_idle.lower_bound < 0.7 * without.lower_bound

@@ -57,9 +57,15 @@ def records(problem: cg.Problem) -> list[Any]:
     """Every record of the rooms of the problem, and of its dynamics."""
     automata = [group.automaton for group in problem.groups] or [problem.automaton]
     kinds = [
-        problem, problem.agents[0], problem.agents[0].workspace, problem.labeling, problem.specification, *automata[:1],
-        *problem.groups[:1], *list(problem.propositions.values())[:1],
-    ]  # fmt: skip
+        problem,
+        problem.agents[0],
+        problem.agents[0].workspace,
+        problem.labeling,
+        problem.specification,
+        *automata[:1],
+        *problem.groups[:1],
+        *list(problem.propositions.values())[:1],
+    ]
     if not problem.groups:
         dynamics = Dynamics.of(problem)
         worlds = core.initial(dynamics, np.random.default_rng(0), 3)

@@ -24,19 +24,36 @@ FALSE_ALARM = 1e-6
 def correlated() -> cg.Problem:
     """A planar agent with correlated noise, coupled axes, spare inputs and an output map, and a scalar one."""
     plane = cg.LinearAgent(
-        name="plane", A=[[0.9, 0.2], [-0.1, 0.8]], B=[[0.5, 0.1, 0.2], [0.0, 0.6, -0.3]],
-        noise_covariance=[[0.10, 0.04], [0.04, 0.08]], state_low=[-3, -3], state_high=[3, 3], input_low=[-3, -2, -1],
-        input_high=[3, 2, 3], initial_state=[-1.0, -1.0], output_matrix=[[1.0, 1.0]], offset=[0.1, -0.05],
-    )  # fmt: skip
+        name="plane",
+        A=[[0.9, 0.2], [-0.1, 0.8]],
+        B=[[0.5, 0.1, 0.2], [0.0, 0.6, -0.3]],
+        noise_covariance=[[0.10, 0.04], [0.04, 0.08]],
+        state_low=[-3, -3],
+        state_high=[3, 3],
+        input_low=[-3, -2, -1],
+        input_high=[3, 2, 3],
+        initial_state=[-1.0, -1.0],
+        output_matrix=[[1.0, 1.0]],
+        offset=[0.1, -0.05],
+    )
     line = cg.LinearAgent(
-        name="line", A=[[1.1]], B=[[-0.5]], noise_covariance=[[0.05]], state_low=[-2], state_high=[2], input_low=[-2],
-        input_high=[1], initial_state=[0.3],
-    )  # fmt: skip
+        name="line",
+        A=[[1.1]],
+        B=[[-0.5]],
+        noise_covariance=[[0.05]],
+        state_low=[-2],
+        state_high=[2],
+        input_low=[-2],
+        input_high=[1],
+        initial_state=[0.3],
+    )
     return cg.Problem(
-        name="correlated", horizon=6, agents=[plane, line],
+        name="correlated",
+        horizon=6,
+        agents=[plane, line],
         propositions={"goal": cg.Proposition("plane", [1.0], [3.0]), "safe": cg.Proposition("line", [-1.0], [1.0])},
         specification=cg.Specification("safe U (goal & safe)", "co-safe"),
-    )  # fmt: skip
+    )
 
 
 LOUD: dict[str, Any] = {"noise_covariance": [[0.8]]}
@@ -97,10 +114,12 @@ def test_weak_inputs_are_not_called_exact() -> None:
 
 def test_slivers_at_the_edge_of_the_workspace_do_no_harm() -> None:
     problem = cg.Problem(
-        name="sliver", horizon=2, agents=[two_agents().agents[0]],
+        name="sliver",
+        horizon=2,
+        agents=[two_agents().agents[0]],
         propositions={"a": cg.Proposition("one", [1.0], [4.0 - 4e-16]), "b": cg.Proposition("one", [-4.0], [0.0])},
         specification=cg.Specification("F a", "co-safe"),
-    )  # fmt: skip
+    )
     assert cg.check(cg.synthesize(problem, 40).certificate)
 
 

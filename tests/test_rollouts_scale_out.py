@@ -209,8 +209,17 @@ def test_control_c_leaves_a_report(certificate: Certificate, tmp_path: Path, pla
     cg.save_certificate(certificate, tmp_path / "c.npz")
     (tmp_path / "driver.py").write_text(DRIVER)
     out = tmp_path / "r.json"
-    command = [sys.executable, str(tmp_path / "driver.py"), "validate", str(tmp_path / "c.npz"), "--episodes",
-               "500000000", "--json", str(out), *place]  # fmt: skip
+    command = [
+        sys.executable,
+        str(tmp_path / "driver.py"),
+        "validate",
+        str(tmp_path / "c.npz"),
+        "--episodes",
+        "500000000",
+        "--json",
+        str(out),
+        *place,
+    ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as run:

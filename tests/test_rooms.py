@@ -161,8 +161,12 @@ def test_no_imports_go_round_in_circles() -> None:
 
 
 def test_files_do_not_enter_their_own_room_by_the_door() -> None:
-    wrong = [module for module in modules() for target, name in imports(module) if name and target == room_of(module)
-             and modules()[module].stem != "__init__"]  # fmt: skip
+    wrong = [
+        module
+        for module in modules()
+        for target, name in imports(module)
+        if name and target == room_of(module) and modules()[module].stem != "__init__"
+    ]
     assert wrong == []
 
 

@@ -189,14 +189,24 @@ def test_the_value_of_a_stationary_policy_is_that_of_dense_programming() -> None
 def one_agent() -> cg.Problem:
     """A weak agent that may take as long as it likes to reach [2, 4), but not to enter [-4, -2)."""
     agent = cg.LinearAgent(
-        name="slow", A=[[1.0]], B=[[0.3]], noise_covariance=[[0.36]], state_low=[-4.0], state_high=[4.0],
-        input_low=[-1.0], input_high=[1.0], initial_state=[0.0],
-    )  # fmt: skip
+        name="slow",
+        A=[[1.0]],
+        B=[[0.3]],
+        noise_covariance=[[0.36]],
+        state_low=[-4.0],
+        state_high=[4.0],
+        input_low=[-1.0],
+        input_high=[1.0],
+        initial_state=[0.0],
+    )
     regions = {"goal": cg.Proposition("slow", [2.0], [4.0]), "pit": cg.Proposition("slow", [-4.0], [-2.0])}
     return cg.Problem(
-        name="slow", horizon=8, agents=[agent], propositions=regions,
+        name="slow",
+        horizon=8,
+        agents=[agent],
+        propositions=regions,
         specification=cg.Specification("!pit U goal", "co-safe"),
-    )  # fmt: skip
+    )
 
 
 def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
@@ -274,8 +284,10 @@ def test_the_bound_from_above_is_a_mean_over_boxes() -> None:
     result = cg.synthesize(problem, 16)
     joint = join(problem, abstract(problem, 16))
     dense = dense_optimum(problem, list(joint.models))
-    weights = [start_share(m.grid, np.eye(1), np.array([low]), np.array([high]))
-               for m, low, high in zip(joint.models, (0.0, -1.0), (1.0, 1.0), strict=True)]  # fmt: skip
+    weights = [
+        start_share(m.grid, np.eye(1), np.array([low]), np.array([high]))
+        for m, low, high in zip(joint.models, (0.0, -1.0), (1.0, 1.0), strict=True)
+    ]
     initial = problem.replace(initial_state=[0.5, 0.0]).initial_q  # the start meets no region of the task
     mean = float(weights[0] @ dense[initial] @ weights[1])
     most = float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]

@@ -113,9 +113,11 @@ def test_split_problems_run_as_the_originals_do(seed: int, formula: tuple[str, s
         split_u = np.where(inputs >= 0, u[:, inputs], 0.0)
         worlds = core.transition(one, worlds, sorted_by_agent(one, u, "n_inputs"), sorted_by_agent(one, z, "n_states"))
         split_worlds = core.transition(
-            other, split_worlds, sorted_by_agent(other, split_u, "n_inputs"),
+            other,
+            split_worlds,
+            sorted_by_agent(other, split_u, "n_inputs"),
             sorted_by_agent(other, z[:, states], "n_states"),
-        )  # fmt: skip
+        )
         np.testing.assert_array_equal(core.joint(other, split_worlds), core.joint(one, worlds)[:, states])
         np.testing.assert_array_equal(split_worlds.failed, worlds.failed)
         np.testing.assert_array_equal(split_worlds.accepted, worlds.accepted)
@@ -140,10 +142,16 @@ def test_automata_are_split_as_formulas_are() -> None:
 def test_regions_stay_half_open_at_the_upper_edge_of_outputs() -> None:
     """A block may have y = x where its agent has not: its regions must not be closed by that."""
     common: dict[str, Any] = {
-        "name": "robot", "A": np.eye(2) / 2, "B": np.eye(2), "noise_covariance": np.eye(2) / 4,
-        "state_low": [-1, -1], "state_high": [1, 1], "input_low": [-1, -1], "input_high": [1, 1],
+        "name": "robot",
+        "A": np.eye(2) / 2,
+        "B": np.eye(2),
+        "noise_covariance": np.eye(2) / 4,
+        "state_low": [-1, -1],
+        "state_high": [1, 1],
+        "input_low": [-1, -1],
+        "input_high": [1, 1],
         "initial_state": [0, 0],
-    }  # fmt: skip
+    }
     robot = cg.LinearAgent(**common, output_matrix=[[1.0, 0.0]])
     task = cg.Specification("F top", "co-safe")
     regions = {"top": cg.Proposition("robot", [0.5], [1.0])}
@@ -158,9 +166,16 @@ def test_regions_stay_half_open_at_the_upper_edge_of_outputs() -> None:
 def test_axes_without_inputs_and_coupled_agents() -> None:
     """An axis that no input moves becomes an agent with an input that is 0; coupled axes stay together."""
     drift = cg.LinearAgent(
-        name="cart", A=[[0.5, 0.0], [0.0, 0.5]], B=[[1.0], [0.0]], noise_covariance=np.eye(2) / 4,
-        state_low=[-1, -1], state_high=[1, 1], input_low=[-1], input_high=[1], initial_state=[0, 0],
-    )  # fmt: skip
+        name="cart",
+        A=[[0.5, 0.0], [0.0, 0.5]],
+        B=[[1.0], [0.0]],
+        noise_covariance=np.eye(2) / 4,
+        state_low=[-1, -1],
+        state_high=[1, 1],
+        input_low=[-1],
+        input_high=[1],
+        initial_state=[0, 0],
+    )
     safe = {"safe": cg.Proposition("cart", [-0.5, -1], [0.5, 1])}
     task = cg.Specification("G safe", "finite-trace")
     whole = cg.Problem(name="drift", horizon=3, agents=[drift], propositions=safe, specification=task)
@@ -192,12 +207,22 @@ def test_the_command_line_splits(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_axes_with_correlated_noise_stay_together() -> None:
-    values: dict[str, Any] = {"A": np.eye(2), "B": np.eye(2), "state_low": [-1, -1], "state_high": [1, 1],
-                              "input_low": [-1, -1], "input_high": [1, 1], "initial_state": [0, 0]}  # fmt: skip
+    values: dict[str, Any] = {
+        "A": np.eye(2),
+        "B": np.eye(2),
+        "state_low": [-1, -1],
+        "state_high": [1, 1],
+        "input_low": [-1, -1],
+        "input_high": [1, 1],
+        "initial_state": [0, 0],
+    }
     for correlation, expected in ((0.0, 2), (0.05, 1)):
         noise = [[0.1, correlation], [correlation, 0.1]]
         problem = cg.Problem(
-            name="one", horizon=2, agents=[cg.LinearAgent(name="one", noise_covariance=noise, **values)],
-            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])}, specification=cg.Specification("F g", "co-safe"),
-        )  # fmt: skip
+            name="one",
+            horizon=2,
+            agents=[cg.LinearAgent(name="one", noise_covariance=noise, **values)],
+            propositions={"g": cg.Proposition("one", [0, 0], [1, 1])},
+            specification=cg.Specification("F g", "co-safe"),
+        )
         assert cg.split_axes(problem).n_agents == expected

@@ -208,8 +208,15 @@ def single_delivery(points: np.ndarray) -> bool:
 PLACES: dict[str, list[tuple[float, ...]]] = {
     "meeting-v0": [(-5, 5, -5, 5), (4, 5, 4, 5), (-5, 5, 4, 5), (-5, -5, 5, -5), (0, 0, 5, 5), (-7, 0, 7, 0)],
     "door-formation-v0": [
-        (-3, 0, -5, 0, -7, 0), (0, 0, -5, 0, -7, 0), (3, 0, -2, 0, -5, 0), (3, 0, 0, 0, -5, 0), (6, 0, 4, 2, -2, 0),
-        (6, 0, 4, 2, 0, 0), (6, 0, 4, 2, 4, -2), (0, 0, 0, 0, -7, 0), (0, 3, -5, 0, -7, 0),
+        (-3, 0, -5, 0, -7, 0),
+        (0, 0, -5, 0, -7, 0),
+        (3, 0, -2, 0, -5, 0),
+        (3, 0, 0, 0, -5, 0),
+        (6, 0, 4, 2, -2, 0),
+        (6, 0, 4, 2, 0, 0),
+        (6, 0, 4, 2, 4, -2),
+        (0, 0, 0, 0, -7, 0),
+        (0, 3, -5, 0, -7, 0),
     ],
     "patrol-recharge-v0": [(0, 0), (0, 4), (-4, 0), (-4, 4), (0.5, 2), (0, 3), (-6, -1)],
     "cyclic-delivery-v0": [(0,) * 8, (-16, -2) * 4, (-8, -3) * 4, (-12, 2) * 4, (1, -2) * 4, (-14.5, -0.5) * 4],
@@ -217,7 +224,7 @@ PLACES: dict[str, list[tuple[float, ...]]] = {
     "reach-avoid-kinematic-v0": [(-10, 0, 0, 1), (-5, 1, -15, 0), (-5, 1, -16, 0), (0, 2, -20, 0), (-1, 0, -14, 3)],
     "car-park-planar-v0": [(-4, -5), (4, 0), (5, -2), (10, -4), (10, 3.9), (3.9, -1), (4, 4)],
     "package-delivery-single-v0": [(-5, -5), (5, 0), (6, 0.9), (0.5, 0), (-3, -3.5), (-2, -3), (2, 2)],
-}  # fmt: skip
+}
 ORACLES = {
     "meeting-v0": meeting,
     "door-formation-v0": formation,
@@ -272,8 +279,11 @@ def test_classics_have_the_numbers_of_the_literature() -> None:
     for k, zone in enumerate(zones):
         whole[np.ix_([k, k + 2], [k, k + 2])] = zone.A
     assert whole.tolist() == [
-        [0.6682, 0, 0.02632, 0], [0, 0.683, 0, 0.02096], [1.0005, 0, -0.000499, 0], [0, 0.8004, 0, 0.1996],
-    ]  # fmt: skip
+        [0.6682, 0, 0.02632, 0],
+        [0, 0.683, 0, 0.02096],
+        [1.0005, 0, -0.000499, 0],
+        [0, 0.8004, 0, 0.1996],
+    ]
     assert [zone.offset.tolist() for zone in zones] == [[3.3378, 13.0207], [2.9272, 10.4166]]
     chain = cg.make_problem("integrator-chain-v0", dimension=3).agents[0]
     assert np.allclose(chain.A, np.array([[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]])) and chain.n_inputs == 1

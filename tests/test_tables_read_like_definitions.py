@@ -26,7 +26,9 @@ SMALL = ["reach-avoid-v0", "package-delivery-v0", "door-formation-v0", "reach-av
 def planar_pair() -> cg.Problem:
     """Two planar agents with boxes of their own, met in turns: edges are shared by no two agents."""
     return cg.Problem(
-        name="pair", horizon=5, agents=[planar(), planar(name="other", state_low=[-7.0, -9.5])],
+        name="pair",
+        horizon=5,
+        agents=[planar(), planar(name="other", state_low=[-7.0, -9.5])],
         propositions={
             "here": cg.Proposition("planar", [-5.0, -5.0], [5.0, 10.0]),
             "there": cg.Proposition("planar", [4.0, 1.25], [9.0, 8.0]),
@@ -34,7 +36,7 @@ def planar_pair() -> cg.Problem:
             "near": cg.Proposition("other", [-3.0, -3.0], [3.0, 3.0]),
         },
         specification=cg.Specification("G (here -> X (near | away)) & F there", "finite-trace"),
-    )  # fmt: skip
+    )
 
 
 def critical(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:

@@ -50,8 +50,10 @@ def test_rewards_and_ends_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch
                 seen.add((reward, terminated, truncated))
             if not apart.agents:
                 break
-            actions = {name: np.clip(-pull * 1.8 * observation[:1] + rng.normal(0, 1.5 * (1 - pull), 1), -2, 2)
-                       for name, observation in one[0].items()}  # fmt: skip
+            actions = {
+                name: np.clip(-pull * 1.8 * observation[:1] + rng.normal(0, 1.5 * (1 - pull), 1), -2, 2)
+                for name, observation in one[0].items()
+            }
             one, other = apart.step(actions), whole.step(actions)
             for name, observation in one[0].items():
                 np.testing.assert_allclose(observation[[0, -1]], other[0][name][[0, -1]])

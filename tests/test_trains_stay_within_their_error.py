@@ -178,9 +178,16 @@ def cyclic(n_robots: int = 3) -> cg.Problem:
         families=members,
     )
     robot = cg.LinearAgent(
-        name="robot", A=[[0.9]], B=[[1.0]], noise_covariance=[[0.25]], state_low=[-8.0], state_high=[4.0],
-        input_low=[-2.0], input_high=[2.0], initial_state=[0.0],
-    )  # fmt: skip
+        name="robot",
+        A=[[0.9]],
+        B=[[1.0]],
+        noise_covariance=[[0.25]],
+        state_low=[-8.0],
+        state_high=[4.0],
+        input_low=[-2.0],
+        input_high=[2.0],
+        initial_state=[0.0],
+    )
     return cg.Problem(
         name="cyclic",
         horizon=9,

@@ -195,10 +195,16 @@ def test_alive_mass_never_exceeds_one_and_counts_what_it_drops() -> None:
 
 def test_two_dimensional_agents_agree_with_dense_programming() -> None:
     agent = LinearAgent(
-        name="plane", A=[[0.9, 0.1], [-0.1, 0.8]], B=[[0.5, 0.0], [0.0, -0.4]],
-        noise_covariance=[[0.2, 0.0], [0.0, 0.1]], state_low=[-2, -2], state_high=[2, 2], input_low=[-3, -3],
-        input_high=[3, 3], initial_state=[-1.2, -1.1],
-    )  # fmt: skip
+        name="plane",
+        A=[[0.9, 0.1], [-0.1, 0.8]],
+        B=[[0.5, 0.0], [0.0, -0.4]],
+        noise_covariance=[[0.2, 0.0], [0.0, 0.1]],
+        state_low=[-2, -2],
+        state_high=[2, 2],
+        input_low=[-3, -3],
+        input_high=[3, 3],
+        initial_state=[-1.2, -1.1],
+    )
     other = scalar_agent("line")
     problem = Problem(
         name="plane",

@@ -106,8 +106,10 @@ def test_cells_left_out_are_counted_from_above(seed: int) -> None:
     """Whatever cells trains leave out, the closed loop lies between both sides; choices are random, some missing."""
     problem, joint, policies = a_team()
     rng = np.random.default_rng(seed)
-    policies = tuple(rng.integers(0, len(m.lattice[0]), size=policy.shape).astype(np.int32)
-                 for m, policy in zip(joint.models, policies, strict=True))  # fmt: skip
+    policies = tuple(
+        rng.integers(0, len(m.lattice[0]), size=policy.shape).astype(np.int32)
+        for m, policy in zip(joint.models, policies, strict=True)
+    )
     dense = dense_value(problem, joint.models, policies)
     visited = [tuple(np.flatnonzero(rng.random(n) < 0.7) for n in joint.n_cells) for _ in range(5)]
     above = evaluate_above(joint, policies, Rounding(1e-9, tuple(visited)))
@@ -125,8 +127,12 @@ def test_cells_left_out_are_counted_from_above(seed: int) -> None:
     assert max(differences) > 1e-3
     everything = evaluate_above(joint, policies, Rounding(1e-9, (None,) * 5))
     start = start_of(problem, joint)
-    exact = sum(float(own[0] @ dense[q] @ other[0]) for q, rows in enumerate(start.terms.index) if len(rows)
-                for own, other in [start.terms.factors])  # fmt: skip
+    exact = sum(
+        float(own[0] @ dense[q] @ other[0])
+        for q, rows in enumerate(start.terms.index)
+        if len(rows)
+        for own, other in [start.terms.factors]
+    )
     assert exact <= start_above(start, everything) <= exact + 1e-8
 
 
@@ -275,13 +281,25 @@ def test_only_exact_relations_have_an_upper_end() -> None:
 def test_uncertain_cells_have_no_upper_end() -> None:
     """The goal is a strip across the cells, of the sum of both coordinates."""
     agent = cg.LinearAgent(
-        name="a", A=np.eye(2), B=np.eye(2), output_matrix=[[1.0, 1.0]], noise_covariance=0.2 * np.eye(2),
-        state_low=[-3.0, -3.0], state_high=[3.0, 3.0], input_low=[-1.0, -1.0], input_high=[1.0, 1.0],
+        name="a",
+        A=np.eye(2),
+        B=np.eye(2),
+        output_matrix=[[1.0, 1.0]],
+        noise_covariance=0.2 * np.eye(2),
+        state_low=[-3.0, -3.0],
+        state_high=[3.0, 3.0],
+        input_low=[-1.0, -1.0],
+        input_high=[1.0, 1.0],
         initial_state=[0.0, 0.0],
-    )  # fmt: skip
+    )
     goal = cg.Proposition("a", [1.0], [3.0])
-    problem = cg.Problem(name="strip", horizon=3, agents=[agent], propositions={"goal": goal},
-                         specification=cg.Specification("F goal", "co-safe"))  # fmt: skip
+    problem = cg.Problem(
+        name="strip",
+        horizon=3,
+        agents=[agent],
+        propositions={"goal": goal},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
     certificate = cg.synthesize(problem, 20).certificate
     assert certificate.lower_bound > 0.1 and certificate.gap is None and cg.check(certificate)
     assert "certain class" in cg.check(replace(certificate, gap=0.5)).failures[0]

@@ -173,9 +173,12 @@ def test_hostile_names_and_settings_stay_text(certificate: Certificate, tmp_path
 def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
     agent = scalar_agent("only", initial_state=None, initial_low=[-1.0], initial_high=[0.5])
     one = cg.Problem(
-        name="one", horizon=3, agents=[agent], propositions={"g": cg.Proposition("only", [1.0], [2.0])},
+        name="one",
+        horizon=3,
+        agents=[agent],
+        propositions={"g": cg.Proposition("only", [1.0], [2.0])},
         specification=cg.Specification("F g", "co-safe"),
-    )  # fmt: skip
+    )
     content = cg.report(cg.synthesize(one, 40), tmp_path / "r.html", 500)
     assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
     assert "middle of the initial box" in (tmp_path / "r.html").read_text()

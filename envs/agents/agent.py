@@ -91,6 +91,7 @@ class LinearAgent:
     output_matrix: np.ndarray
     offset: np.ndarray
 
+    # Fourteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -138,6 +139,15 @@ class LinearAgent:
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
+
+    # Copy and pickle the fields alone: what is cached can be computed again.
+    def __getstate__(self) -> dict[str, Any]:
+        return {"name": self.name, **{key: getattr(self, key) for key in _ARRAYS}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            # a pickled array comes back writable
+            object.__setattr__(self, key, read_only(value) if isinstance(value, np.ndarray) else value)
 
     def __repr__(self) -> str:
         sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
@@ -194,7 +204,8 @@ class LinearAgent:
         # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
         covariance = self.noise_covariance
         if (covariance == np.diag(np.diag(covariance))).all():
-            return read_only(np.diag(np.sqrt(np.diag(covariance))))
+            # the check of covariances lets variances through that rounding has pushed a little below zero
+            return read_only(np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0))))
         try:
             factor = np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors

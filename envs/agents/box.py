@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import float_array, shown
+from .checks import float_array, read_only, shown
 from .printing import box_text
 
 
@@ -56,6 +56,10 @@ class Box:
                 f"`{names[0]}`: expected numbers {relation} `{names[1]}`, got {shown(float(self.low[axis]))} and "
                 f"{shown(float(self.high[axis]))} on axis {axis}; exchange or correct the two"
             )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            object.__setattr__(self, key, read_only(value))  # a pickled array comes back writable
 
     def __repr__(self) -> str:
         return f"Box({box_text(self.low, self.high)})"

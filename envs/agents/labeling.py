@@ -51,6 +51,10 @@ class Proposition:
         object.__setattr__(self, "low", box.low)
         object.__setattr__(self, "high", box.high)
 
+    # Rebuilt from its arguments: a pickled array would come back writable.
+    def __reduce__(self) -> tuple[type[Proposition], tuple[Any, ...]]:
+        return Proposition, (self.agent, self.low, self.high)
+
     def __repr__(self) -> str:
         return f"Proposition({self.agent!r}, {box_text(self.low, self.high, closed=False)})"
 

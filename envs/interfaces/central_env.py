@@ -72,6 +72,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._episode = Episode(self.problem, reward, discount, render_mode)
+        self._ended = False
         self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
         self.action_space = action_space(self.problem.agents, actions)
 
@@ -81,6 +82,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Begin an episode; `options["initial_state"]` replaces the start."""
         super().reset(seed=seed)
         self._episode.begin(self.np_random, options)
+        self._ended = False
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -89,10 +91,12 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises
         ------
         RuntimeError
-            Before the first `reset`.
+            Before the first `reset`, and after the end of an episode.
         ValueError
             If the action has the wrong shape or is not finite.
         """
+        if self._ended:
+            raise RuntimeError("the episode has ended; call `reset` before `step`")
         joint_action = np.asarray(action)
         if joint_action.shape != self.action_space.shape:
             raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
@@ -102,8 +106,9 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
         ]
         reward, terminated, truncated = self._episode.step(inputs, self.np_random)
+        self._ended = terminated or truncated
         info = self._info()
-        if terminated or truncated:  # learners read the key in the last step alone
+        if self._ended:  # learners read the key in the last step alone
             info["is_success"] = info["satisfied"]
         return self._observation(), reward, terminated, truncated, info
 

@@ -62,6 +62,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     metadata: dict[str, Any]
 
+    # Nine parameters: environments take flat keywords, which makers and learners hand on by name.
     def __init__(
         self,
         problem: Problem,

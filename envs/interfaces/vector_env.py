@@ -68,6 +68,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     (1000, 6)
     """
 
+    # Nine parameters: `gymnasium.make_vec` hands them on as flat keywords.
     def __init__(
         self,
         problem: Problem,

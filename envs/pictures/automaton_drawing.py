@@ -38,7 +38,7 @@ def edges(problem: Problem) -> list[Edge]:
     """Return the transitions that a letter of the workspace can take, ordered by source.
 
     Regions of one agent that exclude or imply each other shorten the guards. The longest guard of a state reads
-    "otherwise".
+    "otherwise". If no letter among the first that are read is possible, all targets of the state are listed.
     """
     automaton = problem.automaton
     manager, roots = automaton.diagrams()
@@ -49,6 +49,10 @@ def edges(problem: Problem) -> list[Edge]:
             cube = _possible(assignment, problem)
             if cube is not None and cube not in cubes.setdefault(target, []):
                 cubes[target].append(cube)
+        # Where no path that was read can be taken, every target is shown, without its letters.
+        if not cubes:
+            result += [Edge(q, target, "letters not shown") for target in manager.leaves(root)]
+            continue
         # The target with the most cubes is "otherwise"; a dead one among equals.
         longest = max(cubes, key=lambda target: (len(cubes[target]), automaton.dead[target], target))
         for target, target_cubes in cubes.items():

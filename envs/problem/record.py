@@ -113,8 +113,7 @@ class Problem:
         propositions: Mapping[str, Proposition | Mapping[str, Any]],
         specification: Specification,
     ) -> None:
-        if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 200:
-            raise ValueError(f"`name`: expected a line of 1 to 200 printable characters, got {shown(name)}")
+        title = _checked_title(name)
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
         # Expand families first: the labelling, the groups and the automaton all speak of single propositions.
@@ -124,7 +123,7 @@ class Problem:
         labeling = Labeling.of(members, expanded)
         groups = _groups(specification, labeling, families)
         values = {
-            "name": name,
+            "name": title,
             "horizon": checked_horizon(horizon),
             "agents": members,
             "declared": MappingProxyType(declared),
@@ -285,7 +284,7 @@ class Problem:
         # Neither start nor noise changes propositions or regions, so everything derived from them is handed on.
         changes: dict[str, Any] = {}
         if name is not None:
-            changes["name"] = name
+            changes["name"] = _checked_title(name)
         if horizon is not None:
             changes["horizon"] = checked_horizon(horizon)
         starts = {"initial_state": initial_state, "initial_low": initial_low, "initial_high": initial_high}
@@ -373,6 +372,13 @@ def checked_problem(value: Any) -> Problem:
 def checked_horizon(value: Any) -> int:
     """Return the horizon as an int, or raise ValueError."""
     return checked_count(value, "horizon", most=LONGEST_HORIZON, unit="control steps")
+
+
+def _checked_title(name: Any) -> str:
+    """Return the name of a problem if it is one printable line; raise ValueError otherwise."""
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 200:
+        raise ValueError(f"`name`: expected a line of 1 to 200 printable characters, got {shown(name)}")
+    return name
 
 
 def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:

@@ -1,4 +1,4 @@
-"""Whatever stands for a problem, as one: a `Problem`, the id of a suite problem, or the path of a problem file."""
+"""The problem that a user names: by a `Problem`, the id of a suite problem, or the path of a problem file."""
 
 from __future__ import annotations
 

@@ -145,7 +145,8 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     total, mass = 0.0, 0.0
     for q, rows in enumerate(start.terms.index):
         for row in rows:
-            shares = [to_host(factors)[k] for factors, k in zip(start.terms.factors, row, strict=True)]
+            triples = zip(joint.models, start.terms.factors, row, strict=True)
+            shares = [model.summed(to_host(factors)[k]) for model, factors, k in triples]
             mass += math.prod(float(share.sum()) for share in shares)
             total += math.prod(float(share @ value[q]) for share, value in zip(shares, values, strict=True))
     # The occupancy leaves out cells of a box whose first letter is not certain: count them as 1.

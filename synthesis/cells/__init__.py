@@ -1,6 +1,7 @@
 """A workspace cut into cells along the edges of regions."""
 
 from .agent_grids import CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
+from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, in_grid_coordinates
 from .labels import CellLabels, cell_labels, error_labels
@@ -12,8 +13,8 @@ __all__ = [
     "CellCounts",
     "CellLabels",
     "FloatArray",
-    "GridDynamics",
     "Grid",
+    "GridDynamics",
     "RelationRefused",
     "agent_grid",
     "alike_text",
@@ -21,10 +22,16 @@ __all__ = [
     "cell_finder",
     "cell_labels",
     "cells_of_agent",
+    "corner_sides",
     "error_labels",
+    "hat_share_of",
+    "hats",
     "in_grid_coordinates",
     "label_room",
+    "of_cells",
     "region_boundaries",
     "shape_text",
+    "spread",
     "start_share",
+    "to_places",
 ]

@@ -68,6 +68,7 @@ def _noise_coordinates(agent: LinearAgent) -> FloatArray:
         )
     if np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
         return np.eye(agent.n_states)
+    # Cholesky gives Sigma = C C'; dividing the columns of C by its diagonal leaves the unit triangular factor.
     factor = np.linalg.cholesky(covariance)
     return np.asarray(np.tril(factor / np.diag(factor)))
 
@@ -80,6 +81,7 @@ def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
         if proposition.agent != agent.name:
             continue
         for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
+            # A region bounds a single state where its output is a multiple of that state.
             if np.count_nonzero(row) == 1 and row[axis] != 0:
                 boundaries += [float(low / row[axis]), float(high / row[axis])]
     return boundaries
@@ -91,6 +93,7 @@ def label_room(problem: Problem, i: int) -> FloatArray:
     The room counts as less if the start lies near a face of the workspace, or of a region that it is in.
     """
     agent = problem.agents[i]
+    # Begin with the workspace, and narrow it down region by region.
     room = 0.5 * (agent.workspace.high - agent.workspace.low)
     near = np.minimum(agent.initial.low - agent.workspace.low, agent.workspace.high - agent.initial.high)
     for proposition in problem.propositions.values():

@@ -70,6 +70,7 @@ def _packed_product(product: ProductCertificate) -> bytes:
     """Return the bytes of a file that holds the files of all parts, those that differ in names alone once."""
     pool = _Pool()
     files = {}
+    # Parts that differ in names alone share one file in the archive.
     for same in product.alike:
         file = pool.put(np.frombuffer(_packed(product.parts[same[0]]), np.uint8))
         files.update(dict.fromkeys(same, file))
@@ -150,6 +151,7 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
 
 def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """Return header and arrays of an archive, after their digest was checked."""
+    # Look at the sizes before unpacking anything: a small file may announce gigabytes.
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         _check_sizes(archive, max_bytes)
     with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
@@ -167,6 +169,7 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
         raise ValueError("the fingerprint does not belong to the problem in it")
     if not problem.groups:
         raise ValueError("its problem does not decompose into independent tasks")
+    # All parts together may unpack to no more than a single file.
     certificates: dict[str, Certificate] = {}
     bytes_left = max_bytes
     for name, array in arrays.items():

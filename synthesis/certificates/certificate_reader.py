@@ -114,13 +114,21 @@ class CertificateReader:
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])
         points = math.prod(len(axis) for axis in lattice)
+        # A stationary policy is stored once, for all times; "law" is the name of the policy in files.
         times = 1 if self.arrays[str(int(entry["law"]))].shape[:1] == (1,) else self.problem.horizon
         shape = (times, self.n_states, grid.n_cells)
         # Choices are lattice points, or inputs of a menu whose entries are lattice points.
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
-        if (entry["relation"]["kind"] != "exact") != (menu is not None):
+        kind = entry["relation"]["kind"]
+        if (kind not in ("exact", "linear")) != (menu is not None):
             raise ValueError("a relation and its choices do not belong together")
+        choices = points if menu is None else menu.shape[1]
+        if kind == "linear":
+            # Inputs, or lattice points with one of two gains.
+            choices = len(entry["relation"]["menu"]) or 2 * points
+            if any(len(axis) < 2 for axis in lattice):
+                raise ValueError("the lattice of a linear agent has axes of a single point")
         return AgentPart(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),
@@ -128,7 +136,7 @@ class CertificateReader:
             relation=entry["relation"],
             masks=self._array(entry["masks"], "b", (None, grid.n_cells)),
             start_masks=self._array(entry["start_masks"], "b", (None, grid.n_cells)),
-            policy=self._integers(entry["law"], shape, points if menu is None else menu.shape[1], least=-1),
+            policy=self._integers(entry["law"], shape, choices, least=-1),
             menu=menu,
         )
 
@@ -137,6 +145,7 @@ class CertificateReader:
         if len(entry) != self.n_states:
             raise ValueError("the tree has the wrong number of states")
         origins, merges, kept = [], [], []
+        # Per automaton state: vertices (guard, child), merges (into, absorbed, agent), and the vertices kept.
         for numbers in entry:
             origin = self._integers(numbers[0], (None, 2), None).astype(np.int64)
             n = len(origin)
@@ -158,14 +167,11 @@ class CertificateReader:
         for cells in self._each(entry["visited"], self.problem.horizon + 1, lambda item: item):
             if cells is not None and len(cells) != self.n_agents:
                 raise ValueError("its rounding does not name the cells of every agent")
-            visited.append(
-                None
-                if cells is None
-                else tuple(
-                    self._integers(k, (None,), a.grid.n_cells).astype(np.int64)
-                    for k, a in zip(cells, agents, strict=True)
-                )
-            )
+            if cells is None:  # all cells
+                visited.append(None)
+                continue
+            pairs = zip(cells, agents, strict=True)
+            visited.append(tuple(self._integers(k, (None,), a.grid.n_cells).astype(np.int64) for k, a in pairs))
         return Rounding(tolerance, tuple(visited))
 
     def _terms(self, agents: list[AgentPart]) -> Terms:
@@ -173,9 +179,7 @@ class CertificateReader:
         entry = self.header["terms"]
         if len(entry["factors"]) != self.n_agents or len(entry["index"]) != self.n_states:
             raise ValueError("the value function has the wrong size")
-        factors = tuple(
-            self._array(k, "f", (None, a.grid.n_cells)) for k, a in zip(entry["factors"], agents, strict=True)
-        )
+        factors = tuple(self._array(k, "f", (None, a.n_places)) for k, a in zip(entry["factors"], agents, strict=True))
         index = tuple(self._integers(k, (None, self.n_agents), None) for k in entry["index"])
         for rows in index:
             if len(rows) and any(rows[:, i].max() >= len(distinct) for i, distinct in enumerate(factors)):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..cells import FloatArray, alike_text, shape_text, start_share
+from ..cells import FloatArray, alike_text, hat_share_of, hats, shape_text, start_share
 from ..relations import Relation
 from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
 from .part import AgentPart
@@ -86,13 +86,16 @@ class Claim:
         """
         joint = joint_states(self.problem, states)
         automaton = self.problem.automaton
-        cells = np.empty((len(joint), len(self.agents)), dtype=np.int64)
+        places, weights = [], []
         inside = np.ones(len(joint), dtype=bool)
         holds = []
         for i, (agent, part) in enumerate(zip(self.problem.agents, self.agents, strict=True)):
             x = joint[:, self.problem.columns[i]]
             inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)
-            cells[:, i] = part.grid.cell_of(self.relations[i].to_grid(x.T))
+            points = self.relations[i].to_grid(x.T)
+            at, weight = hats(part.grid, points) if part.is_linear else (part.grid.cell_of(points)[:, None], None)
+            places.append(at)
+            weights.append(np.ones(at.shape) if weight is None else weight)
             holds.append(self.problem.labeling.class_at(i, x.T))
         # The true letter of each state decides the automaton state in which the value is read.
         q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
@@ -100,8 +103,19 @@ class Claim:
         for state in np.unique(q):
             here = np.flatnonzero(inside & (q == state))
             for chunk in np.array_split(here, max(1, len(here) * self.value.work(state) // NUMBERS_AT_ONCE + 1)):
-                values[chunk] = self.value.at(int(state), cells[chunk])
+                values[chunk] = self._value_at(int(state), [at[chunk] for at in places], [w[chunk] for w in weights])
         return self._certified(values)
+
+    def _value_at(self, q: int, places: list[NDArray[np.int64]], weights: list[FloatArray]) -> FloatArray:
+        """Return the value (M,) in one automaton state: per agent, its places (M, K) and their weights."""
+        if all(at.shape[1] == 1 for at in places) or not isinstance(self.value, Terms):
+            return self.value.at(q, np.concatenate(places, axis=1))
+        rows = self.value.index[q]
+        product = np.ones((len(places[0]), len(rows)))
+        for i, (at, weight) in enumerate(zip(places, weights, strict=True)):
+            factors = self.value.factors[i][rows[:, i]]
+            product *= np.einsum("lmk,mk->ml", factors[:, at], weight)
+        return np.asarray(product.sum(axis=1))
 
     def mean(self, low: Any, high: Any) -> float:
         """Return a lower bound on the satisfaction probability from a start drawn uniformly from ``[low, high)``.
@@ -162,7 +176,7 @@ class Claim:
             key = self.start_mask[guard, i].astype(np.int64) * len(value.factors[i]) + child[:, i]
             pairs, rows[:, i] = np.unique(key, return_inverse=True)
             mask, factor = np.divmod(pairs, max(1, len(value.factors[i])))
-            factors.append(part.start_masks[mask] * value.factors[i][factor])
+            factors.append(part.masks_at_start[mask] * value.factors[i][factor])
         return Terms(tuple(factors), (rows,))
 
     def _certified(self, values: FloatArray) -> FloatArray:
@@ -179,7 +193,9 @@ class Claim:
                 raise ValueError(
                     f"`low`, `high`: expected low <= high for agent `{self.problem.agent_names[i]}`, got {a} and {b}"
                 )
-            weights.append(start_share(self.agents[i].grid, self.agents[i].coordinates, a, b))
+            part = self.agents[i]
+            share = hat_share_of if part.is_linear else start_share
+            weights.append(share(part.grid, part.coordinates, a, b))
         return weights
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent, tree_text
-from ..cells import FloatArray, Grid, shape_text
+from ..cells import FloatArray, Grid, shape_text, spread
 from ..relations import Relation, relation_from
 
 
@@ -29,7 +29,8 @@ class AgentPart:
     masks, start_masks : (K, S), (K0, S) bool arrays
         Factors of the guards on the cells, for arriving and for starting in them.
     policy : (T, Q, S) int32 array, or (1, Q, S) for a stationary policy
-        Choice of each cell, -1 for none: a lattice point (``exact``) or an input (all others).
+        Choice of each cell, -1 for none: a lattice point (``exact``), ``gain * Z + point`` or an input (``linear``), or
+        an input (all others).
     menu : (S, A) int32 array or None
         Lattice point that each input of each cell leads to.
     """
@@ -65,6 +66,21 @@ class AgentPart:
             return policy
         chosen = np.take_along_axis(self.menu, np.maximum(policy, 0)[:, None].astype(np.int64), axis=1)[:, 0]
         return np.where(policy < 0, -1, chosen)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether factors have values at the corners of cells."""
+        return bool(self.relation["kind"] == "linear")
+
+    @property
+    def n_places(self) -> int:
+        """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
+        return self.grid.n_cells * (2 ** len(self.lattice) if self.is_linear else 1)
+
+    @property
+    def masks_at_start(self) -> NDArray[np.bool_]:
+        """``start_masks`` at the places of factors."""
+        return spread(self.start_masks, self.grid.shape) if self.is_linear else self.start_masks
 
     @property
     def lattice_shape(self) -> tuple[int, ...]:

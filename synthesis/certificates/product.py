@@ -123,6 +123,7 @@ class ProductCertificate:
         values = np.ones(len(joint))
         for part, columns in zip(self.parts, self._columns, strict=True):
             values *= part.at(joint[:, columns])
+        # Independent tasks: probabilities multiply, and every product may have been rounded up.
         return np.maximum(0.0, values * (1.0 - 4.0 * len(self.parts) * UNIT))
 
     def mean(self, low: Any, high: Any) -> float:
@@ -138,6 +139,7 @@ class ProductCertificate:
         """Numbers of the parts, those that differ in nothing but names together."""
         by_content: dict[object, list[int]] = {}
         for k, part in enumerate(self.parts):
+            # Parts that came from one synthesis share their arrays; comparing these by identity is quick.
             content = tuple(id(getattr(part, field.name)) for field in fields(part) if field.name != "problem")
             by_content.setdefault((content, nameless(part.problem)), []).append(k)
         return tuple(tuple(same) for same in by_content.values())
@@ -193,6 +195,7 @@ def nameless(problem: Problem) -> str:
         del agent["name"]
     regions = [{**region.to_dict(), "agent": places[region.agent]} for region in problem.propositions.values()]
     automaton = problem.automaton.to_dict()
+    # Propositions are told by their place in the automaton, agents by their place in the problem.
     order = {name: k for k, name in enumerate(automaton["propositions"])}
     asked = [order[name] for name in problem.propositions]
     task = {key: value for key, value in automaton.items() if key != "propositions"}

@@ -65,6 +65,7 @@ def regrow_trains(
     smooths = [partial(smooth, tables=axes) for axes in kernels]
     shapes = [[table.shape[1] for table in axes] for axes in kernels]
     value = Trains(tuple(ones(n_cells, visited[-1]) if yes else None for yes in automaton.accepting))
+    # One step back in every automaton state: sum over the guards, smooth by the kernels, count losses if asked to.
     for t in reversed(range(problem.horizon)):
         states: list[Train | None] = []
         for q in range(automaton.n_states):
@@ -86,13 +87,13 @@ def regrow_trains(
 
 
 def _check_rounding(rounding: Rounding, horizon: int, n_cells: Sequence[int]) -> None:
-    """Refuse visited cells that are no cells of the grids, or not those of every time."""
+    """Raise BrokenTrainError unless visited cells are cells of the grids, given for every time."""
     visited = rounding.visited
     if len(visited) != horizon + 1 or not 0 < rounding.tolerance < 1:
         raise BrokenTrainError("its rounding does not fit its horizon")
     for cells in visited:
-        for own, n in zip(cells or (), n_cells, strict=cells is not None):
-            if len(own) == 0 or own[0] < 0 or own[-1] >= n or np.any(np.diff(own) <= 0):
+        for numbers, n in zip(cells or (), n_cells, strict=cells is not None):
+            if len(numbers) == 0 or numbers[0] < 0 or numbers[-1] >= n or np.any(np.diff(numbers) <= 0):
                 raise BrokenTrainError("the cells that its tensor trains cover are no cells")
 
 
@@ -107,6 +108,6 @@ def _moved(
     """Expected value one step before arriving, at the given cells."""
     cores = []
     for i, smooth_rows in enumerate(smooths):
-        own = points[i] if cells is None else points[i][cells[i]]
-        cores.append(smoothed_core(arriving, i, n_cells[i], own, smooth_rows))
+        targets = points[i] if cells is None else points[i][cells[i]]
+        cores.append(smoothed_core(arriving, i, n_cells[i], targets, smooth_rows))
     return assembled(arriving, cores, shapes, cells)

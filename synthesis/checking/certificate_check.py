@@ -1,8 +1,8 @@
 """Independent verification of a certificate, from its policies and its tree alone.
 
-Nothing of the search is used: guards are verified against the automaton instead of compiled, admissible inputs against
-the input box, and the value tree is grown again vertex by vertex with a kernel of its own. Whatever vertices a tree
-keeps, its sum is a lower bound; so a certificate is right if
+The check uses no code of the search: it verifies guards against the automaton instead of compiling them, it compares
+inputs with the input box, and it grows the value tree again, vertex by vertex, with a kernel of its own. The sum over
+any set of vertices of a tree is a lower bound. So a certificate is right if
 
 1. its grids tile the workspaces and its noise coordinates make the noise independent;
 2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
@@ -10,10 +10,10 @@ keeps, its sum is a lower bound; so a certificate is right if
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
    exceeds its regrown one;
-5. where it says how far above its bound the probability may be (``gap``), nothing is lost anywhere, and what its
-   policies attain, evaluated forward in time, is no more than that (``check_above``).
+5. where it says how far above its bound the probability can be (``gap``), nothing is lost anywhere, and its policies,
+   evaluated forward in time, attain no more than that (``upper_end``).
 
-United terms are regrown soundly for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
+United terms are regrown by a rule that is sound for any choice: ``a x b + a' x b' >= min(a, a') x (b + b')``.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ from ..values import UNIT, Terms
 from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
+from .linear_check import places_of
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
 CORRELATION = 1e-11
-"""Largest correlation of the noises of two grid axes that passes for rounding."""
+"""Largest correlation between the noises of two grid axes that counts as rounding."""
 
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
@@ -160,20 +161,37 @@ def _check_product(product: ProductCertificate, problem: Problem) -> CheckReport
 
 
 def _check_form(certificate: Certificate) -> list[str]:
-    """The value function covers the horizon, and what is said about the bound is right."""
+    """Check that the value function covers the horizon and that its bound has a name that fits it."""
     failures = []
     point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
     if certificate.start != ("point" if point else "mean"):
         failures.append(f"its start is called {certificate.start!r}, which it is not")
-    if any((part.relation["kind"] == "exact") != (part.menu is None) for part in certificate.agents):
+    if any((part.relation["kind"] in ("exact", "linear")) != (part.menu is None) for part in certificate.agents):
         failures.append("a relation and its choices do not belong together")
     tree = certificate.rounding is None
+    if any(part.relation["kind"] == "linear" for part in certificate.agents):
+        if not tree or certificate.bound != "nominal" or certificate.gap is not None:
+            failures.append("its linear agents have a value or a bound that is not for them")
+        failures += _uneven_lattices(certificate)
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
     if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
         failures.append("whether it is exact does not fit its gap")
     if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
         failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
+    return failures
+
+
+def _uneven_lattices(certificate: Certificate) -> list[str]:
+    """Lattices of linear agents are evenly spaced, so that positions in steps are right."""
+    failures = []
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        if part.relation["kind"] == "linear":
+            for axis in part.lattice:
+                even = axis[0] + (axis[-1] - axis[0]) * np.linspace(0.0, 1.0, len(axis))
+                step = (axis[-1] - axis[0]) / max(1, len(axis) - 1)
+                if len(axis) < 2 or not step > 0 or np.any(np.abs(axis - even) > 1e-9 * step):
+                    failures.append(f"the lattice of agent `{agent.name}` is not evenly spaced")
     return failures
 
 
@@ -204,7 +222,7 @@ def _check_grids(certificate: Certificate) -> list[str]:
 
 
 def _is_inverted(coordinates: FloatArray) -> bool:
-    """Whether the inverse of grid coordinates, which everything else takes, is one."""
+    """Return whether the computed inverse of the grid coordinates is an inverse; everything else relies on it."""
     try:
         inverse = np.linalg.inv(coordinates)
     except np.linalg.LinAlgError:
@@ -289,9 +307,9 @@ def _undecided(certificate: Certificate) -> float:
 
 
 def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: float) -> list[str]:
-    """The claims are not larger than what was regrown."""
+    """Check that no claim is larger than what was grown again."""
     failures = []
-    n = certificate.problem.horizon * sum(p.grid.n_cells + 1 for p in certificate.agents) + len(certificate.agents)
+    n = certificate.problem.horizon * sum(places_of(p) + 1 for p in certificate.agents) + len(certificate.agents)
     counted = max((len(kept) for step in certificate.skeleton for kept in step.kept), default=0)
     rounding = (n + max(certificate.rank, counted) + 2) * 2.0**-53
     if not certificate.lower_bound <= recomputed * (1.0 - rounding):

@@ -14,6 +14,7 @@ is written here once more (``wrong_actions``).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -24,8 +25,8 @@ from ...envs.agents import LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..controllers import AgentController
-from ..relations import CoupledRelation, ExactRelation, Relation
-from .geometry import is_identity
+from ..relations import CoupledRelation, ExactRelation, LinearRelation, Relation
+from .geometry import cell_boxes, is_identity
 
 UNIT = 2.0**-53
 
@@ -87,6 +88,8 @@ def execution_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> Exe
     setting = _setting(agent, part)
     if isinstance(relation, ExactRelation):
         return _exact(setting, part, relation)
+    if isinstance(relation, LinearRelation):
+        return _affine(setting, part, relation)
     return _coupled(setting, part, relation)
 
 
@@ -135,6 +138,23 @@ def _exact(s: _Setting, part: AgentPart, relation: ExactRelation) -> Execution:
     loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
     inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
     return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
+
+
+def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution:
+    """Targets that may move with the state are commanded like those of ``exact``; inputs of a menu are what they are.
+
+    The centre of the cell and the gain add as many operations again.
+    """
+    if relation.steers:
+        one = _exact(s, part, relation.steers[0])
+        moving = s.unit * (np.abs(s.B @ relation.steers[0].right_inverse) + np.eye(len(s.x))) @ s.x
+        off = one.mean + moving
+        added = float(np.sqrt(np.sum((moving / s.deviations) ** 2)))
+        return Execution(off, one.disturbance, 2.0 * one.inputs, 1.5 * one.loss + DENSITY * added)
+    size = np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c)
+    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + s.unit * size
+    added = DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2)))
+    return Execution(off, np.zeros(len(s.x)), np.zeros(len(s.u)), added + _misread(s, s.read) + s.law)
 
 
 def _coupled(s: _Setting, part: AgentPart, relation: CoupledRelation) -> Execution:
@@ -211,10 +231,25 @@ def _wrong_means(
         return ["its controller was seen to ask for inputs beyond its input box"]
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     choice = part.policy[t, q, cells]
-    off = np.abs(mean - _lattice_points(part, np.maximum(choice, 0)))
+    off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
     if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
+
+
+def _asked_means(
+    agent: LinearAgent, part: AgentPart, choice: NDArray[Any], cells: NDArray[np.int64], states: FloatArray
+) -> FloatArray:
+    """Means (d, M) that choices in cells ask for at states (d, M), in grid coordinates."""
+    if part.relation["kind"] != "linear":
+        return _lattice_points(part, choice)
+    menu = np.array(part.relation["menu"], dtype=float)
+    if len(menu):
+        return np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ menu[choice].T + agent.offset[:, None])
+    gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
+    low, high = cell_boxes(part)
+    centre = 0.5 * (low + high)[cells].T
+    return _lattice_points(part, point) + gain * (np.linalg.solve(part.coordinates, states) - centre)
 
 
 def _wrong_memory(

@@ -1,9 +1,9 @@
-"""The closed loop pushed forward, for checks: where the mass of a certificate's policies is at every time.
+"""The closed loop pushed forward in time, for checks: where the probability mass is at every time.
 
-Nothing of the search is used. The alive mass of each automaton state is a sum of products, one factor per agent, like
-the value; sums that differ in one agent only are one product, and the smallest products are dropped and counted. What
-has been accepted by the end, plus all that was dropped or lost, bounds from above what the policies attain on the
-cells: an evaluation of its own, forward in time, of what the value says backward.
+This module uses no code of the search. The undecided mass of each automaton state is a sum of products, one factor per
+agent, like the value. Products that differ in one agent only are united, and the smallest products are dropped and
+counted. The mass accepted by the end, plus all that was dropped or lost, is an upper bound on what the policies attain
+on the cells. It is computed forward in time, independently of the value, which is computed backward.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from scipy.sparse import csr_matrix
 from ..cells import FloatArray
 from ..certificates import axis_tables
 from .geometry import start_shares
+from .linear_check import hat_weights, masks_of
 
 if TYPE_CHECKING:
     from ..certificates import Certificate
 
 
 class TooManyProducts(RuntimeError):
-    """The mass falls into more products than can be told apart in reasonable time."""
+    """The mass has more products than can be handled in reasonable time."""
 
 
 @dataclass
 class Mass:
-    """Mass that no decision has been made about, and what has become of the rest.
+    """Mass of the runs that are still undecided, and what became of the rest.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class Mass:
     states : (N,) int array
         Automaton state of each product.
     accepted, dropped, stranded : float
-        Mass that was accepted for good, that was dropped for being small, and that was in cells without a choice.
+        Mass that was accepted, that was dropped because it was small, and that was in cells without a choice.
     """
 
     factors: list[FloatArray]
@@ -62,12 +63,12 @@ class Mass:
 
     @property
     def alive(self) -> float:
-        """Mass that no decision has been made about."""
+        """Total mass of the runs that are still undecided."""
         return float(self.totals.sum())
 
 
 def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
-    """Mass at times 0 .. T, dropping at most ``share`` per step; at most ``most`` products are kept.
+    """Yield the mass at times 0 .. T; each step drops at most ``share`` and keeps at most ``most`` products.
 
     Raises
     ------
@@ -87,13 +88,16 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
 def mass_at_start(certificate: Certificate) -> Mass:
     """Mass before the first step, the first letter read."""
     problem, agents = certificate.problem, certificate.agents
-    shares = [start_shares(a, p)[None] for a, p in zip(problem.agents, agents, strict=True)]
+    shares = [
+        (hat_weights(a, p) if p.relation["kind"] == "linear" else start_shares(a, p))[None]
+        for a, p in zip(problem.agents, agents, strict=True)
+    ]
     automaton, point = problem.automaton, certificate.start == "point"
     if point or (automaton.finished[automaton.initial]):  # no letter is asked
         q = problem.initial_q if point else automaton.initial
         known = [] if q is None else [q]
         return Mass(shares, np.zeros((len(known), len(agents)), dtype=np.int64), np.array(known, dtype=np.int64))
-    factors = [part.start_masks * own for part, own in zip(agents, shares, strict=True)]
+    factors = [masks_of(part, part.start_masks) * own for part, own in zip(agents, shares, strict=True)]
     return Mass(factors, certificate.start_mask.astype(np.int64), certificate.start_target.astype(np.int64))
 
 
@@ -138,7 +142,7 @@ def _moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArra
 
 
 def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> Mass:
-    """The mass that is still undecided, like products united, small ones dropped."""
+    """Return the mass that is still undecided, with similar products united and small ones dropped."""
     automaton = certificate.problem.automaton
     accepted = mass.accepted + float(mass.totals[automaton.finished[mass.states]].sum())
     open_ = (mass.totals > 0) & ~automaton.absorbing[mass.states]
@@ -153,7 +157,7 @@ def _settled(certificate: Certificate, mass: Mass, share: float, most: int) -> M
 def _united(
     factors: list[FloatArray], index: NDArray[np.int64], states: NDArray[np.int64], most: int
 ) -> tuple[list[FloatArray], NDArray[np.int64], NDArray[np.int64]]:
-    """The same mass, in fewer products: those that differ in one agent's factor are summed."""
+    """Return the same mass as fewer products: those that differ in one agent's factor are summed."""
     factors, index = list(factors), index.copy()
     before = -1
     while before != len(index):

@@ -1,8 +1,8 @@
 """The value tree of a certificate, grown again vertex by vertex.
 
-Nothing of the search is used: the policies and the list of kept vertices come from the certificate, the kernel is built
-anew from the complementary error function, and united terms are regrown soundly for any choice,
-``a x b + a' x b' >= min(a, a') x (b + b')``. Whatever vertices a tree keeps, its sum is a lower bound.
+This module uses no code of the search. Policies and the list of kept vertices come from the certificate, the kernel is
+built anew from the complementary error function, and united terms are regrown by a rule that is sound for any choice,
+``a x b + a' x b' >= min(a, a') x (b + b')``. The sum over any set of vertices is a lower bound.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import Certificate, axis_tables, smooth
+from ..certificates import AgentPart, Certificate, axis_tables, smooth
 from ..values import Terms
 from .forward_mass import mass_at_start
+from .linear_check import linear_tables, linear_values, masks_of, places_of
 
 
 class BrokenTreeError(ValueError):
@@ -30,11 +31,11 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     accepting = certificate.problem.automaton.accepting
     n_agents = len(certificate.agents)
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    kernels = [
-        axis_tables(a.noise_covariance, p, tables)
-        for a, p in zip(certificate.problem.agents, certificate.agents, strict=True)
-    ]
-    ones = [np.ones((1, part.grid.n_cells)) for part in certificate.agents]
+    pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
+    kernels = [[] if _is_linear(p) else axis_tables(a.noise_covariance, p, tables) for a, p in pairs]
+    linear = [linear_tables(a, p) if _is_linear(p) else None for a, p in pairs]
+    masks = [masks_of(part, part.masks) for part in certificate.agents]
+    ones = [np.ones((1, places_of(part))) for part in certificate.agents]
     deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
@@ -53,19 +54,28 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
             _check_merges(merges.into, merges.absorbed, kept)
             for i, part in enumerate(certificate.agents):
                 keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
-                vertex = _unite(part.masks, factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
+                vertex = _unite(masks[i], factors[i], keys, merges.into, merges.absorbed, merges.agent == i)
                 distinct, where = _distinct(vertex, kept)
-                points = part.points(t, q)
-                values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
-                if certificate.bound == "robust tree":
-                    values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
-                values = values * (points >= 0)
+                tables_of_agent = linear[i]
+                if tables_of_agent is not None:
+                    values = linear_values(certificate.problem.agents[i], part, tables_of_agent, distinct, t, q)
+                else:
+                    points = part.points(t, q)
+                    values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
+                    if certificate.bound == "robust tree":
+                        values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
+                    values = values * (points >= 0)
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(values)
         factors, index = [np.concatenate(s) for s in stacks], rows
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def _is_linear(part: AgentPart) -> bool:
+    """Whether factors of an agent are multilinear in its cells."""
+    return bool(part.relation["kind"] == "linear")
 
 
 def tree_start_value(certificate: Certificate, terms: Terms) -> float:
@@ -103,8 +113,13 @@ def _check_merges(into: NDArray, absorbed: NDArray, kept: NDArray) -> None:
 
 
 def _unite(
-    masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, into: NDArray, absorbed: NDArray, own: NDArray
-) -> FloatArray:  # fmt: skip
+    masks: NDArray[np.bool_],
+    factors: FloatArray,
+    keys: NDArray,
+    into: NDArray,
+    absorbed: NDArray,
+    own: NDArray,
+) -> FloatArray:
     """One agent's factors (N, S) of the vertices before smoothing: masked, and united as the tree says."""
     vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
     for a, b, is_sum in zip(into.tolist(), absorbed.tolist(), own.tolist(), strict=True):

@@ -9,7 +9,10 @@ they have in common, and its supports are computed here.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erf
 
 from ...envs.agents import LinearAgent
@@ -18,6 +21,7 @@ from ..certificates import AgentPart
 from ..relations import (
     CoupledRelation,
     ExactRelation,
+    LinearRelation,
     Relation,
     ellipsoid_factor,
     ellipsoid_failure,
@@ -53,7 +57,9 @@ def verify_relation(agent: LinearAgent, part: AgentPart, relation: Relation, exe
         What its controller may be off by.
     """
     if isinstance(relation, ExactRelation):
-        return _verify_targets(agent, part, relation, execution)
+        return _verify_targets(agent, part, relation, part.policy, execution)
+    if isinstance(relation, LinearRelation):
+        return _verify_affine(agent, part, relation, execution)
     return _verify_coupled(agent, part, relation, execution)
 
 
@@ -73,17 +79,35 @@ def error_support(part: AgentPart, relation: CoupledRelation, execution: Executi
     return _tube_support(relation.A + relation.B @ relation.feedback, _disturbance(part, relation, execution), rows)
 
 
-def _verify_targets(agent: LinearAgent, part: AgentPart, relation: ExactRelation, execution: Execution) -> list[str]:
+def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation, execution: Execution) -> list[str]:
+    """Every choice is an input of the box, or a target with gain 0 or 1 that admissible inputs reach."""
+    if not relation.steers:
+        outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
+        return ["its menu holds inputs beyond its input box"] if np.any(outside) else []
+    n_points = int(np.prod([len(axis) for axis in part.lattice]))
+    failures = []
+    for number, steer in enumerate(relation.steers):
+        if steer.gain != number:
+            return ["its gains are not 0 and 1"]
+        chosen = part.policy // n_points == number
+        policy = np.where((part.policy >= 0) & chosen, part.policy % n_points, -1)
+        failures += _verify_targets(agent, part, steer, policy, execution)
+    return failures
+
+
+def _verify_targets(
+    agent: LinearAgent, part: AgentPart, relation: ExactRelation, choices: NDArray[Any], execution: Execution
+) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
-    R, A = relation.right_inverse, relation.A
+    R, A = relation.right_inverse, relation.A - relation.gain * np.eye(len(relation.A))
     low, high = cell_boxes(part)
     centres = 0.5 * (low + high)
     spread = (0.5 * (high - low) * OUTWARD) @ np.abs(R @ A).T + execution.inputs
-    rows = part.policy.reshape(-1, part.policy.shape[-1])
+    rows = choices.reshape(-1, choices.shape[-1])
     for policy in np.unique(rows, axis=0) if len(rows) > 1 else rows:
         index = np.unravel_index(np.maximum(policy, 0), tuple(len(axis) for axis in part.lattice))
         goal = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
-        inputs = (goal - centres @ A.T - relation.drift) @ R.T + relation.input_centre
+        inputs = (goal - centres @ relation.A.T - relation.drift) @ R.T + relation.input_centre
         beyond = (inputs - spread < agent.input_box.low) | (inputs + spread > agent.input_box.high)
         if np.any(beyond & (policy >= 0)[:, None]):
             return ["it is asked for inputs beyond its input box"]

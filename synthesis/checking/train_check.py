@@ -1,4 +1,4 @@
-"""The value function of a certificate on tensor trains, computed again by a recursion of the check's own.
+"""The value function of a certificate on tensor trains, computed again by a recursion that only the check uses.
 
 One step back in automaton state q, with the policies of the certificate (``docs/theory/tree.md``),
 
@@ -32,7 +32,7 @@ ROUNDOFF = 2.0**-52
 """Bound on the relative error of one operation in float64, twice what it is."""
 
 CAREFUL = 0.25
-"""Share of the certificate's own tolerance that this recursion may spend: it must not lose what the claim kept."""
+"""Share of the certificate's tolerance that this recursion may use, so that its errors stay below the claim's."""
 
 ROWS_AT_ONCE = 256
 """Rows of a core that are smoothed at once, to bound the memory."""
@@ -66,15 +66,16 @@ Value = tuple[ErrorBoundedTrain | None, ...]
 
 
 def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
-    """Value function at time 0, with errors bounded.
+    """Compute the value function at time 0, with bounds on its errors.
 
     Parameters
     ----------
     certificate : Certificate
         With tensor trains.
     upper : bool
-        If False, of satisfying the task. If True, of satisfying it, of meeting a cell without a choice, or of leaving
-        the covered cells: what the lower bound counts as failed and the continuous system may survive.
+        If False, the value is the probability of satisfying the task. If True, it also counts meeting a cell without a
+        choice and leaving the covered cells: the lower bound counts these as failures, but the continuous system may
+        survive them.
 
     Raises
     ------
@@ -108,7 +109,7 @@ def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
 
 
 def train_start_value(certificate: Certificate, value: Value, upper: bool = False) -> float:
-    """Bound on the value at the start of the problem, over the products that the start falls into.
+    """Compute a bound on the value at the start: a lower bound, or an upper bound if ``upper``.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def train_start_value(certificate: Certificate, value: Value, upper: bool = Fals
     value : Value
         Of ``regrown_trains``, with the same ``upper``.
     upper : bool
-        Whether it is a bound from above; there everything outside the covered cells counts in full.
+        Whether to bound from above; then everything outside the covered cells counts as satisfied.
     """
     start = mass_at_start(certificate)
     total = 0.0
@@ -145,7 +146,7 @@ def _averaged(train: ErrorBoundedTrain | None, shares: Sequence[FloatArray], cel
 
 
 def _covered(certificate: Certificate) -> tuple[Cells, ...]:
-    """Covered cells at times 0 .. T, once they are known to be cells."""
+    """Return the covered cells at times 0 .. T, after checking that they are cells."""
     rounding, sizes = certificate.rounding, [part.grid.n_cells for part in certificate.agents]
     if rounding is None:
         raise BrokenTrainError("it has a value tree and no tensor trains")

@@ -2,13 +2,13 @@
 
 A bound from above needs more than one from below. Nothing may be lost anywhere: every agent puts its mean exactly where
 its policy says, every cell has one class, grids tile the workspaces, and the guards out of an automaton state cover
-*all* joint cells that lead to each of its successors. Guards are disjoint and lead where they say, or to acceptance
-(``check``), so that covering all is a matter of counting: a guard's joint cells are a product, and those that lead to a
-successor are counted agent by agent through the decision diagram, both in whole numbers.
+*all* joint cells that lead to each of its successors. ``check`` has verified that guards are disjoint and lead where
+they say, or to acceptance; so it remains to count. The joint cells of a guard are a product, those that lead to a
+successor are counted agent by agent through the decision diagram, and both numbers are whole.
 
-What the policies attain is then evaluated in another direction than the value: as the mass that is accepted going
-forward (``checked_mass``); for tensor trains, which leave cells out, backward again, with
-all that they leave out counted as accepted (``train_check``).
+What the policies attain is then evaluated in the other direction than the value: as the mass that is accepted going
+forward in time (``forward_mass``). For tensor trains, which leave cells out, it is evaluated backward again, and all
+that they leave out counts as accepted (``train_check``).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SPARED = 0.25
 
 
 def inexact(certificate: Certificate) -> list[str]:
-    """Reasons why a certificate whose lower bound holds can have no upper end."""
+    """Return reasons why a certificate cannot have an upper end, although its lower bound holds."""
     problem, agents = certificate.problem, certificate.agents
     claim = "it says how far above its bound the probability may be, but "
     classes = []
@@ -58,12 +58,12 @@ def inexact(certificate: Certificate) -> list[str]:
 
 
 def attained(certificate: Certificate) -> float | None:
-    """Upper bound on what the policies of an exact certificate attain; None if it would take too long.
+    """Compute an upper bound on what the policies of an exact certificate attain; None if it would take too long.
 
     Raises
     ------
     ValueError
-        If it has no tensor trains that can be grown again, where it should.
+        If it should have tensor trains, but has none that can be grown again.
     """
     problem, agents = certificate.problem, certificate.agents
     lost = sum(lost_to_rounding(a.noise_covariance, p) for a, p in zip(problem.agents, agents, strict=True))

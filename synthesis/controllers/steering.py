@@ -1,9 +1,10 @@
 """From policies to inputs: the choice of each cell is looked up and turned into an input.
 
 ``TargetSteering``  the choice is a target mean (``exact`` relation): the input puts the mean of the next state on it.
+``AffineSteering``  the choice is an affine map of the state to its mean (``linear``).
 ``MenuSteering``    the choice is an abstract input uhat (coupled agents): the interface adds ``K e``.
 
-Both work on n agents that share grid and relation and on M worlds at once, with the same bits for any number of worlds.
+All work on n agents that share grid and relation and on M worlds at once, with the same bits for any number of worlds.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray
-from ..relations import CoupledRelation, ExactRelation, Row, product, rows_of
+from ..cells import FloatArray, Grid
+from ..relations import CoupledRelation, ExactRelation, LinearRelation, Row, product, rows_of
 from .abstract_state import Memory
 
 MOST_AIMS = 1 << 22
@@ -103,6 +104,56 @@ class TargetSteering:
         aims = self.relation.aims(lattice_means(self.lattice, np.maximum(choices, 0)))
         aims[0, choices < 0] = np.nan
         return list(aims)
+
+
+@dataclass(frozen=True, eq=False)
+class AffineSteering:
+    """Inputs under which the mean of the next state is the affine map that policies say (relation ``linear``).
+
+    Parameters
+    ----------
+    table : PolicyTable
+    grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Means per axis, in grid coordinates.
+    relation : LinearRelation
+    """
+
+    table: PolicyTable
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    relation: LinearRelation
+
+    def inputs(self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
+        choices = self.table.choices(self.table.places(cells, q, time))
+        if not self.relation.steers:
+            # The last column of the table is for cells without a choice: the mean of all inputs.
+            return looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
+        gains, targets = np.divmod(np.maximum(choices, 0), self._n_points)
+        steer = self.relation.steers[0]
+        aims = steer.aims(lattice_means(self.lattice, targets))
+        # With gain 1 the target moves with the state inside its cell.
+        aims += gains * (points - looked_up(self._centres, cells))
+        inputs = steer.inputs(aims, points)
+        if self.table.has_idle_cells(time):
+            inputs[:, choices < 0] = steer.input_centre[:, None]
+        return inputs
+
+    @cached_property
+    def _n_points(self) -> int:
+        return math.prod(len(axis) for axis in self.lattice)
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        """Centres (d, S) of the cells."""
+        return np.ascontiguousarray(self.grid.centres.T)
+
+    @cached_property
+    def _menu(self) -> FloatArray:
+        """Inputs (m, A + 1)."""
+        menu = self.relation.menu
+        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,13 +14,15 @@ from .abstraction import (
     models_of,
     relations_of,
 )
+from .affine_choices import AffineChoices, Choices
 from .agent_models import SNAPPED_POINTS
-from .choices import BAND_BYTES, Choices, InputMenu, Policies, StepPolicy, TargetWindows
+from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table
 
 __all__ = [
     "Abstraction",
+    "AffineChoices",
     "AgentModel",
     "BAND_BYTES",
     "Choices",

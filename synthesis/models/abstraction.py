@@ -11,12 +11,14 @@ bound instead of an exact value (docs/theory/relations.md, "The exact relation")
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
@@ -30,19 +32,24 @@ from ..cells import (
     cell_labels,
     cells_of_agent,
     error_labels,
+    hat_share_of,
     label_room,
+    of_cells,
     shape_text,
+    spread,
+    start_share,
 )
-from ..relations import CoupledRelation, ExactRelation, Relation
+from ..relations import CoupledRelation, ExactRelation, LinearRelation, Relation
 from ..values import Residents
+from .affine_choices import Choices
 from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
-from .choices import Choices
 from .kernel import Kernel
+from .linear_model import linear_model
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
 
-RELATIONS = ("auto", "exact", "ellipsoid", "paper", "quick", "tube")
+RELATIONS = ("auto", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
 """Relations that can be asked for."""
 
 KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
@@ -94,8 +101,31 @@ class AgentModel:
 
     @property
     def n_cells(self) -> int:
-        """Number of cells S."""
-        return self.grid.n_cells
+        """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
+        return math.prod(self.kernel.shape)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether factors are multilinear in every cell, with values at its corners."""
+        return isinstance(self.relation, LinearRelation)
+
+    def spread(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Return numbers of cells (.., S) at all places of factors."""
+        return spread(numbers, self.grid.shape) if self.is_linear else numbers
+
+    def of_cells(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Return numbers of cells (.., S) that were spread to all places."""
+        return of_cells(numbers, self.grid.shape)[..., 0] if self.is_linear else numbers
+
+    def summed(self, masses: NDArray[Any]) -> NDArray[Any]:
+        """Return the masses (.., S) of cells from those of all places."""
+        return of_cells(masses, self.grid.shape).sum(axis=-1) if self.is_linear else masses
+
+    def share(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return the weight of every place under a start that is uniform on a box, or a point, of states."""
+        if not self.is_linear:
+            return start_share(self.grid, self.relation.coordinates, low, high)
+        return hat_share_of(self.grid, self.relation.coordinates, low, high)
 
     @property
     def delta(self) -> float:
@@ -293,6 +323,8 @@ def _shared_model(
     per_cell = settings.targets_per_cell or (2 if agent.n_states == 1 else 1)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
+    if kind == "linear":
+        return linear_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
         return tube_model(agent, grid, coordinates, room)
     if kind == "ellipsoid":

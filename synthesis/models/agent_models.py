@@ -22,7 +22,8 @@ from ..relations import (
     paper_relation,
     tube_relation,
 )
-from .choices import Choices, InputMenu, target_windows
+from .affine_choices import Choices
+from .choices import InputMenu, target_windows
 from .ellipsoid_search import find_ellipsoid
 from .kernel import Kernel, gaussian_table
 

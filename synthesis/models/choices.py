@@ -211,9 +211,6 @@ class InputMenu:
         return np.where(policy < 0, -1, chosen)
 
 
-Choices = TargetWindows | InputMenu
-
-
 def _bricks(shape: tuple[int, ...], size: int) -> list[NDArray[np.int64]]:
     """Return the cells of a grid, increasing, in cubes of at most ``size``.
 

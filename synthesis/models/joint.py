@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import counted, tree_text
 from ...envs.problem import Problem
-from ..cells import CellLabels, FloatArray, alike_text, shape_text, start_share
+from ..cells import CellLabels, FloatArray, alike_text, shape_text
 from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
 from .guards import compile_guards
@@ -90,9 +90,9 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
     return JointModel(
         models=models,
         guards=guards,
-        masks=cell_masks(guards, [model.labels for model in models]),
+        masks=_at_places(models, cell_masks(guards, [model.labels for model in models])),
         start_guards=start_guards,
-        start_masks=cell_masks(start_guards, [model.start_labels for model in models]),
+        start_masks=_at_places(models, cell_masks(start_guards, [model.start_labels for model in models])),
         accepting=np.asarray(automaton.accepting, dtype=bool),
         absorbing=automaton.absorbing,
         horizon=problem.horizon,
@@ -109,7 +109,7 @@ def start_of(problem: Problem, joint: JointModel) -> Occupancy:
     if all(np.array_equal(box.low, box.high) for box in boxes):
         return point_start(problem, joint, [box.low for box in boxes])
     pairs = zip(boxes, joint.models, strict=True)
-    factors = [start_share(m.grid, m.relation.coordinates, box.low, box.high) for box, m in pairs]
+    factors = [model.share(box.low, box.high) for box, model in pairs]
     return _read_first_letter(problem, joint, factors)
 
 
@@ -121,7 +121,7 @@ def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray
     for agent, model, state in zip(problem.agents, joint.models, states, strict=True):
         mass = np.zeros((1, model.n_cells))
         if np.all((agent.workspace.low <= state) & (state <= agent.workspace.high)):
-            mass[0, _cell(model, state)] = 1.0
+            mass[0] = model.share(state, state)
         factors.append(mass)
     alive = all(mass.any() for mass in factors) and not automaton.dead[q]
     n_agents = len(factors)
@@ -129,9 +129,9 @@ def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray
     return Occupancy(Terms(tuple(factors), tuple(rows)), 0.0)
 
 
-def _cell(model: AgentModel, state: FloatArray) -> int:
-    """Return the cell of one state (d,)."""
-    return int(model.grid.cell_of(model.relation.to_grid(state)[:, None])[0])
+def _at_places(models: Sequence[AgentModel], masks: Sequence[NDArray]) -> tuple[NDArray, ...]:
+    """Return masks of cells at all places of factors."""
+    return tuple(model.spread(mask) for model, mask in zip(models, masks, strict=True))
 
 
 def _read_first_letter(problem: Problem, joint: JointModel, factors: Sequence[FloatArray]) -> Occupancy:

@@ -5,6 +5,7 @@ from .description import Relation, check_description, describe_relation, relatio
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
+from .linear import LinearRelation, linear_relation
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
@@ -13,6 +14,7 @@ __all__ = [
     "CoupledRelation",
     "Ellipsoid",
     "ExactRelation",
+    "LinearRelation",
     "Relation",
     "Row",
     "best_feedback",
@@ -28,6 +30,7 @@ __all__ = [
     "ellipsoid_support",
     "exact_relation",
     "joint_delta",
+    "linear_relation",
     "paper_relation",
     "product",
     "relation_from",

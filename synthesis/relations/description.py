@@ -1,8 +1,9 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind": "tube", "feedback",
-"inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling", "inputs", "snap",
-"delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them is trusted.
+``{"kind": "exact"}``, ``{"kind": "linear", "menu"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``,
+``{"kind": "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback",
+"coupling", "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and
+nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from ..cells import FloatArray, Grid
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, exact_relation
+from .linear import LinearRelation, linear_relation
 from .scalar import paper_relation
 from .tube import tube_relation
 
-Relation = ExactRelation | CoupledRelation
+Relation = ExactRelation | LinearRelation | CoupledRelation
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {
     "exact": (),
+    "linear": (),
     "paper": ("epsilon", "feedback", "inputs", "delta"),
     "tube": (),
     "ellipsoid": ("epsilon", "delta"),
@@ -35,6 +38,7 @@ LARGEST = 1e60
 
 ARRAY_ENTRIES = {
     "exact": (),
+    "linear": ("menu",),
     "paper": (),
     "tube": ("feedback", "inputs", "snap"),
     "ellipsoid": ("shape", "feedback", "coupling", "inputs", "snap"),
@@ -44,8 +48,10 @@ ARRAY_ENTRIES = {
 
 def describe_relation(relation: Relation) -> dict[str, Any]:
     """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
-    if not isinstance(relation, CoupledRelation):
+    if isinstance(relation, ExactRelation):
         return {"kind": "exact"}
+    if isinstance(relation, LinearRelation):
+        return {"kind": "linear", "menu": relation.menu.tolist()}
     if relation.kind == "paper":
         return {
             "kind": "paper",
@@ -70,6 +76,9 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
     kind = description["kind"]
     if kind == "exact":
         return exact_relation(agent, coordinates)
+    if kind == "linear":
+        menu = np.array(description["menu"], dtype=float)
+        return linear_relation(agent, coordinates, menu if len(menu) else None)
     if kind == "paper":
         if not np.array_equal(coordinates, np.eye(len(coordinates))):
             raise ValueError("the `paper` relation is for grids in state coordinates")
@@ -99,8 +108,11 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
+    shapes["menu"] = (-1, m)
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
+        if name == "menu" and array.shape == (0,):
+            continue
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")

@@ -27,7 +27,7 @@ from ..models import JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
 from .occupancy import push
-from .tree import Candidates, Loss, assemble, candidates, gather, terminal_terms
+from .tree import Candidates, Loss, assemble, candidates, read, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
 """Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
@@ -228,7 +228,7 @@ class Stage:
         for i, policy in enumerate(self.policies):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
-            self.values.append(gather(table, self.models[i].choices.points(policy)))
+            self.values.append(read(self.models[i].choices, table, policy))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
         if self.is_met:
@@ -273,7 +273,7 @@ class Stage:
                         weights[unmet] = beside(usual, weights)
                 self.policies[i] = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
             # The next agents answer to what this one does now.
-            self.values[i] = gather(self.smoothed[i], model.choices.points(self.policies[i]))
+            self.values[i] = read(model.choices, self.smoothed[i], self.policies[i])
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
 
@@ -287,7 +287,7 @@ class Stage:
         most = 0.0
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
             better = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
-            added = gather(self.smoothed[i], model.choices.points(better)) - self.values[i]
+            added = read(model.choices, self.smoothed[i], better) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
         return most
 

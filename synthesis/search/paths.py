@@ -23,7 +23,7 @@ from ..cells import FloatArray
 from ..models import AgentModel, JointModel, Policies
 from ..values import Occupancy
 from .best_response import best_choices
-from .tree import gather
+from .tree import read
 
 MOST_BEAM_POINTS, NARROWEST_BEAM = 8_000_000, 4
 """Lattice points, of all agents times vertices of a beam, to which a beam is narrowed, and its least width."""
@@ -104,7 +104,7 @@ def path_policies(joint: JointModel, path: GuardPath, otherwise: Policies) -> Po
             q = int(joint.guards.source[guard])
             policy = _best(model, smoothed, policies[i][t, q])
             policies[i][t, q] = policy
-            value = gather(smoothed, model.choices.points(policy))
+            value = read(model.choices, smoothed, policy)
     return policies
 
 
@@ -160,7 +160,7 @@ def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, Fl
     smoothed = model.kernel.smooth(masked[list(new.values())])
     for k, name in enumerate(new):
         policy = _best(model, smoothed[[k]], model.choices.resting_choice)
-        computed[name] = gather(smoothed[[k]], model.choices.points(policy))[0]
+        computed[name] = read(model.choices, smoothed[[k]], policy)[0]
     return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)
 
 
@@ -211,10 +211,11 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         ramps += [ramp, 3.0 - ramp]
     reached = cells.copy()
     for ramp in ramps:
-        policy = _best(model, ramp[None], model.choices.resting_choice)
+        table = np.concatenate([ramp, np.zeros_like(ramp)])[None] if model.is_linear else ramp[None]
+        policy = _best(model, table, model.choices.resting_choice)
         mass = model.kernel.push(indicator, model.choices.points(policy))[0]
         reached |= mass > REACHED_SHARE * mass.max(initial=0.0)
-    return _hull(reached, model.grid.shape)
+    return _hull(reached, model.kernel.shape)
 
 
 def _hull(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:

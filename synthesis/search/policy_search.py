@@ -203,12 +203,14 @@ def find_policies(
     first_limits, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
         first_limits = Limits(**{**vars(search.limits), "rank": min(search.limits.rank, many_terms)})
+    # Lower bounds that are no linear maps of their factors hold for nonnegative factors alone: no tensor trains.
+    may_use_trains = search.value == "auto" and not any(model.is_linear for model in joint.models)
     naive, uses_trains = None, search.value == "train"
     if not given:
         naive = sweep(joint, resting_policies(joint), None, first_limits, improve=True)
-        uses_trains = uses_trains or (naive.rank >= many_terms and search.value == "auto")
+        uses_trains = uses_trains or (naive.rank >= many_terms and may_use_trains)
     elif not uses_trains:
-        uses_trains = max(outcome.rank for outcome in trees.each(given)) >= many_terms and search.value == "auto"
+        uses_trains = max(outcome.rank for outcome in trees.each(given)) >= many_terms and may_use_trains
     if uses_trains:
         starts = given | {"relaxed start": relaxed_policies(relaxations)}
         if naive is not None:

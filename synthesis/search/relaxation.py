@@ -35,7 +35,7 @@ from ..cells import FloatArray
 from ..models import AgentModel, JointModel, Policies
 from ..values import UNIT, Occupancy
 from .best_response import TIE, best_choices
-from .tree import gather
+from .tree import read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,7 +117,7 @@ def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> 
                 value[q] = settled[q]
                 continue
             policy[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], policy[t, q])
-            value[q] = gather(smoothed[q : q + 1], model.choices.points(policy[t, q]))[0]
+            value[q] = read(model.choices, smoothed[q : q + 1], policy[t, q])[0]
     return Relaxation(value, policy)
 
 

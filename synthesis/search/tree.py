@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AgentModel
+from ..models import AffineChoices, AgentModel, Choices, StepPolicy
 from ..values import (
     Guards,
     IndexArray,
@@ -185,6 +185,13 @@ def gather(smoothed: NDArray, policy: NDArray[np.integer]) -> NDArray:
     if np.any(policy < 0):
         values[:, beside(policy < 0, values)] = 0
     return values
+
+
+def read(choices: Choices, smoothed: NDArray, policy: StepPolicy) -> NDArray:
+    """Return the value factors (n, S) of an agent under a policy, from its smoothed factors; lower bounds."""
+    if isinstance(choices, AffineChoices):
+        return beside(choices.read(to_host(smoothed), policy), smoothed)
+    return gather(smoothed, choices.points(policy))
 
 
 def assemble(

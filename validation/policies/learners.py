@@ -137,12 +137,14 @@ class WorldsVecEnv(VecEnv):
         for world in np.flatnonzero(ended):
             episode = {"r": float(self._returns[world]), "l": int(self._lengths[world]), "t": 0.0}
             for row in range(world * per, (world + 1) * per):
-                rows[row].update({
-                    "terminal_observation": last[row],
-                    "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
-                    "is_success": bool(final["satisfied"][world]),
-                    "episode": episode,
-                })  # fmt: skip
+                rows[row].update(
+                    {
+                        "terminal_observation": last[row],
+                        "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
+                        "is_success": bool(final["satisfied"][world]),
+                        "episode": episode,
+                    }
+                )
 
 
 def shared_vec_env(problem: Problem, worlds: int = 64, **arguments: Any) -> WorldsVecEnv:

@@ -1,0 +1,269 @@
+"""The relation ``linear``, once more: hat masses, second derivatives and losses by code of the check's own.
+
+With f(x) = E l(m(x) + w) for a choice ``m(x) = z + G (x - c)`` of a cell, and the values of f at the points of a
+lattice inside the cell's image, the certificate's factor is a multilinear function below f. What f may lack between
+points is at most ``sum_k |u_k|^2/8 sup (d^2 f)^+`` over the steps u_k between them. Second derivatives are those of
+the normal law under the hats; between points they grow by no more than the fourth derivatives let them
+(docs/theory/linear.md). Nothing of the kernels, tables and choices of the search is used.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfc
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray
+from ..certificates import AgentPart, grid_noise
+
+HALF_NORMS = (1.40031, 0.60241, 0.46840)
+"""Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
+
+ROUNDING = 9.9e-12
+"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13."""
+
+UNIT = 2.0**-53
+
+CHUNK = 3_000_000
+"""Numbers that are formed at once."""
+
+EVEN = 2e-9
+"""Relative difference of widths up to which cells count as equal, so that images lie on the lattice."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTables:
+    """Hat masses (Z, 2 S) of every axis, from below, their derivatives, and the steps between points of images."""
+
+    masses: list[FloatArray]
+    slopes: list[FloatArray]
+    curvatures: list[FloatArray]
+    steps: FloatArray
+    parts: int
+    slack: float
+
+
+def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
+    """Compute the tables of one agent anew."""
+    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    tables: tuple[list[FloatArray], ...] = ([], [], [])
+    for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
+        for stack, table in zip(tables, _hats(axis, edges, float(deviation)), strict=True):
+            stack.append(table)
+    targets = not len(part.relation["menu"])
+    widths = [np.diff(edges) for edges in part.grid.edges]
+    widest = np.array([float(w.max()) for w in widths])
+    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    per_cell = np.rint(widest / pitch)
+    even = all(float(np.ptp(w)) <= EVEN * float(w.max()) for w in widths)
+    aligned = targets and even and np.all(per_cell == per_cell[0]) and per_cell[0] % 2 == 0
+    parts = int(per_cell[0]) if aligned else 2
+    gain = np.eye(len(widest)) if targets else _grid_matrix(agent, part)
+    steps = (gain * widest).T / parts
+    if not aligned:
+        steps = np.concatenate([steps, np.diag(pitch)])
+    slack = sum(_fourth(u / deviations, e / deviations) for u in steps for e in steps) / 64.0
+    masses, slopes, curvatures = tables
+    return LinearTables(masses, slopes, curvatures, steps, parts, float(slack))
+
+
+def _grid_matrix(agent: LinearAgent, part: AgentPart) -> FloatArray:
+    """``A`` in grid coordinates."""
+    return np.asarray(np.linalg.solve(part.coordinates, agent.A @ part.coordinates))
+
+
+def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Masses of both hats of every cell around every lattice point, from below, and their derivatives by the mean."""
+    t = (edges - axis[:, None]) / sigma
+    width = np.diff(edges) / sigma
+    phi = np.exp(-0.5 * t**2) * (1.0 / math.sqrt(2.0 * math.pi))
+    above = 0.5 * erfc(t / math.sqrt(2.0))  # P(y > edge)
+    below = 0.5 * erfc(-t / math.sqrt(2.0))
+    a, b = t[:, :-1], t[:, 1:]
+    far = a + b > 0
+    mass = np.where(far, above[:, :-1] - above[:, 1:], below[:, 1:] - below[:, :-1])
+    first = phi[:, :-1] - phi[:, 1:] - a * mass  # E (y - left end)^+ inside the cell, in deviations
+    tails = np.where(far, above[:, :-1] + above[:, 1:], below[:, 1:] + below[:, :-1])
+    error = (40.0 + 6.0 * t**2) * phi
+    error = error[:, :-1] + error[:, 1:] + (2.0 + np.abs(a) + np.abs(b)) * (30.0 + 8.0 * (a**2 + b**2)) * tails
+    error *= UNIT / np.minimum(width, 1.0)
+    right = np.maximum(first / width - error / 2.0, 0.0)
+    left = np.maximum(mass - first / width - error / 2.0, 0.0)
+    slope = (phi[:, :-1] - mass / width, mass / width - phi[:, 1:])
+    rise = (phi[:, 1:] - phi[:, :-1]) / width
+    bend = (a * phi[:, :-1] + rise, -b * phi[:, 1:] - rise)
+    pairs = ((left, right), slope, bend)
+    masses, slopes, bends = (np.stack(pair, axis=-1).reshape(len(axis), -1) for pair in pairs)
+    return masses, slopes / sigma, bends / sigma**2
+
+
+def _fourth(u: FloatArray, e: FloatArray) -> float:
+    """Bound on ``|e|^2 |u|^2 d_e^2 d_u^2`` of a smoothed factor of at most 1, in deviations."""
+    size = math.hypot(*e.tolist())
+    if size == 0.0:
+        return 0.0
+    along = abs(float(np.dot(u, e))) / size
+    across = math.sqrt(max(0.0, float(np.dot(u, u)) - along * along))
+    straight, mixed, square = HALF_NORMS
+    return size * size * (straight * along * along + 2.0 * mixed * along * across + square * across * across)
+
+
+def _applied(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
+    """Factors (n, places) summed against one table per axis: (n, Z)."""
+    tensor = factors.reshape(len(factors), *(table.shape[1] for table in tables))
+    for k, table in enumerate(tables):
+        tensor = np.moveaxis(np.tensordot(tensor, table, axes=(k + 1, 1)), -1, k + 1)
+    return tensor.reshape(len(factors), -1)
+
+
+def linear_values(
+    agent: LinearAgent, part: AgentPart, tables: LinearTables, factors: FloatArray, t: int, q: int
+) -> FloatArray:
+    """Value factors (n, places) one step earlier, below the truth on every cell, of factors (n, places) >= 0."""
+    if not len(factors):
+        return np.zeros((0, places_of(part)))
+    values, bends = _applied(factors, tables.masses), np.zeros((len(factors), 1))
+    d = len(tables.masses)
+    seconds: dict[tuple[int, int], FloatArray] = {}
+    for i, j in itertools.combinations_with_replacement(range(d), 2):
+        if np.any(tables.steps[:, i] * tables.steps[:, j] != 0.0):
+            chosen = [(tables.masses, tables.slopes, tables.curvatures)[(k == i) + (k == j)][k] for k in range(d)]
+            seconds[i, j] = _applied(factors, chosen)
+    for u in tables.steps:
+        along = sum((1.0 + (i != j)) * u[i] * u[j] * second for (i, j), second in seconds.items())
+        bends = bends + np.maximum(along, 0.0) / 8.0
+    bends = bends + (tables.slack + ROUNDING) * factors.max(axis=1, initial=0.0)[:, None]
+    policy = part.policy[min(t, len(part.policy) - 1), q]
+    result = np.zeros((len(factors), part.grid.n_cells, 2**d))
+    chosen_cells = np.flatnonzero(policy >= 0)
+    pieces = len(chosen_cells) * len(factors) * (tables.parts + 1) ** d // CHUNK + 1
+    for cells in np.array_split(chosen_cells, pieces):
+        if len(cells):
+            result[:, cells] = _corner_values(agent, part, tables, values, bends, cells, policy[cells])
+    # From the corners of each cell to the ends of intervals, axis by axis.
+    result = result.reshape(len(factors), *part.grid.shape, *(2,) * d)
+    order = [0, *(axis for k in range(d) for axis in (1 + k, 1 + d + k))]
+    return result.transpose(order).reshape(len(factors), -1)
+
+
+def _corner_values(
+    agent: LinearAgent,
+    part: AgentPart,
+    tables: LinearTables,
+    values: FloatArray,
+    bends: FloatArray,
+    cells: NDArray[np.int64],
+    choices: NDArray[np.integer],
+) -> FloatArray:
+    """Corners (n, C, 2^d) of multilinear functions below the value of every point of the cells."""
+    d, shape = len(part.lattice), tuple(len(axis) for axis in part.lattice)
+    n_points = math.prod(shape)
+    places = np.unravel_index(cells, part.grid.shape)
+    low = np.stack([edges[k] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
+    high = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if len(part.relation["menu"]):
+        A = _grid_matrix(agent, part)
+        inputs = np.array(part.relation["menu"], dtype=float)[choices]
+        offset = np.linalg.solve(part.coordinates, (agent.offset + inputs @ agent.B.T).T).T
+        z, gains = middle @ A.T + offset, np.broadcast_to(A, (len(cells), d, d))
+    else:
+        gain, point = np.divmod(choices, n_points)
+        z = np.stack([axis[k] for axis, k in zip(part.lattice, np.unravel_index(point, shape), strict=True)], axis=1)
+        gains = gain[:, None, None] * np.eye(d)
+    share = np.array(list(itertools.product(np.linspace(0.0, 1.0, tables.parts + 1), repeat=d)))
+    position = z[:, None] + np.einsum("sij,sj,kj->ski", gains, half, 2.0 * share - 1.0)
+    first = np.array([axis[0] for axis in part.lattice])
+    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    at, lacking, inside = _read(values, bends, (position - first) / pitch, shape)
+    # A choice that commands one mean has one value, and loses nothing.
+    fixed = ~gains.any(axis=(1, 2))
+    lacking[:, fixed] = 0.0
+    sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
+    corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
+    blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)
+    return _below(at, corners, corners @ blend, lacking) * inside[:, None]
+
+
+def _read(
+    values: FloatArray, bends: FloatArray, position: FloatArray, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Values (n, C, K) at positions (C, K, d) in lattice steps, what they may lack (n, C), and images inside (C,)."""
+    whole = np.rint(position)
+    exact = np.abs(position - whole) <= 1e-7
+    base = np.where(exact, whole, np.floor(position)).astype(np.int64)
+    rest = np.where(exact, 0.0, position - base)
+    last = np.array(shape) - 1
+    inside = np.all((base >= 0) & (base + (rest > 0) <= last), axis=(1, 2))
+    base[~inside] = 0
+    read, lacking = np.zeros((len(values), *position.shape[:2])), np.zeros((len(values), len(position)))
+    for corner in itertools.product((0, 1), repeat=len(shape)):
+        weight = np.prod(np.where(np.array(corner) == 1, rest, 1.0 - rest), axis=2)
+        if not weight.any():
+            continue
+        flat = np.ravel_multi_index(tuple(np.moveaxis(np.minimum(base + np.array(corner), last), 2, 0)), shape)
+        read += weight * values[:, flat]
+        lacking = np.maximum(lacking, np.where(weight > 0.0, bends[:, flat], 0.0).max(axis=2))
+    return read, lacking, inside
+
+
+def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: FloatArray) -> FloatArray:
+    """The best of three: shifted down, scaled down, constant; never single corners moved."""
+    sure = np.maximum(at - lacking[:, :, None], 0.0)
+    floor = sure.min(axis=2)
+    shift = np.maximum(between - at, 0.0).max(axis=2) + lacking
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(between > 0.0, sure / between, 1.0)
+    scale = np.minimum(1.0, ratio.min(axis=2)) * (1.0 - 4.0 * UNIT)
+    moved, scaled = corners - shift[:, :, None], scale[:, :, None] * corners
+    average = corners.mean(axis=2)
+    result = np.where((scale * average >= floor)[:, :, None], scaled, floor[:, :, None])
+    take = np.all(moved >= 0.0, axis=2) & (average - shift >= np.maximum(scale * average, floor))
+    return np.where(take[:, :, None], moved, result)
+
+
+def hat_weights(agent: LinearAgent, part: AgentPart) -> FloatArray:
+    """Weights (places,) that give the mean of a multilinear factor over the start of an agent, up to rounding."""
+    low, high = agent.initial.low, agent.initial.high
+    if not np.array_equal(part.coordinates, np.eye(len(low))):
+        if not np.array_equal(low, high):
+            raise ValueError("a start box is read on cells that are no boxes in state space")
+        low = high = np.linalg.solve(part.coordinates, low)
+    weights = np.ones(1)
+    for edges, a, b in zip(part.grid.edges, low.tolist(), high.tolist(), strict=True):
+        axis = np.zeros((len(edges) - 1, 2))
+        for k in range(len(edges) - 1):
+            left, right = edges[k], edges[k + 1]
+            last = k == len(edges) - 2
+            if a == b:
+                mass, centre = float(left <= a and (a < right or (last and a == right))), a
+            else:
+                mass = max(min(right, b) - max(left, a), 0.0) / (b - a)
+                centre = 0.5 * (min(right, b) + max(left, a))
+            up = min(max((centre - left) / (right - left), 0.0), 1.0)
+            axis[k] = mass * (1.0 - up), mass * up
+        weights = (weights[:, None] * axis.ravel()).ravel()
+    return weights
+
+
+def doubled(rows: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Numbers of cells (K, S) at both ends of every interval: (K, places)."""
+    table = rows.reshape(len(rows), *shape)
+    for axis in range(1, len(shape) + 1):
+        table = np.repeat(table, 2, axis=axis)
+    return table.reshape(len(rows), -1)
+
+
+def places_of(part: AgentPart) -> int:
+    """Number of places at which factors of an agent have values: its cells, or their corners."""
+    return part.grid.n_cells * (2 ** len(part.lattice) if part.relation["kind"] == "linear" else 1)
+
+
+def masks_of(part: AgentPart, masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Masks (K, places) at the places of factors."""
+    return doubled(masks, part.grid.shape) if part.relation["kind"] == "linear" else masks

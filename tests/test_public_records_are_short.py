@@ -1,0 +1,133 @@
+"""Public records print themselves in a few lines without arrays; the main ones are tables in notebooks."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.baselines import IdleController
+from certigym.synthesis.cells import Grid
+
+MOST_CHARACTERS, MOST_LINES = 1500, 15
+EPISODES = 100
+
+CLASSES = sorted(name for name in cg.__all__ if inspect.isclass(getattr(cg, name)))
+TABLES = ("Problem", "Synthesis", "Comparison", "ValidationReport")
+
+
+@pytest.fixture(scope="module")
+def tree() -> cg.Synthesis:
+    """A value tree of two agents."""
+    return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=4), 60)
+
+
+@pytest.fixture(scope="module")
+def product() -> cg.Synthesis:
+    """A hundred agents with independent tasks."""
+    return cg.synthesize(cg.make_problem("invariance-b-100-v0", horizon=2), 20)
+
+
+def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
+    """How to make one object of every public class; those of one problem are made around its synthesis."""
+    problem, certificate = result.certificate.problem, result.certificate
+    starts = np.concatenate([agent.initial.low for agent in problem.agents])
+    grid = Grid((np.linspace(-1.0, 1.0, 501),))
+    formula = " & ".join(f"F goal_{k}" for k in range(500))
+    policies: dict[str, Any] = {"certified": result}
+    if not problem.groups:
+        policies |= {f"idle {k}": IdleController() for k in range(20)}
+    return {
+        "AuditReport": lambda: cg.audit(result, EPISODES),
+        "Automaton": lambda: cg.make_problem("package-delivery-v0").automaton,
+        "Certificate": lambda: certificate,
+        "Comparison": lambda: cg.compare(problem, policies, EPISODES),
+        "Controller": lambda: result.controller,
+        "FieldReport": lambda: cg.validate_field(result, [starts] * 20, 20),
+        "FormulaError": lambda: refused("F a & " * 400),
+        "InputTable": lambda: cg.InputTable(grid, np.zeros((20, 5, 500, 1))),
+        "LinearAgent": lambda: problem.agents[0],
+        "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
+        "Problem": lambda: problem,
+        "ProductCertificate": lambda: certificate,
+        "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),
+        "Rollouts": lambda: cg.rollout(problem, result, EPISODES),
+        "Specification": lambda: cg.Specification(formula, "co-safe"),
+        "StressReport": lambda: cg.stress(result, EPISODES),
+        "Synthesis": lambda: result,
+        "TrialPlan": lambda: cg.TrialPlan(EPISODES, seed=3),
+        "ValidationReport": lambda: cg.validate(result, EPISODES),
+    }
+
+
+def refused(formula: str) -> cg.FormulaError:
+    """The error of a formula that ends too early."""
+    with pytest.raises(cg.FormulaError) as caught:
+        cg.translate(formula, ["a"], "co-safe")
+    return caught.value
+
+
+def test_every_public_class_has_an_example(tree: cg.Synthesis) -> None:
+    assert sorted(examples(tree)) == CLASSES
+
+
+@pytest.mark.parametrize("size", ["tree", "product"])
+@pytest.mark.parametrize("name", CLASSES)
+def test_public_records_are_short(name: str, size: str, request: pytest.FixtureRequest) -> None:
+    record = examples(request.getfixturevalue(size))[name]()
+    text = repr(record)
+    assert isinstance(record, getattr(cg, name)) or name in ("Certificate", "ProductCertificate", "Controller")
+    assert 0 < len(text) < MOST_CHARACTERS and len(text.splitlines()) <= MOST_LINES, text
+    assert "array(" not in text and " object at 0x" not in text and max(map(len, text.splitlines())) <= 250, text
+
+
+class Table(HTMLParser):
+    """The cells of all tables, row by row; every tag has to be closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.rows: list[list[str]] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.tags.append(tag)
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if {"td", "th"} & {*self.open}:
+            self.rows[-1][-1] += data
+
+
+@pytest.mark.parametrize("size", ["tree", "product"])
+@pytest.mark.parametrize("name", TABLES)
+def test_notebooks_show_tables(name: str, size: str, request: pytest.FixtureRequest) -> None:
+    result = request.getfixturevalue(size)
+    text = examples(result)[name]()._repr_html_()
+    table = Table(text)
+    assert "table" in table.tags and "script" not in table.tags and len(text) <= 4 * MOST_CHARACTERS, text
+    assert len(table.rows) >= 3 and all(cell.strip() for row in table.rows for cell in row[:1]), table.rows
+    assert result.certificate.problem.name in text
+
+
+def test_the_tables_hold_what_the_text_says(tree: cg.Synthesis) -> None:
+    facts = {row[0]: row[1:] for row in Table(tree._repr_html_()).rows}
+    bound = str(tree.certificate.lower_bound)[:6]
+    assert any(bound in cell for cells in facts.values() for cell in cells), facts
+    report = cg.validate(tree, EPISODES)
+    cells = [cell for row in Table(report._repr_html_()).rows for cell in row]
+    assert any(report.verdict in cell for cell in cells) and any(str(EPISODES) in cell for cell in cells), cells
