@@ -116,7 +116,7 @@ def test_what_balls_do_not_reach_is_refused_in_words() -> None:
     with pytest.raises(ValueError, match=r"tensor trains"):
         check_rigorous(trains)
     lossy = synthesized("reach-avoid-v0", 40, relation="paper", epsilon=0.5, delta=0.5)
-    with pytest.raises(ValueError, match=r"never lost"):
+    with pytest.raises(ValueError, match=r"`exact` and `tube`"):
         check_rigorous(lossy)
 
 

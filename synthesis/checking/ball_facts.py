@@ -79,8 +79,8 @@ def facts_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> BallFac
         covariance - np.diag(np.diag(covariance))
     ):
         raise NoBallsError(f"agent `{agent.name}` has correlated noise, and cells that are no boxes of its states")
-    if isinstance(relation, CoupledRelation) and relation.kind != "tube":
-        raise NoBallsError(f"agent `{agent.name}` has the relation `{relation.kind}`, whose coupling may fail")
+    if not isinstance(relation, ExactRelation | CoupledRelation) or relation.kind not in ("exact", "tube"):
+        raise NoBallsError(f"agent `{agent.name}` has the relation `{relation.kind}`, which balls do not reach")
     sizes = _Sizes.of(agent, part)
     if isinstance(relation, ExactRelation):
         return _exact_facts(agent, part, relation, sizes)

@@ -108,7 +108,7 @@ def _refuse_others(certificate: Certificate) -> None:
     if certificate.rounding is not None:
         wrong = "a value tree, got tensor trains, whose rounding has no balls"
     elif not kinds <= {"exact", "tube"}:
-        wrong = f"relations that are never lost (`exact`, `tube`), got {', '.join(sorted(kinds))}"
+        wrong = f"the relations `exact` and `tube`, got {', '.join(sorted(kinds))}"
     elif any(not np.array_equal(part.coordinates, np.eye(len(part.coordinates))) for part in certificate.agents):
         wrong = "cells that are boxes of states, got those of correlated noise"
     if wrong is not None:
