@@ -14,6 +14,7 @@ import io
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -30,7 +31,10 @@ from certigym.synthesis.checking import CheckReport
 from forgeries import opened, written
 
 SECONDS, BYTES = 20.0, 3 * 2**30
-"""Limits of one case; libraries alone reserve about one GiB of addresses."""
+"""Limits of one case, in CPU time; libraries alone reserve about one GiB of addresses."""
+
+PATIENCE = 15.0
+"""Wall seconds per CPU second after which a process is given up: other work may have the machine."""
 
 Case = Callable[[Path], object]
 
@@ -174,6 +178,8 @@ CASES: dict[str, Case] = {
     "paper inputs 5e8": _in_relation("inputs", 500_000_000, relation="paper"),
     "paper inputs of 400 digits": _in_relation("inputs", 10**400, relation="paper"),
     "paper epsilon 1e308": _in_relation("epsilon", 1e308, relation="paper"),
+    "linear menu of numbers": _in_relation("menu", 0.0, relation="linear"),
+    "linear menu 1e308": _in_relation("menu", [[1e308]], relation="linear"),
     "long header": long_header,
     "zip bomb": zip_bomb,
     "nested header": nested_header,
@@ -215,7 +221,7 @@ CASES: dict[str, Case] = {
 
 def outcome(name: str) -> dict[str, Any]:
     """Run one case in this process: what became of it, seconds, and largest memory in bytes."""
-    began = time.perf_counter()
+    began = time.process_time()
     with TemporaryDirectory() as folder:
         try:
             answer = CASES[name](Path(folder))
@@ -227,25 +233,27 @@ def outcome(name: str) -> dict[str, Any]:
         except Exception as error:  # noqa: BLE001 every other exception is a finding
             result = f"crashed: {type(error).__name__}: {str(error)[:80]}"
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {"case": name, "outcome": result, "seconds": time.perf_counter() - began, "bytes": peak}
+    return {"case": name, "outcome": result, "seconds": time.process_time() - began, "bytes": peak}
 
 
 def limited(names: list[str], seconds: float = SECONDS, most: int = BYTES) -> Iterator[dict[str, Any]]:
-    """Run cases, one after the other, in one process under a limit of memory, and of ``seconds`` for all of them."""
-    command = [sys.executable, "-W", "error::RuntimeWarning", __file__, "--bytes", str(most), "--only", *names]
+    """Run cases, one after the other, in one process under limits of memory and of CPU ``seconds`` for all of them."""
+    limits = ["--bytes", str(most), "--seconds", str(seconds)]
+    command = [sys.executable, "-W", "error::RuntimeWarning", __file__, *limits, "--only", *names]
     paths = [path for path in sys.path if path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=seconds)
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE * seconds)
     except subprocess.TimeoutExpired as late:
         lines = (late.stdout or b"").decode().splitlines()
         yield from map(json.loads, lines)
-        yield {"case": names[min(len(lines), len(names) - 1)], "outcome": f"crashed: more than {seconds:g} s"}
+        yield {"case": names[min(len(lines), len(names) - 1)], "outcome": "crashed: it does not end"}
         return
     lines = done.stdout.splitlines()
     yield from map(json.loads, lines)
     if done.returncode != 0 or len(lines) < len(names):
-        last = (done.stderr.splitlines() or [f"exit {done.returncode}"])[-1]
+        spent = done.returncode == -signal.SIGXCPU
+        last = f"more than {seconds:g} s" if spent else (done.stderr.splitlines() or [f"exit {done.returncode}"])[-1]
         yield {"case": names[min(len(lines), len(names) - 1)], "outcome": f"crashed: {last[:80]}"}
 
 
@@ -254,9 +262,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", metavar="NAME")
     parser.add_argument("--bytes", type=int, default=BYTES)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
     given = parser.parse_args()
     if given.only:
         resource.setrlimit(resource.RLIMIT_AS, (given.bytes, given.bytes))
+        resource.setrlimit(resource.RLIMIT_CPU, (round(given.seconds), round(given.seconds) + 5))
         for name in given.only:
             print(json.dumps(outcome(name)), flush=True)
         return 0

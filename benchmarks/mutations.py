@@ -7,8 +7,8 @@ of its own:
 
 *claim*     whether a certificate of the mutant is false: refuted by a simulator that shares no code with the package
             (``independent``), at a probability below 1e-7.
-*check*     whether the mutant's own ``check`` refuses all false ones. A mutant of a module that search and check share
-            may deceive both.
+*check*     whether the mutant's own ``check`` refuses all false certificates, or any others. A mutant of a module that
+            search and check share may deceive both.
 *rollouts*  whether the package's own rollouts refute a false one.
 *forgeries* which of a few forged certificates the mutant's check accepts; an honest check accepts none.
 *tests*     whether a fast selection of the tests fails.
@@ -40,7 +40,8 @@ TESTS = (
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
     "test_cells_are_found_exactly.py", "test_labeling.py", "test_controllers_carry_out_what_is_certified.py",
     "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
-    "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_tree_equals_dense_programming.py",
+    "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",
+    "test_translation_is_correct.py", "test_tree_equals_dense_programming.py",
 )  # fmt: skip
 """From the quickest to the slowest; the first failure ends the run."""
 
@@ -125,7 +126,7 @@ def judge() -> Row:
     from adversary import Deployed, problem_of
     from independent import successes
 
-    outcome: Row = {"false": [], "unchecked": [], "refuted": [], "errors": [], "forged": []}
+    outcome: Row = {"false": [], "refused": [], "refuted": [], "errors": [], "forged": []}
     for name, (make, options) in PROBLEMS.items():
         spec = make()
         try:
@@ -136,9 +137,9 @@ def judge() -> Row:
             false |= bool(binom.sf(number - 1, EPISODES, min(1.0, above)) < LEVEL)
             false |= beyond > 1e-9 and certificate.delta == 0.0 and certificate.lower_bound > 0
             report = cg.check(certificate)
+            outcome["refused"] += [] if report else [name]
             if false:
                 outcome["false"].append(name)
-                outcome["unchecked"] += [name] if report else []
                 verdict = cg.validate(certificate, EPISODES, confidence=1 - 1e-6).verdict
                 outcome["refuted"] += [name] if verdict == "refuted" else []
             outcome["forged"] += [f"{name}: {title}" for title in _accepted(cg, certificate)]
@@ -224,9 +225,10 @@ def row_of(mutant: Mutant | None, with_tests: bool) -> Row:
     }  # fmt: skip
     if found is None:
         return row | {"false claims": "crash"}
-    false, missed = found["false"], found["unchecked"]
+    false, refused = found["false"], found["refused"]
+    missed = [name for name in false if name not in refused]
     row["false claims"] = ", ".join(false) + (" crash" if found["errors"] and not false else "")
-    row["check"] = "" if not false else "refuses" if not missed else "MISSES " + ", ".join(missed)
+    row["check"] = "MISSES " + ", ".join(missed) if missed else "refuses" if refused else ""
     row["rollouts"] = "" if not false else "refute" if found["refuted"] else "pass"
     row["forgeries"] = ", ".join(found["forged"])
     return row
