@@ -39,7 +39,7 @@ TREES = ("envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs"
 TESTS = (
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
     "test_cells_are_found_exactly.py", "test_labeling.py", "test_controllers_carry_out_what_is_certified.py",
-    "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
+    "test_guards_of_certificates_are_verified.py", "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
     "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",
     "test_translation_is_correct.py", "test_tree_equals_dense_programming.py",
 )  # fmt: skip
@@ -148,8 +148,28 @@ def judge() -> Row:
     return outcome
 
 
+def guards_twice(certificate: Any) -> Any:
+    """Every guard listed twice, and the last step back taken through both: the value at time 0 is doubled."""
+    step, count = certificate.skeleton[0], len(certificate.guard_source)
+    again = np.array([count, 0])
+    origin = tuple(np.concatenate([rows, rows + again]) for rows in step.origin)
+    kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
+    pairs = zip(certificate.terms.index, step.origin, strict=True)
+    index = tuple(np.concatenate([rows, rows]) if len(o) else rows for rows, o in pairs)
+    return replace(
+        certificate,
+        skeleton=(replace(step, origin=origin, kept=kept), *certificate.skeleton[1:]),
+        terms=replace(certificate.terms, index=index),
+        **{
+            name: np.concatenate([getattr(certificate, name)] * 2)
+            for name in ("guard_source", "guard_target", "guard_mask")
+        },
+    )
+
+
 def _accepted(cg: Any, certificate: Any) -> list[str]:
     """Forgeries that the check accepts."""
+    certificate = replace(certificate, gap=None, exact=False)
     part = certificate.agents[0]
     lower = min(1.0, certificate.lower_bound + 0.01)
     forged = {
@@ -175,6 +195,7 @@ def _accepted(cg: Any, certificate: Any) -> list[str]:
                       for rows, o in zip(certificate.terms.index, step.origin, strict=True))  # fmt: skip
         twice = (replace(step, origin=origin, kept=kept), *certificate.skeleton[1:])
         forged["twice"] = replace(certificate, skeleton=twice, terms=replace(certificate.terms, index=index))
+        forged["guards twice"] = guards_twice(certificate)
     return [title for title, one in forged.items() if one.lower_bound > 0 and cg.check(one)]
 
 
