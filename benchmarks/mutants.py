@@ -97,8 +97,8 @@ MUTANTS = [
         "synthesis/relations/exact.py",
         ("drift=sizes.moves.offset + sizes.moves.B @ centre", "drift=sizes.moves.offset - sizes.moves.B @ centre"),
         (
-            "need = half_widths @ np.abs(self.right_inverse @ self.A).T",
-            "need = 0.0 * half_widths @ np.abs(self.right_inverse @ self.A).T",
+            "need = half_widths @",
+            "need = 0.0 * half_widths @",
         ),
         ("A=sizes.moves.A,", "A=np.where(np.abs(sizes.moves.A) < 0.2, 0.0, sizes.moves.A),"),
         ("A=sizes.moves.A,", "A=sizes.moves.A.T,"),

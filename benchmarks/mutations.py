@@ -39,13 +39,14 @@ TREES = ("envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs"
 TESTS = (
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
     "test_cells_are_found_exactly.py", "test_labeling.py", "test_controllers_carry_out_what_is_certified.py",
-    "test_guards_of_certificates_are_verified.py", "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
+    "test_guards_of_certificates_are_verified.py",
+    "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
     "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",
     "test_translation_is_correct.py", "test_tree_equals_dense_programming.py",
 )  # fmt: skip
 """From the quickest to the slowest; the first failure ends the run."""
 
-TEST_SECONDS, JUDGE_SECONDS = 120, 120
+TEST_SECONDS, JUDGE_SECONDS = 600, 300
 
 
 # --- what a mutant certifies -----------------------------------------------------------------------------------
@@ -238,7 +239,7 @@ def row_of(mutant: Mutant | None, with_tests: bool) -> Row:
         if with_tests:
             words = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *(f"tests/{test}" for test in TESTS)]
             done = _run(folder, words, TEST_SECONDS)
-            tests = "fail" if done is None or done.returncode != 0 else "pass"
+            tests = "no end" if done is None else "pass" if done.returncode == 0 else "fail"
     row: Row = {
         "module": "-" if mutant is None else mutant.path,
         "line": "the tree as it is" if mutant is None else mutant.new,
