@@ -23,6 +23,7 @@ from scipy.stats import binom
 
 import certigym as cg
 from forgeries import Forgery, forgeries, opened, written
+from hostile import CASES, limited
 from independent import successes
 from measuring import Rows, show
 from random_problems import Spec, random_spec
@@ -74,9 +75,9 @@ class Deployed:
         return inputs
 
 
-def claim(seed: int, episodes: int, level: float) -> dict[str, Any]:
+def claim(seed: int, episodes: int, level: float, relation: str | None = None) -> dict[str, Any]:
     """One random problem: certified, checked, and simulated by other code. ``finding`` is empty if all agree."""
-    spec = random_spec(seed)
+    spec = random_spec(seed, relation)
     result: dict[str, Any] = {"seed": seed, "text": spec["text"], "relation": spec["options"].get("relation", "auto")}
     try:
         problem = problem_of(spec)
@@ -106,12 +107,12 @@ def claim(seed: int, episodes: int, level: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def claims(trials: int, episodes: int, first: int) -> int:
+def claims(trials: int, episodes: int, first: int, relation: str | None = None) -> int:
     """All random problems; the number of findings."""
     level, rows, reasons, began = FALSE_ALARM / (3 * trials), [], Counter[str](), time.time()
     for seed in range(first, first + trials):
         try:
-            row = claim(seed, episodes, level)
+            row = claim(seed, episodes, level, relation)
         except Exception as error:  # noqa: BLE001 a traceback is a finding, too
             row = {"seed": seed, "outcome": "error", "finding": f"{type(error).__name__}: {error}"}
         if row["finding"]:
@@ -200,17 +201,36 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int) -> int:
     return findings
 
 
+def files() -> int:
+    """All hostile files, formulas and numbers, each in a process of its own; the number of findings."""
+    rows = [row for name in CASES for row in limited([name])]
+    findings = [row for row in rows if row["outcome"].startswith("crashed")]
+    for row in findings:
+        print(f"{row['case']}: {row['outcome']}", flush=True)
+    outcomes = Counter(row["outcome"] for row in rows if row not in findings)
+    slowest = max(row.get("seconds", 0.0) for row in rows)
+    largest = max(row.get("bytes", 0) for row in rows) / 2**20
+    table: Rows = [
+        {"cases": len(rows), **outcomes, "findings": len(findings), "slowest s": slowest, "largest MiB": largest}
+    ]
+    show("Hostile files, formulas and numbers", table)
+    return len(findings)
+
+
 def main() -> int:
     """Run one part of the campaign; the exit status is 1 if there are findings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["claims", "forgeries"])
+    parser.add_argument("part", choices=["claims", "forgeries", "files"])
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--relation", help="one relation for all problems of ``claims``, such as linear")
     parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
     given = parser.parse_args()
+    if given.part == "files":
+        return int(files() > 0)
     if given.part == "claims":
-        return int(claims(given.trials, given.episodes, given.seed) > 0)
+        return int(claims(given.trials, given.episodes, given.seed, given.relation) > 0)
     return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array) > 0)
 
 

@@ -198,8 +198,8 @@ def _of_array(array: np.ndarray, rng: np.random.Generator) -> Iterator[tuple[str
         yield "all but one higher", lambda a: np.minimum(a + 1, a.max()).astype(a.dtype)
     else:
         spread = float(np.ptp(array)) or 1.0
-        value = float(array[place])
-        for other in (0.0, 2 * value, value + 0.01 * spread, value - 0.01 * spread, 1e300, 5e-324, np.nan, np.inf):
+        held = float(array[place])
+        for other in (0.0, 2 * held, held + 0.01 * spread, held - 0.01 * spread, 1e300, 5e-324, np.nan, np.inf):
             yield f"one is {other:g}", put(other)
         for factor in (1.001, 1.1, 0.9, -1.0, 1e9):
             yield f"times {factor:g}", lambda a, factor=factor: a * factor  # type: ignore[misc]

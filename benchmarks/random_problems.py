@@ -14,8 +14,8 @@ from independent import Formula, names_in, text_of
 Spec = dict[str, Any]
 
 
-def random_spec(seed: int) -> Spec:
-    """A problem, with the options that it is to be synthesized with under ``options``."""
+def random_spec(seed: int, relation: str | None = None) -> Spec:
+    """A problem, and under ``options`` what to synthesize it with; ``relation`` takes the place of a drawn one."""
     rng = np.random.default_rng([20261121, seed])
     n_agents = int(rng.choice([1, 2, 3], p=[0.45, 0.42, 0.13]))
     agents = [_agent(rng, f"agent_{i}", n_agents) for i in range(n_agents)]
@@ -27,7 +27,7 @@ def random_spec(seed: int) -> Spec:
             if region is not None:
                 propositions[f"p{k}_{agent['name']}"] = region
     if not propositions:
-        return random_spec(seed + 1_000_003)
+        return random_spec(seed + 1_000_003, relation)
     semantics = str(rng.choice(["co-safe", "finite-trace"]))
     formula = _formula(rng, list(propositions), semantics, int(rng.integers(1, 4)))
     horizon = int(rng.choice([1, 2, 3, 4, 5, 6, 8], p=[0.12, 0.1, 0.2, 0.2, 0.18, 0.1, 0.1]))
@@ -35,6 +35,9 @@ def random_spec(seed: int) -> Spec:
         _start(rng, agent, propositions, correlated)
     used = names_in(formula)
     kept = {name: region for name, region in propositions.items() if name in used or rng.random() < 0.3}
+    options = _options(rng, agents)
+    if relation is not None:
+        options = {name: value for name, value in options.items() if name != "delta"} | {"relation": relation}
     return {
         "agents": agents,
         "propositions": kept,
@@ -42,7 +45,7 @@ def random_spec(seed: int) -> Spec:
         "text": text_of(formula),
         "semantics": semantics,
         "horizon": horizon,
-        "options": _options(rng, agents),
+        "options": options,
     }
 
 

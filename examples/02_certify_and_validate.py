@@ -17,6 +17,12 @@ verified = cg.check(certificate, problem)
 print(verified)
 assert verified
 
+# the same in ball arithmetic, with every rounding counted: relations `exact` and `tube`, extra `rigorous`
+try:
+    print(cg.check_rigorous(cg.synthesize(problem, cells=100, relation="exact")))
+except ValueError as error:
+    print(error)
+
 # tested by simulation, which proves nothing
 report: cg.ValidationReport = cg.validate(result, episodes=20_000, seed=0)
 print(report)

@@ -62,6 +62,9 @@ def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings:
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
     if last is None or problem.groups or chosen_anew:
         return synthesize(problem, cells, **settings)
+    # A shorter horizon may have needed fewer states of the automaton: its policies know nothing of the others.
+    if last.certificate.problem.automaton.n_states != problem.automaton.n_states:
+        return synthesize(problem, cells, **settings)
     return synthesize(problem, cells, start=last.certificate, **settings)
 
 

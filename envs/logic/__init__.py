@@ -7,7 +7,7 @@ from .guard_diagrams import letter_text
 from .hoa import automaton_from_hoa
 from .normal_form import NormalForm
 from .parser import parse_formula
-from .rebuilt import over_propositions, with_sides
+from .rebuilt import over_propositions, with_sides, within
 from .translation import translate
 
 __all__ = [
@@ -25,4 +25,5 @@ __all__ = [
     "parse_formula",
     "translate",
     "with_sides",
+    "within",
 ]

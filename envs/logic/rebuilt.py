@@ -14,6 +14,9 @@ import numpy as np
 from .automaton import Automaton, checked_names
 from .decision_diagram import DecisionDiagrams
 
+FEW_STATES = 64
+"""Number of states out of reach that are not worth an automaton of its own."""
+
 NodeMaker = Callable[[DecisionDiagrams, int, int, int], int]
 """Function from a manager, the tested proposition's number and the nodes for false and true to the new node."""
 
@@ -94,6 +97,61 @@ def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Au
         return high
 
     return _rebuilt(automaton, order, node)
+
+
+def within(automaton: Automaton, letters: int) -> Automaton:
+    """Return the automaton without the states that no ``letters`` letters reach; those become one that fails (exact).
+
+    An automaton with few such states is returned as it is.
+    """
+    near = {automaton.initial}
+    frontier = [automaton.initial]
+    for _ in range(letters):
+        if not frontier:
+            break
+        frontier = [q for q in {r for q in frontier for r in _successors(automaton, q)} if q not in near]
+        near.update(frontier)
+    if automaton.n_states - len(near) <= FEW_STATES:
+        return automaton
+    kept = sorted(near)
+    number = {q: k for k, q in enumerate(kept)}
+    manager = DecisionDiagrams()
+    nodes: list[int] = [-1] * automaton.variable.size
+
+    def child(entry: int) -> int:
+        return nodes[entry] if entry >= 0 else manager.terminal(number.get(-1 - entry, len(kept)))
+
+    for n in np.argsort(-automaton.variable, kind="stable"):
+        low, high = child(int(automaton.low[n])), child(int(automaton.high[n]))
+        nodes[n] = manager.choose(int(automaton.variable[n]), low, high)
+    return automaton_from_diagrams(
+        automaton.propositions,
+        automaton.semantics,
+        [*(automaton.state_names[q] for q in kept), _new_name(automaton)],
+        number[automaton.initial],
+        [*automaton.accepting[kept], False],
+        manager,
+        [*(child(int(automaton.root[q])) for q in kept), manager.terminal(len(kept))],
+    )
+
+
+def _successors(automaton: Automaton, q: int) -> set[int]:
+    """Return the states that some letter leads to from q."""
+    seen, stack = set[int](), [int(automaton.root[q])]
+    while stack:
+        entry = stack.pop()
+        if entry not in seen:
+            seen.add(entry)
+            stack += [] if entry < 0 else [int(automaton.low[entry]), int(automaton.high[entry])]
+    return {-1 - entry for entry in seen if entry < 0}
+
+
+def _new_name(automaton: Automaton) -> str:
+    """Return a name that no state has."""
+    name = "beyond"
+    while name in automaton.state_names:
+        name += "_"
+    return name
 
 
 def _rebuilt(automaton: Automaton, order: Sequence[str], node: NodeMaker) -> Automaton:

@@ -31,7 +31,7 @@ from ..agents import (
     shown,
     slices_of,
 )
-from ..logic import Automaton, over_propositions, translate
+from ..logic import Automaton, over_propositions, translate, within
 from .families import checked_propositions, expand
 from .groups import Group, independent_groups
 from .specification import Specification
@@ -164,9 +164,9 @@ class Problem:
         # Pickle the arguments alone: unpickling builds and checks the rest anew.
         return _rebuilt, (self.name, self.horizon, self.agents, dict(self.declared), self.specification)
 
-    @property
+    @cached_property
     def automaton(self) -> Automaton:
-        """Deterministic, complete automaton of the task; its propositions are ordered as `propositions`.
+        """Deterministic automaton of the task, complete up to the horizon; its propositions are those of the problem.
 
         Raises
         ------
@@ -178,7 +178,8 @@ class Problem:
                 f"`problem`: expected a task with one automaton, got {len(self.groups)} independent tasks, whose joint "
                 "automaton would be too large; take the problems of `problem.tasks` one by one, or `parallel_env`"
             )
-        return self._automaton
+        # What lies beyond the horizon needs no states.
+        return within(self._automaton, self.horizon + 1)
 
     @cached_property
     def tasks(self) -> tuple[Problem, ...]:

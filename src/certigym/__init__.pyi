@@ -25,6 +25,7 @@ from .synthesis.certificates import save_certificate as save_certificate
 from .synthesis.certify import certify as certify
 from .synthesis.certify import improve as improve
 from .synthesis.checking import check as check
+from .synthesis.checking import check_rigorous as check_rigorous
 from .synthesis.controllers import Controller as Controller
 from .synthesis.controllers import InputTable as InputTable
 from .synthesis.horizons import synthesize_horizons as synthesize_horizons
@@ -82,6 +83,7 @@ __all__ = [
     "central_env",
     "certify",
     "check",
+    "check_rigorous",
     "compare",
     "improve",
     "load_certificate",

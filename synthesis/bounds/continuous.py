@@ -43,6 +43,9 @@ FAR_DEVIATIONS = 9.0
 MOST_LATTICE_POINTS = 4_000_000
 """Most lattice points of an agent; with more of them there is no bound."""
 
+MOST_MULTIPLICATIONS = 1e12
+"""Most multiplications of one agent, some minutes; with more of them there is no bound."""
+
 
 @dataclass(frozen=True, eq=False)
 class Optimist:
@@ -67,12 +70,15 @@ class Optimist:
     excess: float
 
     @classmethod
-    def of(cls, agent: LinearAgent, model: AgentModel) -> Optimist | None:
-        """Return the optimistic model on the cells of ``model``; None if its lattice would be too large."""
+    def of(cls, agent: LinearAgent, model: AgentModel, rounds: int = 1) -> Optimist | None:
+        """Return the optimistic model on the cells of ``model``; None if its lattice would be too large.
+
+        ``rounds`` says how often it will be used: times the states of the automaton.
+        """
         grid, coordinates = model.grid, model.relation.coordinates
         deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
         low, high = _means(agent, grid.centres, grid.half_widths, coordinates)
-        axes, firsts, widths = [], [], []
+        axes, firsts, widths, counts = [], [], [], list[int]()
         for k, (edges, deviation) in enumerate(zip(grid.edges, deviations, strict=True)):
             # From farther out hardly any mass comes back: means there are taken to the end of the lattice.
             near = edges[0] - FAR_DEVIATIONS * deviation, edges[-1] + FAR_DEVIATIONS * deviation
@@ -80,6 +86,9 @@ class Optimist:
             spacing = (edges[-1] - edges[0]) / (len(edges) - 1)
             origin = float(a.min()) - spacing
             count = math.ceil((float(b.max()) - origin) / spacing) + 2
+            counts.append(count)
+            if math.prod(counts) > MOST_LATTICE_POINTS:  # before any axis of that length is made
+                return None
             # The lattice points around the means of each cell, rounded outwards.
             begin = np.floor((a - origin) / spacing * (1 - 4 * UNIT)).astype(np.int64)
             end = np.ceil((b - origin) / spacing * (1 + 4 * UNIT)).astype(np.int64)
@@ -87,7 +96,7 @@ class Optimist:
             firsts.append(begin)
             widths.append(int((end - begin).max()) + 1)
         shape = tuple(len(axis) for axis in axes)
-        if math.prod(shape) > MOST_LATTICE_POINTS:
+        if rounds * math.prod(shape) * sum(grid.shape) > MOST_MULTIPLICATIONS:
             return None
         # The kernel is a lower bound; what it misses is part of the excess.
         tables = [gaussian_table(z, e, float(s)) for z, e, s in zip(axes, grid.edges, deviations, strict=True)]
@@ -124,7 +133,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
         arrays = (agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *(array.tobytes() for array in arrays))
         if alike not in optimists:
-            optimists[alike] = Optimist.of(agent, model)
+            optimists[alike] = Optimist.of(agent, model, joint.horizon * joint.n_states)
         optimist = optimists[alike]
         if optimist is None:
             return None

@@ -13,13 +13,16 @@ import math
 import numpy as np
 
 from ...envs.problem import Problem
-from ..models import InputMenu, JointModel, TargetWindows
+from ..models import Choices, InputMenu, JointModel, TargetWindows
 from ..search import Relaxation, upper_bound
 from ..values import UNIT, Occupancy, to_host
 from .dense import dense_optimum
 
 MOST_MULTIPLICATIONS = 5e8
 """Multiplications that dense programming may take."""
+
+MOST_NUMBERS = 2e7
+"""Most numbers of an array of dense programming, 160 MB: joint lattice points count as well as joint cells."""
 
 CLOSE_ENOUGH = 1e-6
 """Relative distance of a bound from above at which a tighter one is not worth its time."""
@@ -48,16 +51,23 @@ def abstract_bound(
 
 def _is_small(joint: JointModel) -> bool:
     """Return whether dense programming applies, and is quick."""
-    for model in joint.models:
-        if isinstance(model.choices, TargetWindows) and not model.choices.relation.is_box:
-            return False
-    entries = joint.n_states * math.prod(float(n) for n in joint.n_cells)
-    axes = sum(n + _choices(model.choices) for n, model in zip(joint.n_cells, joint.models, strict=True))
-    return joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
+    costs = [_choices(model.choices) for model in joint.models]
+    if None in costs:
+        return False
+    points = [math.prod(model.kernel.lattice_shape) for model in joint.models]
+    # Expectations are held at all joint lattice points, and turned into maxima over cells one agent after the other.
+    numbers = math.prod(float(max(n, z)) for n, z in zip(joint.n_cells, points, strict=True))
+    tables = sum(n * z for n, z in zip(joint.n_cells, points, strict=True))
+    entries = joint.n_states * max(math.prod(float(n) for n in joint.n_cells), numbers)
+    axes = sum(joint.n_cells) + sum(cost or 0 for cost in costs)
+    fits = max(numbers, entries / joint.n_states, float(tables)) <= MOST_NUMBERS
+    return fits and joint.horizon * entries * axes <= MOST_MULTIPLICATIONS
 
 
-def _choices(choices: TargetWindows | InputMenu) -> int:
-    """Return what a maximum over the choices costs per cell."""
+def _choices(choices: Choices) -> int | None:
+    """Return what a maximum over the choices costs per cell; None for choices that dense programming does not know."""
     if isinstance(choices, InputMenu):
         return int(choices.leads_to.shape[1])
+    if not isinstance(choices, TargetWindows) or not choices.relation.is_box:
+        return None
     return int(np.prod(np.maximum(choices.high - choices.low, 0), axis=1).max(initial=0))

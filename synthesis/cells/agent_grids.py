@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,13 +16,16 @@ DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
 SINGULAR = 1e-12
-"""Share of the largest variance up to which the smallest eigenvalue of a covariance counts as 0."""
+"""Smallest eigenvalue of the correlations of a noise up to which its covariance counts as singular."""
 
 LEAST_ROOM_SHARE = 0.1
 """Share of the room in a region that counts at least, however near its face the start lies.
 
 A start on the face itself would leave no room, and feedbacks are judged by the share of the room that they take.
 """
+
+MOST_CELLS = 20_000_000
+"""Most cells of one agent: their tables take some GB."""
 
 CellCounts = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
 """Cells per axis as a caller gives them: one number, one per axis, or these by agent; None for the default."""
@@ -53,11 +57,14 @@ def _noise_coordinates(agent: LinearAgent) -> FloatArray:
     Of all coordinates in which the noise is diagonal these keep the first axis aligned.
     """
     covariance = agent.noise_covariance
-    smallest = float(np.min(np.linalg.eigvalsh(covariance)))
-    if smallest <= SINGULAR * float(np.max(np.diag(covariance))):
+    # Units of the states do not matter: what counts are the correlations.
+    deviations = np.sqrt(np.diag(covariance))
+    known = bool(np.all(deviations > 0))
+    smallest = float(np.min(np.linalg.eigvalsh(covariance / deviations / deviations[:, None]))) if known else 0.0
+    if smallest <= SINGULAR:
         raise RelationRefused(
             f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
-            f"eigenvalue {smallest:.3g}; give every state some noise"
+            f"eigenvalue {smallest:.3g} of its correlations; give every state some noise"
         )
     if np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
         return np.eye(agent.n_states)
@@ -117,5 +124,9 @@ def cells_of_agent(agent: LinearAgent, cells: CellCounts) -> tuple[int, ...]:
         raise ValueError(
             f"`cells`: expected a positive whole number or {agent.n_states} of them (cells per axis) for agent "
             f"`{agent.name}`, got {wanted!r}"
+        )
+    if math.prod(int(n) for n in per_axis) > MOST_CELLS:
+        raise ValueError(
+            f"`cells`: expected at most {MOST_CELLS} in all for agent `{agent.name}`, got {wanted!r}; ask for fewer"
         )
     return tuple(int(n) for n in per_axis)

@@ -40,6 +40,9 @@ VERSION = 1
 MAX_BYTES = 2 * 2**30
 """Largest unpacked size that is read, unless the caller allows more."""
 
+MAX_HEADER = 2**24
+"""Largest header in bytes: reading text takes longer than reading numbers."""
+
 UNREADABLE = (
     ValueError,
     KeyError,
@@ -182,6 +185,8 @@ def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:
     """Raise ValueError if an archive would unpack to too much, or its arrays announce more numbers than they hold."""
     if sum(entry.file_size for entry in archive.infolist()) > max_bytes:
         raise ValueError(f"it would unpack to more than {max_bytes} bytes; allow more with `max_bytes`")
+    if any(entry.filename == "header.npy" and entry.file_size > MAX_HEADER for entry in archive.infolist()):
+        raise ValueError(f"its header has more than {MAX_HEADER} bytes")
     if len(set(archive.namelist())) != len(archive.namelist()):
         raise ValueError("it holds two arrays of one name")
     # Read the headers of all arrays before numpy reserves memory for any.

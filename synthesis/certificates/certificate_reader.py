@@ -91,7 +91,8 @@ class CertificateReader:
         """Return the array with a number, read-only, of given kinds of dtype and shape (None: any length)."""
         array = self.arrays[str(int(number))]
         fits = array.ndim == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
-        if array.dtype.kind not in kinds or not fits:
+        plain = array.dtype == np.float64 if kinds == "f" else array.dtype.isnative and array.dtype != np.uint64
+        if array.dtype.kind not in kinds or not plain or not fits:
             raise ValueError(f"array {number} has type {array.dtype} and shape {array.shape}, expected {shape}")
         if kinds == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"array {number} holds numbers that are not finite")
@@ -198,9 +199,9 @@ def _check_claim(claim: dict[str, Any]) -> None:
     bounds = claim["bounds"]
     if any(isinstance(value, bool) for value in (lower, gap)):
         raise ValueError("its bound is not a number")
-    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) for v in bounds.values()):
+    if not isinstance(bounds, dict) or not all(isinstance(v, float | int) and abs(v) <= 1e9 for v in bounds.values()):
         raise ValueError("its bounds are not numbers")
-    is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool)
+    is_rank = isinstance(claim["rank"], int) and not isinstance(claim["rank"], bool) and 0 <= claim["rank"] < 2**53
     if not texts or not isinstance(claim["exact"], bool) or not is_rank:
         raise ValueError("its header holds values of the wrong type")
     is_probability = isinstance(lower, float | int) and 0 <= lower <= 1

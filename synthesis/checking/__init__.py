@@ -2,9 +2,12 @@
 
 from .certificate_check import CheckReport, check
 from .regrown_tree import regrow
+from .rigorous import RigorousReport, check_rigorous
 
 __all__ = [
     "CheckReport",
+    "RigorousReport",
     "check",
+    "check_rigorous",
     "regrow",
 ]

@@ -109,6 +109,17 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
+    try:
+        # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            return _check_one(certificate, problem)
+    except FloatingPointError as error:
+        failures = (f"its numbers are too large or too small to be computed with ({error})",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+
+
+def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of one task."""
     failures: list[str] = []
     recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:

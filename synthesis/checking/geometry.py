@@ -63,6 +63,8 @@ def classes_in_boxes(
     model = problem.agents[agent]
     names = [problem.labeling.names[k] for k in problem.labeling.agent_propositions[agent]]
     regions = [problem.propositions[name] for name in names]
+    if not regions:
+        return np.zeros((1, 0), dtype=bool), np.ones((len(low), 1), dtype=bool)
     region_low = np.array([r.low for r in regions]).reshape(len(regions), -1)  # (P, p)
     region_high = np.array([r.high for r in regions]).reshape(len(regions), -1)
     if is_identity(model.output_matrix):
@@ -70,8 +72,6 @@ def classes_in_boxes(
     else:
         low, high = box_image(low, high, model.output_matrix)
         closed = True
-    if not regions:
-        return np.zeros((1, 0), dtype=bool), np.ones((len(low), 1), dtype=bool)
     axes = []  # per axis: (S, 1 + E) coordinates, (S, 1 + E) whether the box reaches them
     for k in range(low.shape[1]):
         edges = np.unique(np.concatenate([region_low[:, k], region_high[:, k]]))

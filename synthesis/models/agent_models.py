@@ -6,6 +6,7 @@ This is the part of a finite model that does not depend on labels; agents with e
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -34,6 +35,12 @@ SNAPPED_POINTS = 8
 
 EQUAL_MEANS = 1e-11
 """Share of a cell by which rounding moves means; E is enlarged by far more."""
+
+MOST_MEANS = 50_000_000
+"""Most means of cells and inputs, and most lattice points, of one agent: 400 MB for each axis."""
+
+MOST_CREEPING = 10.0
+"""Runs of means that creep along are one up to this many times ``EQUAL_MEANS``."""
 
 NEAR_MEANS = 1e-7
 """Share of a cell up to which means count as one where that spares lattice points; E allows for it."""
@@ -70,6 +77,7 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
     """Return relation, lattice, kernel and choices under the ``exact`` relation."""
     relation = exact_relation(agent, coordinates)
     reach = np.abs(relation.B) @ relation.input_half_width
+    _refuse_many(agent.name, "targets_per_cell", grid.n_cells * targets_per_cell ** len(grid.edges))
     means = relation.means(grid.centres)
     deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
     lattice, tables, loss = [], [], 0.0
@@ -125,6 +133,7 @@ def _snapped(relation_for: Callable[[FloatArray | None], CoupledRelation], grid:
     """
     # First without rounding, to see where the means fall; then again with what rounding is needed.
     relation = relation_for(None)
+    _refuse_many("", "inputs", grid.n_cells * len(relation.inputs))
     widths = np.array([float(np.max(np.diff(edges))) for edges in grid.edges])
     means = relation.means(grid.centres)
     snap, spacing = np.zeros(len(widths)), list[float | None]()
@@ -144,6 +153,7 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
 
     The lattice of an axis is all its distinct means, or the multiples of its ``spacing`` if that is not None.
     """
+    _refuse_many("", "inputs", grid.n_cells * len(relation.inputs))
     means = relation.means(grid.centres)
     lattice, index, tables, loss = [], [], [], 0.0
     snaps = np.broadcast_to(relation.snap, len(grid.edges))
@@ -157,16 +167,27 @@ def _with_menu(relation: CoupledRelation, grid: Grid, spacing: tuple[float | Non
         else:
             nearest = np.clip(np.searchsorted(axis, values), 1, len(axis) - 1)
             nearest -= (values - axis[nearest - 1]) < (axis[nearest] - values)
-        assert np.max(np.abs(axis[nearest] - values)) <= snaps[k] * (1 + 1e-9) + 10 * EQUAL_MEANS * width
+        assert np.max(np.abs(axis[nearest] - values)) <= snaps[k] * (1 + 1e-9) + MOST_CREEPING * EQUAL_MEANS * width
         table, missing = gaussian_table(axis, edges, float(np.sqrt(relation.covariance[k])))
         lattice.append(axis)
         index.append(nearest)
         tables.append(table)
         loss += missing
+    _refuse_many("", "cells", math.prod(len(axis) for axis in lattice))
     leads_to = np.ravel_multi_index(index, tuple(len(axis) for axis in lattice)).astype(np.int32)
     distance = np.sum((means - grid.centres[:, None, :]) ** 2, axis=-1)
     menu = InputMenu(leads_to, np.argmin(distance, axis=1).astype(np.int32))
     return relation, tuple(lattice), Kernel(tuple(tables), loss), menu
+
+
+def _refuse_many(agent: str, argument: str, count: int) -> None:
+    """Refuse models with more than ``MOST_MEANS`` means or lattice points, before there is any table of them."""
+    if count > MOST_MEANS:
+        of = f"agent `{agent}`: " if agent else ""
+        raise RelationRefused(
+            f"{of}`{argument}`: expected at most {MOST_MEANS} means of an agent in all, got {count}; ask for fewer "
+            "`cells`, inputs or targets"
+        )
 
 
 def _distinct(ordered: FloatArray, width: float, near: float) -> FloatArray:
@@ -177,10 +198,17 @@ def _distinct(ordered: FloatArray, width: float, near: float) -> FloatArray:
     gap = np.maximum(near, EQUAL_MEANS) * width
     firsts = ordered[np.concatenate([[True], np.diff(ordered) > gap])]
     lasts = ordered[np.append(np.searchsorted(ordered, firsts[1:]) - 1, len(ordered) - 1)]
-    if np.all(lasts - firsts <= gap) or near <= EQUAL_MEANS:
+    if np.all(lasts - firsts <= (gap if near > EQUAL_MEANS else MOST_CREEPING * gap)):
         return firsts
     # Values that creep along have no gaps to be told apart by: a run of them would be taken for one.
-    return _distinct(ordered, width, 0.0)
+    if near > EQUAL_MEANS:
+        return _distinct(ordered, width, 0.0)
+    # Cut such runs: every value is within the gap of the first of its piece.
+    pieces, first = list[float](), 0
+    while first < len(ordered):
+        pieces.append(float(ordered[first]))
+        first = int(np.searchsorted(ordered, ordered[first] + gap, side="right"))
+    return np.array(pieces)
 
 
 def _multiples(values: FloatArray, step: float) -> FloatArray:

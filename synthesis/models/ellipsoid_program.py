@@ -29,6 +29,9 @@ from scipy.special import ndtri
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, RelationRefused, in_grid_coordinates
 
+MOST_CELLS_PER_ROOM = 1e6
+"""Most half cells per half width of a region for which an ellipsoid is looked for: labels are lost long before."""
+
 OTHER_STATES_WEIGHT = 0.02
 """Weight of states that do not decide the objective: it keeps the ellipsoid short also where length costs nothing."""
 
@@ -72,6 +75,11 @@ class EllipsoidProgram:
         self.multipliers = [cp.Parameter(nonneg=True) for _ in self.vertices]
         self.limits = cp.Parameter(len(half), nonneg=True)
         self.squared_share, self.prices = cp.Parameter(nonneg=True), cp.Parameter(2, nonneg=True)
+        if not np.max(np.abs(self.labels)) < MOST_CELLS_PER_ROOM:
+            raise RelationRefused(
+                f"agent `{agent.name}`: its cells are more than {MOST_CELLS_PER_ROOM:g} times as wide as its narrowest "
+                "region; no ellipsoid keeps labels in it"
+            )
         self.scale = float(np.max(np.sum(self.labels**2, axis=1)))  # the solver sees numbers near 1
         self.programs = {uses: self._compile(uses) for uses in (False, True)}
 

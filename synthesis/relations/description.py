@@ -8,7 +8,6 @@ files, and nothing in them is trusted.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,9 @@ NUMBER_ENTRIES = {
     "ellipsoid": ("epsilon", "delta"),
 }
 """Entries that are numbers, by kind."""
+
+LARGEST = 1e60
+"""Largest number of a description: products of a few such numbers are still numbers."""
 
 ARRAY_ENTRIES = {
     "exact": (),
@@ -105,7 +107,7 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     if not isinstance(description, dict) or description.get("kind") not in NUMBER_ENTRIES:
         raise ValueError("it has a relation of an unknown kind")
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
-    if any(isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x) for x in numbers):
+    if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     if description["kind"] == "linear" and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
@@ -118,5 +120,5 @@ def check_description(description: Any, agent: LinearAgent) -> None:
         if name == "menu" and array.shape == (0,):
             continue
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
-        if array.shape != expected or not array.size or not np.all(np.isfinite(array)):
+        if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")

@@ -28,6 +28,10 @@ WIDENED = 1.0 + 2e-9
 """Factor on epsilon in labels, inputs and delta: room for the rounding of controllers; restrictive everywhere."""
 
 
+MOST_INPUTS = 100_000
+"""Most abstract inputs."""
+
+
 def paper_relation(
     agent: LinearAgent,
     edges: FloatArray,
@@ -74,7 +78,7 @@ def paper_relation(
             f"`epsilon`: expected at least half a cell width, {width / 2:g}, got {epsilon!r}; give a larger one, or "
             "more `cells`"
         )
-    inputs = checked_count(inputs, "inputs")
+    inputs = checked_count(inputs, "inputs", most=MOST_INPUTS)
     # The feedback takes |K| epsilon of the inputs on both sides.
     a, b, variance = float(agent.A[0, 0]), float(agent.B[0, 0]), float(agent.noise_covariance[0, 0])
     closed = a + b * feedback

@@ -7,10 +7,13 @@ reads as a bound and not as an estimate. Results of rollouts are points with lim
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ...envs.agents import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,7 +73,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG, SVG or PDF; raise ValueError if the name ends in anything else."""
     check_format(path)
     # Without a date, equal figures are equal files.
-    figure.savefig(path, metadata={"Date": None} if Path(path).suffix.lower() == ".svg" else None)
+    kind, image = Path(path).suffix.lower(), BytesIO()
+    figure.savefig(image, format=kind[1:], metadata={"Date": None} if kind == ".svg" else None)
+    write_bytes(path, image.getvalue())
 
 
 def draw_bound(axes: Axes, x: Any, lower: Any, label: str, color: str = BOUND, upper: Any = 1.0, **style: Any) -> None:

@@ -15,11 +15,13 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Callable, Sequence
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...envs.agents import write_bytes, write_text
 from ...envs.suite import make_problem
 from ...synthesis.models import abstract, join, start_of
 from ...synthesis.search import start_value
@@ -181,10 +183,11 @@ def table2(out: Path, cells: int = 1200, episodes: int = 400_000, progress: Prog
 def _write(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as CSV; missing numbers are empty."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows({key: "" if value is None else value for key, value in row.items()} for row in rows)
+    file = StringIO(newline="")
+    writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+    writer.writeheader()
+    writer.writerows({key: "" if value is None else value for key, value in row.items()} for row in rows)
+    write_text(path, file.getvalue())
 
 
 def _curves(path: Path, rows: Sequence[Row], x: str, label: str, title: str) -> None:
@@ -202,4 +205,6 @@ def _curves(path: Path, rows: Sequence[Row], x: str, label: str, title: str) -> 
     axes.set(xlabel="horizon T (steps)", ylabel=label, title=title, ylim=(-0.02, 1.02))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="best")
-    figure.savefig(path, dpi=150)
+    image = BytesIO()
+    figure.savefig(image, format=path.suffix[1:], dpi=150)
+    write_bytes(path, image.getvalue())

@@ -14,12 +14,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text, write_json
+from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from .actors import Actor, Network, actor_of, save_actor
@@ -107,7 +108,9 @@ class Training:
             self.actor, target / "actor.npz", **{k: record[k] for k in ("algorithm", "seed", "steps", "seconds")}
         )
         write_json(target / "training.json", record)
-        self.model.save(target / "model.zip")
+        model = BytesIO()
+        self.model.save(model)
+        write_bytes(target / "model.zip", model.getvalue())
         return target / "actor.npz"
 
 

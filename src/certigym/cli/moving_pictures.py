@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from ..envs.agents import write_bytes
 from ..envs.interfaces import ProblemEnv
 from ..synthesis.certificates import Certificate, shown_bound
 
@@ -52,13 +55,14 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
     else:
         from PIL import Image
 
-        images = [Image.fromarray(frame) for frame in frames]
+        images, file = [Image.fromarray(frame) for frame in frames], BytesIO()
         if kind == ".png":
-            images[-1].save(out)
+            images[-1].save(file, format="PNG")
         else:
             durations = [1000 // fps] * (len(images) - 1) + [int(1000 * _HOLD)]
             images = [image.quantize(_COLORS) for image in images]
-            images[0].save(out, save_all=True, append_images=images[1:], duration=durations, loop=0)
+            images[0].save(file, format="GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
+        write_bytes(out, file.getvalue())
     return {
         "problem": certificate.problem.name,
         "lower_bound": certificate.lower_bound,
@@ -104,11 +108,14 @@ def _write_mp4(ffmpeg: str, frames: list[np.ndarray], out: str, fps: int) -> Non
     """Send the pictures to ffmpeg, which repeats each one up to 30 pictures per second."""
     height, width, _ = frames[0].shape
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps} -i -".split()
-    target = ["-pix_fmt", "yuv420p", "-r", "30", out]
-    command = [ffmpeg, "-y", "-loglevel", "error", *source, *target]
     frames = frames + [frames[-1]] * round(_HOLD * fps)
-    done = subprocess.run(
-        command, input=b"".join(frame.tobytes() for frame in frames), capture_output=True, check=False
-    )
-    if done.returncode:
-        raise ValueError(f"`--out`: ffmpeg failed: {done.stderr.decode(errors='replace').strip()[:200]}")
+    # ffmpeg seeks in what it writes: let it write elsewhere, and move the film to its place as a whole
+    with TemporaryDirectory() as folder:
+        film = Path(folder) / "film.mp4"
+        command = [ffmpeg, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", "-r", "30", str(film)]
+        done = subprocess.run(
+            command, input=b"".join(frame.tobytes() for frame in frames), capture_output=True, check=False
+        )
+        if done.returncode:
+            raise ValueError(f"`--out`: ffmpeg failed: {done.stderr.decode(errors='replace').strip()[:200]}")
+        write_bytes(out, film.read_bytes())

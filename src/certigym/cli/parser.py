@@ -97,6 +97,9 @@ def _add_synthesis(commands: Any) -> None:
     add_certificate(check)
     check.add_argument("--problem", metavar="ID|FILE", help="the certificate must be about this problem")
     check.add_argument("--horizon", type=int, metavar="T", help="horizon of --problem")
+    check.add_argument(
+        "--rigorous", action="store_true", help="compute the claim in ball arithmetic (needs certigym[rigorous])"
+    )
 
 
 def _add_validation(commands: Any) -> None:

@@ -12,6 +12,7 @@ from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
 from ..synthesis.checking import check as check_certificate
+from ..synthesis.checking import check_rigorous
 from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
@@ -88,6 +89,8 @@ def check(options: Namespace) -> int:
     """Verify a saved certificate without simulation."""
     certificate = load_certificate(options.certificate)
     problem = None if options.problem is None else named_problem(options.problem, options.horizon)
+    if options.rigorous:
+        return _check_in_balls(options, certificate, problem)
     report = check_certificate(certificate, problem)
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and certificate.gap is not None
@@ -102,6 +105,20 @@ def check(options: Namespace) -> int:
         "fingerprint": certificate.fingerprint,
     }
     show(options, text, outcome)
+    return 0 if report else 1
+
+
+def _check_in_balls(options: Namespace, certificate: Any, problem: Any) -> int:
+    """Verify a certificate's lower bound in ball arithmetic."""
+    report = check_rigorous(certificate, problem)
+    outcome = {
+        "valid": report.valid,
+        "lower_bound": report.claimed,
+        "ball": None if np.isnan(report.low) else [report.low, report.high],
+        "failures": list(report.failures),
+        "fingerprint": certificate.fingerprint,
+    }
+    show(options, f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}", outcome)
     return 0 if report else 1
 
 

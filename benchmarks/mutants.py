@@ -1,0 +1,217 @@
+"""One-line sabotages of what a certificate rests on: (file, old text, new text)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Mutant(NamedTuple):
+    """A sabotage: in ``path``, the first ``old`` becomes ``new``."""
+
+    path: str
+    old: str
+    new: str
+
+
+def _in(path: str, *pairs: tuple[str, str]) -> list[Mutant]:
+    return [Mutant(path, old, new) for old, new in pairs]
+
+
+MUTANTS = [
+    # --- the problem and its reading
+    *_in(
+        "envs/agents/labeling.py",
+        ("result = (low[0] <= y[0]) & (y[0] < high[0])", "result = (low[0] <= y[0]) & (y[0] < high[0] + 0.1)"),
+    ),
+    *_in(
+        "envs/logic/translation.py",
+        ("saturated(graph) if co_safe else graph", "graph"),
+    ),
+    *_in(
+        "envs/logic/obligations.py",
+        (
+            "return diagrams.disjoin(right, diagrams.conjoin(left, self.next(term, True)))",
+            "return diagrams.disjoin(right, diagrams.disjoin(left, self.next(term, True)))",
+        ),
+        (
+            "return diagrams.conjoin(right, diagrams.disjoin(left, self.next(term, False)))",
+            "return diagrams.conjoin(right, diagrams.disjoin(left, self.next(term, True)))",
+        ),
+        (
+            "self.terms.window(window.operator, (max(low - 1, 0), high - 1), body)",
+            "self.terms.window(window.operator, (max(low - 1, 0), high), body) if high > 8 else None",
+        ),
+    ),
+    # --- cells
+    *_in(
+        "synthesis/cells/grid.py",
+        (
+            'cells += np.searchsorted(axis[1:-1], coordinate, side="right")',
+            'cells += np.searchsorted(axis[1:-1], coordinate, side="left")',
+        ),
+        ("0.0, None) / (b - a)", "0.0, None) / (b - a) * 1.1"),
+        ("inside = sorted({float(b) for b in boundaries if low < b < high})", "inside = list[float]()"),
+    ),
+    *_in(
+        "synthesis/cells/labels.py",
+        (
+            "low, high = centre - reach - slack, centre + reach + slack",
+            "low, high = centre - 0.3 * reach, centre + 0.3 * reach",
+        ),
+        ("np.any((low < workspace.low) | (high > workspace.high), axis=1)", "np.zeros(len(low), dtype=bool)"),
+    ),
+    *_in("synthesis/cells/lookup.py", ("reached = points >= self.edge", "reached = points > self.edge + 0.05")),
+    # --- finite models
+    *_in(
+        "synthesis/models/kernel.py",
+        ("x = (edges[None, :] - means[:, None]) / std", "x = (edges[None, :] - means[:, None]) / std**2"),
+        ("x = (edges[None, :] - means[:, None]) / std", "x = (edges[None, :] - means[:, None]) / (0.8 * std)"),
+        ("mass = np.where(straddles, 1.0 - lower - upper", "mass = np.where(straddles, 1.0 - lower"),
+        ("masses = mass - slack", "masses = mass * 1.02"),
+    ),
+    *_in(
+        "synthesis/models/choices.py",
+        (
+            "np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j]",
+            "np.abs(axis[edge] - means[:, k]) * gain > 1.5 * reserve[:, j]",
+        ),
+        (
+            "means, reserve = relation.means(grid.centres), relation.reserve(grid.half_widths)",
+            "means, reserve = relation.means(grid.centres), 2.0 * relation.reserve(grid.half_widths)",
+        ),
+    ),
+    *_in(
+        "synthesis/models/guards.py",
+        (
+            "cofactor = self.diagrams.apply(self._meet, cofactor, by_class[c], self._meet_memo)",
+            "cofactor = by_class[c]",
+        ),
+        ("united[key] = united.get(key, 0) | cube[i]", "united[key] = united.get(key, 0) | cube[i] | 1"),
+    ),
+    *_in("synthesis/models/joint.py", ("inside = labels.number >= 0", "inside = labels.number >= -1")),
+    *_in(
+        "synthesis/models/agent_models.py", ("float(np.sqrt(relation.covariance[k]))", "float(relation.covariance[k])")
+    ),
+    # --- relations
+    *_in(
+        "synthesis/relations/exact.py",
+        ("drift=sizes.moves.offset + sizes.moves.B @ centre", "drift=sizes.moves.offset - sizes.moves.B @ centre"),
+        (
+            "need = half_widths @",
+            "need = 0.0 * half_widths @",
+        ),
+        ("A=sizes.moves.A,", "A=np.where(np.abs(sizes.moves.A) < 0.2, 0.0, sizes.moves.A),"),
+        ("A=sizes.moves.A,", "A=sizes.moves.A.T,"),
+        ("np.linalg.pinv(matrix)", "np.linalg.pinv(matrix).T"),
+    ),
+    *_in(
+        "synthesis/relations/tube.py",
+        ("reach = np.abs(generators).sum(axis=0) * ENLARGEMENT", "reach = np.abs(generators).max(axis=0)"),
+        (
+            "state_reach=np.abs(generators @ coordinates.T).sum(axis=0) * ENLARGEMENT",
+            "state_reach=0.5 * np.abs(generators @ coordinates.T).sum(axis=0)",
+        ),
+        (
+            "reserve = np.abs(generators @ feedback.T).sum(axis=0) * ENLARGEMENT",
+            "reserve = 0.2 * np.abs(generators @ feedback.T).sum(axis=0)",
+        ),
+        (
+            "generators = tube_generators(A + B @ feedback, disturbance)",
+            "generators = tube_generators(A + B @ feedback, 0.3 * disturbance)",
+        ),
+        (
+            "return np.concatenate([power.T for power in powers[:count]]) / (1.0 - alpha)",
+            "return np.concatenate([power.T for power in powers[:count]]) * (1.0 - alpha)",
+        ),
+    ),
+    *_in(
+        "synthesis/relations/scalar.py",
+        ("width / (2 * epsilon) + 1e-15)", "width / (4 * epsilon))"),
+        ("abs(coupling) * epsilon * WIDENED / float(np.sqrt(variance))", "abs(coupling) * epsilon / 4.0"),
+    ),
+    *_in(
+        "synthesis/relations/coupled.py",
+        (
+            "return min(1.0, (1.0 - 2.0 * float(ndtr(-0.5 * distance)))",
+            "return min(1.0, 0.1 * (1.0 - 2.0 * float(ndtr(-0.5 * distance)))",
+        ),
+        ("total = -math.expm1(sum(math.log1p(-delta) for delta in deltas))", "total = max(deltas)"),
+        ("result, rejected = whitened + move,", "result, rejected = whitened - move,"),
+    ),
+    *_in(
+        "synthesis/relations/ellipsoid_facts.py",
+        ("return np.asarray(epsilon * np.sqrt(", "return np.asarray(0.5 * epsilon * np.sqrt("),
+    ),
+    # --- the value
+    *_in(
+        "synthesis/values/terms.py",
+        ("row_depths[into] = max(row_depths[into], row_depths[absorbed])", "row_depths[into] = 0"),
+        (
+            "row_depths[here] = depths[target][origin[here, 1]] + 1",
+            "row_depths[here] = depths[target][origin[here, 1]]",
+        ),
+        ("differs[:, i] = groups[remaining[absorbed]] != groups[into[absorbed]]", "differs[:] = False"),
+    ),
+    *_in(
+        "synthesis/values/train_values.py",
+        ("train.total(weights) - (train.error + train.spread)", "train.total(weights) + 0.01"),
+    ),
+    *_in(
+        "synthesis/bounds/certified.py",
+        ("delta * undecided * CHARGE_INFLATION)", "0.3 * delta * undecided)"),
+        ("lower = min(1.0, max(0.0, sweep.value * (1.0 - relative) - lost))", "lower = min(1.0, sweep.value + 0.01)"),
+        ("reserve = sweep.terms.error + rounding", "reserve = -0.01 + rounding"),
+    ),
+    *_in(
+        "synthesis/certificates/claim.py",
+        ("values * (1.0 - self.relative_rounding) - self.correction", "values + 0.05"),
+        ("inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)", "inside &= True"),
+    ),
+    # --- controllers
+    *_in(
+        "synthesis/controllers/steering.py",
+        ("asked = uhat + product(self._feedback, np.clip(there, -reach, reach))", "asked = uhat * 3.0"),
+        ("inputs = product(self._feedback, memory.error)", "inputs = -product(self._feedback, memory.error)"),
+    ),
+    *_in(
+        "synthesis/controllers/abstract_state.py",
+        ("is_related &= self.relation.related(error)", "is_related &= True"),
+        ("landed += memory.means", "landed += memory.means + 0.05"),
+        ("[0.5 * (edges[:-1] + edges[1:]) for edges in self.grid.edges]", "[edges[:-1] for edges in self.grid.edges]"),
+    ),
+    # --- the check
+    *_in(
+        "synthesis/certificates/checked_kernel.py",
+        ("x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))", "x = (edges - axis[:, None]) / deviation"),
+    ),
+    *_in(
+        "synthesis/checking/regrown_tree.py",
+        (
+            "vertex[a] = vertex[a] + vertex[b] if is_sum else np.minimum(vertex[a], vertex[b])",
+            "vertex[a] = vertex[a] + vertex[b]",
+        ),
+        ("if len(np.unique(origin, axis=0)) != len(origin):", "if False:"),
+        ("values = values * (points >= 0)", "values = values * 1.0"),
+    ),
+    *_in(
+        "synthesis/checking/guard_check.py",
+        ("if np.any(overlap & ~np.eye(len(rows), dtype=bool)):", "if False:"),
+        ("if not reached <= allowed:", "if not reached & allowed:"),
+    ),
+    *_in(
+        "synthesis/checking/relation_check.py",
+        ("if np.any(beyond & (policy >= 0)[:, None]):", "if False:"),
+        ("if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):", "if False:"),
+    ),
+    *_in(
+        "synthesis/checking/certificate_check.py",
+        ("if not certificate.lower_bound <= recomputed * (1.0 - rounding):", "if False:"),
+    ),
+    *_in(
+        "synthesis/checking/execution.py",
+        (
+            "return Execution(off, np.zeros(len(A)), inputs, loss",
+            "return Execution(off + 9.9, np.zeros(len(A)), inputs, 0.0 * loss",
+        ),
+    ),
+]

@@ -1,0 +1,292 @@
+"""Mutation testing of the trusted base: who notices one wrong line?
+
+    python benchmarks/mutations.py [--only FROM TO] [--json PATH] [--table PATH]
+
+Every mutant (``mutants``) is made in a temporary copy of the tree. There certificates are made and judged in a process
+of its own:
+
+*claim*     whether a certificate of the mutant is false: refuted by a simulator that shares no code with the package
+            (``independent``), at a probability below 1e-7.
+*check*     whether the mutant's own ``check`` refuses all false certificates, or any others. A mutant of a module that
+            search and check share may deceive both.
+*rollouts*  whether the package's own rollouts refute a false one.
+*forgeries* which of a few forged certificates the mutant's check accepts; an honest check accepts none.
+*tests*     whether a fast selection of the tests fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom
+
+from measuring import Row, Rows, save, show
+from mutants import MUTANTS, Mutant
+
+ROOT = Path(__file__).resolve().parents[1]
+EPISODES, LEVEL = 30_000, 1e-7
+TREES = ("envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs", "pyproject.toml", "Makefile")
+TESTS = (
+    "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
+    "test_cells_are_found_exactly.py", "test_labeling.py", "test_controllers_carry_out_what_is_certified.py",
+    "test_guards_of_certificates_are_verified.py",
+    "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
+    "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",
+    "test_translation_is_correct.py", "test_tree_equals_dense_programming.py",
+)  # fmt: skip
+"""From the quickest to the slowest; the first failure ends the run."""
+
+TEST_SECONDS, JUDGE_SECONDS = 600, 300
+
+
+# --- what a mutant certifies -----------------------------------------------------------------------------------
+def _agent(name: str, **changes: Any) -> dict[str, Any]:
+    agent: dict[str, Any] = {
+        "name": name, "A": [[0.9]], "B": [[1.0]], "noise_covariance": [[0.03]], "state_low": [-1.0],
+        "state_high": [1.0], "input_low": [-0.6], "input_high": [0.4], "initial_state": [-0.3],
+    }  # fmt: skip
+    return agent | changes
+
+
+def _pair() -> dict[str, Any]:
+    """Two scalar agents, a wall, and an order of goals."""
+    regions = {
+        "goal": {"agent": "one", "low": [0.5], "high": [1.0]},
+        "wall": {"agent": "one", "low": [-1.0], "high": [-0.75]},
+        "door": {"agent": "two", "low": [-0.75], "high": [-0.25]},
+    }
+    two = _agent("two", A=[[1.0]], noise_covariance=[[0.05]], initial_state=[0.1])
+    formula = ("and", ("U", ("not", "wall"), ("is", "goal")), ("F", 0, None, ("is", "door")))
+    return {
+        "agents": [_agent("one"), two], "propositions": regions, "formula": formula,
+        "text": "(!wall U goal) & F door", "semantics": "co-safe", "horizon": 4,
+    }  # fmt: skip
+
+
+def _plane(correlated: bool = False, weak: bool = False) -> dict[str, Any]:
+    """A robot in the plane that must stay in a region; with one input for two states if ``weak``."""
+    low, high = [-2.0, -2.0], [2.0, 2.0]
+    covariance = [[0.04, 0.03], [0.03, 0.05]] if correlated else [[0.04, 0.0], [0.0, 0.05]]
+    agent = _agent(
+        "robot", A=[[0.9, 0.1], [0.3, 0.9]], B=[[1.0, 0.0], [0.2, 1.0]], noise_covariance=covariance, state_low=low,
+        state_high=high, input_low=[-1.5, -1.5], input_high=[1.0, 1.5], initial_state=[0.5, 0.5],
+    )  # fmt: skip
+    if weak:
+        agent |= {"A": [[0.5, 0.4], [0.0, 0.5]], "B": [[0.0], [1.0]], "input_low": [-1.0], "input_high": [1.0]}
+        agent["noise_covariance"] = [[0.02, 0.0], [0.0, 0.02]]
+    side = 1.2 if weak else 1.0
+    return {
+        "agents": [agent], "propositions": {"safe": {"agent": "robot", "low": [-side, -side], "high": [side, side]}},
+        "formula": ("G", 0, None, ("is", "safe")), "text": "G safe", "semantics": "finite-trace", "horizon": 4,
+    }  # fmt: skip
+
+
+def _windows() -> dict[str, Any]:
+    """A start box, a window, and a region that must be left again."""
+    agent = _agent(
+        "one", input_low=[-0.3], input_high=[0.3], noise_covariance=[[0.02]], initial_low=[-0.4], initial_high=[0.3]
+    )
+    agent.pop("initial_state")
+    formula = ("and", ("F", 1, 3, ("is", "goal")), ("G", 0, 2, ("not", "wall")))
+    regions = {
+        "goal": {"agent": "one", "low": [0.1], "high": [0.7]},
+        "wall": {"agent": "one", "low": [-1.0], "high": [-0.7]},
+    }
+    return {
+        "agents": [agent], "propositions": regions, "formula": formula, "text": "F[1,3] goal & G[0,2] !wall",
+        "semantics": "finite-trace", "horizon": 5,
+    }  # fmt: skip
+
+
+PROBLEMS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "exact": (_pair, {"cells": 16, "relation": "exact"}),
+    "tube": (_pair, {"cells": 24, "relation": "tube"}),
+    "paper": (_pair, {"cells": 8, "relation": "paper", "epsilon": 0.125, "feedback": -0.85}),
+    "trains": (_pair, {"cells": 16, "relation": "exact", "value": "train"}),
+    "plane": (_plane, {"cells": 16, "relation": "exact"}),
+    "correlated": (lambda: _plane(correlated=True), {"cells": 16, "relation": "exact"}),
+    "weak": (lambda: _plane(weak=True), {"cells": 24, "relation": "tube"}),
+    "ellipsoid": (lambda: _plane(weak=True), {"cells": 24, "relation": "ellipsoid", "delta": 0.02}),
+    "windows": (_windows, {"cells": 30, "relation": "exact"}),
+}
+
+
+def judge() -> Row:
+    """What the package on the path certifies, checks and refutes: run by ``judged`` in the mutant's tree."""
+    import certigym as cg
+    from adversary import Deployed, problem_of
+    from independent import successes
+
+    outcome: Row = {"false": [], "refused": [], "refuted": [], "errors": [], "forged": []}
+    for name, (make, options) in PROBLEMS.items():
+        spec = make()
+        try:
+            certificate = cg.synthesize(problem_of(spec), **options).certificate
+            number, beyond = successes(spec, Deployed(certificate, EPISODES, 1), EPISODES, 1)
+            false = bool(binom.cdf(number, EPISODES, certificate.lower_bound) < LEVEL)
+            above = certificate.lower_bound + (certificate.gap if certificate.gap is not None else 1.0)
+            false |= bool(binom.sf(number - 1, EPISODES, min(1.0, above)) < LEVEL)
+            false |= beyond > 1e-9 and certificate.delta == 0.0 and certificate.lower_bound > 0
+            report = cg.check(certificate)
+            outcome["refused"] += [] if report else [name]
+            if false:
+                outcome["false"].append(name)
+                verdict = cg.validate(certificate, EPISODES, confidence=1 - 1e-6).verdict
+                outcome["refuted"] += [name] if verdict == "refuted" else []
+            outcome["forged"] += [f"{name}: {title}" for title in _accepted(cg, certificate)]
+        except Exception as error:  # noqa: BLE001 a crash is an answer, too
+            outcome["errors"].append(f"{name}: {type(error).__name__}")
+    return outcome
+
+
+def guards_twice(certificate: Any) -> Any:
+    """Every guard listed twice, and the last step back taken through both: the value at time 0 is doubled."""
+    step, count = certificate.skeleton[0], len(certificate.guard_source)
+    again = np.array([count, 0])
+    origin = tuple(np.concatenate([rows, rows + again]) for rows in step.origin)
+    kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
+    pairs = zip(certificate.terms.index, step.origin, strict=True)
+    index = tuple(np.concatenate([rows, rows]) if len(o) else rows for rows, o in pairs)
+    return replace(
+        certificate,
+        skeleton=(replace(step, origin=origin, kept=kept), *certificate.skeleton[1:]),
+        terms=replace(certificate.terms, index=index),
+        **{
+            name: np.concatenate([getattr(certificate, name)] * 2)
+            for name in ("guard_source", "guard_target", "guard_mask")
+        },
+    )
+
+
+def _accepted(cg: Any, certificate: Any) -> list[str]:
+    """Forgeries that the check accepts."""
+    certificate = replace(certificate, gap=None, exact=False)
+    part = certificate.agents[0]
+    lower = min(1.0, certificate.lower_bound + 0.01)
+    forged = {
+        "bound": replace(certificate, lower_bound=lower, bounds={certificate.bound: lower}, gap=None, exact=False)
+    }
+    everywhere = replace(part, masks=np.ones_like(part.masks))
+    forged["guards"] = replace(certificate, agents=(everywhere, *certificate.agents[1:]))
+    if len({*certificate.guard_target.tolist()}) > 1:
+        forged["targets"] = replace(certificate, guard_target=certificate.guard_target[::-1].copy())
+    if part.menu is None:
+        rolled = replace(part, policy=np.roll(part.policy, len(part.policy[0, 0]) // 2, axis=2))
+        forged["policy"] = replace(certificate, agents=(rolled, *certificate.agents[1:]))
+    else:
+        feedback = part.relation["feedback"]
+        wilder = [[5.0 * entry for entry in row] for row in feedback] if isinstance(feedback, list) else -feedback
+        wild = replace(part, relation={**part.relation, "feedback": wilder})
+        forged["feedback"] = replace(certificate, agents=(wild, *certificate.agents[1:]))
+    if certificate.skeleton:
+        step = certificate.skeleton[0]
+        origin = tuple(np.concatenate([rows, rows]) for rows in step.origin)
+        kept = tuple(np.concatenate([rows, rows + len(o)]) for rows, o in zip(step.kept, step.origin, strict=True))
+        index = tuple(np.concatenate([rows, rows]) if len(o) else rows
+                      for rows, o in zip(certificate.terms.index, step.origin, strict=True))  # fmt: skip
+        twice = (replace(step, origin=origin, kept=kept), *certificate.skeleton[1:])
+        forged["twice"] = replace(certificate, skeleton=twice, terms=replace(certificate.terms, index=index))
+        forged["guards twice"] = guards_twice(certificate)
+    return [title for title, one in forged.items() if one.lower_bound > 0 and cg.check(one)]
+
+
+# --- running mutants -------------------------------------------------------------------------------------------
+def _tree(folder: Path, mutant: Mutant | None) -> None:
+    """A copy of the tree with one wrong line."""
+    for name in TREES:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder / name)
+    if mutant is not None:
+        path = folder / mutant.path
+        text = path.read_text(encoding="utf-8")
+        if mutant.old not in text:
+            raise ValueError(f"{mutant.path}: no longer has {mutant.old!r}")
+        path.write_text(text.replace(mutant.old, mutant.new, 1), encoding="utf-8")
+
+
+def _run(folder: Path, words: list[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
+    """Run Python in the copy of the tree; None if it takes too long."""
+    path = os.pathsep.join(str(folder / name) for name in ("src", "tests", "docs", "benchmarks"))
+    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, *words]
+    try:
+        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        return None
+
+
+def row_of(mutant: Mutant | None, with_tests: bool) -> Row:
+    """What becomes of one mutant (None: of the tree as it is)."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        _tree(folder, mutant)
+        done = _run(folder, [str(folder / "benchmarks" / "mutations.py"), "--judge"], JUDGE_SECONDS)
+        found = json.loads(done.stdout.splitlines()[-1]) if done is not None and done.returncode == 0 else None
+        tests = None
+        if with_tests:
+            words = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *(f"tests/{test}" for test in TESTS)]
+            done = _run(folder, words, TEST_SECONDS)
+            tests = "no end" if done is None else "pass" if done.returncode == 0 else "fail"
+    row: Row = {
+        "module": "-" if mutant is None else mutant.path,
+        "line": "the tree as it is" if mutant is None else mutant.new,
+        "false claims": None, "check": None, "rollouts": None, "forgeries": None, "tests": tests,
+    }  # fmt: skip
+    if found is None:
+        return row | {"false claims": "crash"}
+    false, refused = found["false"], found["refused"]
+    missed = [name for name in false if name not in refused]
+    row["false claims"] = ", ".join(false) + (" crash" if found["errors"] and not false else "")
+    row["check"] = "MISSES " + ", ".join(missed) if missed else "refuses" if refused else ""
+    row["rollouts"] = "" if not false else "refute" if found["refuted"] else "pass"
+    row["forgeries"] = ", ".join(found["forged"])
+    return row
+
+
+def page_of(rows: Rows) -> str:
+    """The table as a page of the documentation."""
+    heads = ["module", "line", "false claims", "check", "rollouts", "forgeries", "tests"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for row in rows:
+        cells = [str(row[head] or "") for head in heads]
+        cells[1] = f"`{cells[1].strip().replace('|', '&#124;')[:70]}`"
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--judge", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--only", nargs=2, type=int, metavar=("FROM", "TO"), default=(0, len(MUTANTS)))
+    parser.add_argument("--no-tests", action="store_true")
+    parser.add_argument("--json", metavar="PATH")
+    parser.add_argument("--table", metavar="PATH", help="write the table as Markdown")
+    given = parser.parse_args()
+    if given.judge:
+        print(json.dumps(judge()))
+        return
+    rows: Rows = [row_of(None, not given.no_tests)]
+    for mutant in MUTANTS[slice(*given.only)]:
+        rows.append(row_of(mutant, not given.no_tests))
+        print(rows[-1], flush=True)
+    show("Mutants", rows)
+    save({"rows": rows}, given.json)
+    if given.table:
+        Path(given.table).write_text(page_of(rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""A hundredth of the adversary's campaign (``benchmarks/adversary.py``), with seeds that no campaign has had."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from adversary import FALSE_ALARM, claim, forged, problem_of
+from forgeries import forgeries, opened
+from random_problems import random_spec
+
+CLAIMS, FIRST, EPISODES = 16, 900_000, 20_000
+FORGERIES, FORGED_SEEDS = 8, (910_001, 910_004)
+
+
+@pytest.mark.parametrize("seed", range(FIRST, FIRST + CLAIMS))
+def test_random_claims_are_true(seed: int) -> None:
+    """An independent simulator agrees with claim, upper ends and check; or the problem is refused in words."""
+    row = claim(seed, EPISODES, FALSE_ALARM / (3 * CLAIMS))
+    assert row["finding"] == "", row
+    assert row["outcome"] in ("refused", "certified", "nothing certified")
+
+
+def _certified(first: int) -> tuple[dict, cg.Certificate]:
+    """The first random problem from a seed on whose claim says something."""
+    for seed in range(first, first + 200):
+        spec = random_spec(seed)
+        try:
+            certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
+        except ValueError:
+            continue
+        if isinstance(certificate, cg.Certificate) and 0.05 < certificate.lower_bound < 0.99:
+            return spec, certificate
+    raise AssertionError("no problem was certified")
+
+
+@pytest.mark.parametrize("first", FORGED_SEEDS)
+def test_forgeries_are_refused_or_true(first: int, tmp_path: Path) -> None:
+    spec, certificate = _certified(first)
+    file = tmp_path / "own.npz"
+    cg.save_certificate(certificate, file)
+    rng = np.random.default_rng(first)
+    every = list(forgeries(*opened(file), rng, 4))
+    for k in rng.permutation(len(every))[:FORGERIES]:
+        outcome, finding = forged(spec, file, every[k], EPISODES, FALSE_ALARM / 1000)
+        assert finding == "", (every[k][0], outcome, finding)
+
+
+def test_the_campaign_has_the_power_to_see() -> None:
+    """Sabotage: a claim that is .05 too large is refuted."""
+    from scipy.stats import binom
+
+    from adversary import Deployed
+    from independent import successes
+
+    spec, certificate = _certified(920_000)
+    number, _ = successes(spec, Deployed(certificate, EPISODES, 1), EPISODES, 1)
+    assert binom.cdf(number, EPISODES, number / EPISODES + 0.05) < FALSE_ALARM / 60

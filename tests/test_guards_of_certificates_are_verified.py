@@ -1,0 +1,34 @@
+"""Guards of a certificate are disjoint and lead where they say; forged ones are refused, whatever else is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import certigym as cg
+from mutations import guards_twice
+from test_controllers_carry_out_what_is_certified import ordinary
+
+
+def certificate() -> Any:
+    """One guard: from inside the region to inside the region; nothing is claimed from above."""
+    honest = cg.synthesize(ordinary(), 16, relation="exact").certificate
+    return replace(honest, gap=None, exact=False)
+
+
+def test_the_same_guard_twice_is_an_overlap() -> None:
+    """No vertex is listed twice then, but all of their probability is counted twice."""
+    forged = guards_twice(certificate())
+    report = cg.check(forged)
+    assert not report and "overlap" in str(report)
+
+
+def test_a_guard_with_cells_of_another_letter_is_refused() -> None:
+    """Some of its letters lead where it says, and others to failure."""
+    own = certificate()
+    part = own.agents[0]
+    forged = replace(own, agents=(replace(part, masks=np.ones_like(part.masks)),))
+    report = cg.check(forged)
+    assert not report and "does not always lead" in str(report)
