@@ -9,10 +9,29 @@ from typing import Any
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts
+from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
-from .choosing import Budget, Tries, groups_of, policies_from, refine
+from .choosing import (
+    CHEAP_SECONDS,
+    FINER,
+    FIRST_WIDTH,
+    GOOD,
+    GUESSED_RANK,
+    LEAST_GAIN,
+    MOST_GUESSED_RANK,
+    MOST_LEVELS,
+    MOST_SECONDS,
+    SOLVED,
+    Budget,
+    Tries,
+    carried_over,
+    groups_of,
+    level_cells,
+    policies_from,
+    refine,
+    seconds_of,
+)
 from .models import (
     Abstraction,
     JointModel,
@@ -28,6 +47,9 @@ from .models import (
 from .parts import synthesize_parts
 from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best
 from .values import HOST, device_put
+
+MOST_LINEAR_AGENTS = 2
+"""Agents of a task up to which linear cells are tried without being asked for."""
 
 Clock = tuple[float, float]
 """When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
@@ -154,6 +176,8 @@ def _of_task(
         if relation == "best":
             _refuse_start(start, "several relations")
         return _continued(problem, cells, kinds, plan, start)
+    if cells is None and _may_be_linear(problem, kinds, plan):
+        return _by_levels(problem, kinds, plan)
     if {"auto", "best"} & {*kinds}:
         return _compared(problem, cells, kinds, plan)
     return _plain(problem, cells, kinds, plan)
@@ -204,6 +228,95 @@ def _compared(
         stats["tried"] = tried
         certificate = replace(certificate, settings={**certificate.settings, "relations_tried": tried})
     return Synthesis(certificate, certificate.controller, stats)
+
+
+def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
+    """Return whether cells and relation are left to us, and linear cells are worth trying first.
+
+    Every agent must have noise in all of its states. Trees of many agents grow many terms, each of which costs linear
+    agents something: tensor trains on other relations are better there.
+    """
+    search = plan.search
+    if search.stationary or search.value == "train" or search.device != HOST or search.limits != Limits():
+        return False
+    if {*kinds} == {"linear"}:
+        return True
+    return {*kinds} == {"auto"} and problem.n_agents <= MOST_LINEAR_AGENTS and plan.settings == Settings()
+
+
+def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the better of what linear cells, made finer level by level, and the other relations certify."""
+    began = time.perf_counter()
+    linear, record = _linear_levels(problem, plan)
+    if linear is None:
+        return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
+    best = linear
+    tried: dict[str, Any] = {"linear": linear.certificate.lower_bound}
+    is_scalar = all(agent.n_states == 1 for agent in problem.agents)
+    if "auto" in kinds and (linear.certificate.lower_bound < GOOD or is_scalar):
+        try:
+            other = _compared(problem, None, kinds, plan)
+        except ValueError as refusal:
+            tried["others"] = str(refusal)
+        else:
+            kind = other.certificate.settings["relation"]
+            tried |= other.stats.get("tried", {kind: other.certificate.lower_bound})  # type: ignore[call-overload]
+            best = max(linear, other, key=lambda result: result.certificate.lower_bound)
+            best = replace(best, stats={**best.stats, **_least_above(linear, other)})
+    certificate = best.certificate
+    more = {"levels": record} if best.certificate is linear.certificate else {}
+    certificate = replace(certificate, settings={**certificate.settings, **more, "relations_tried": tried})
+    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    return Synthesis(certificate, certificate.controller, {**best.stats, "tried": tried, "seconds": seconds})
+
+
+def _linear_levels(problem: Problem, plan: Plan) -> tuple[Synthesis | None, list[dict[str, Any]]]:
+    """Return the best synthesis on linear cells and the bound of every level; None if the first takes too long."""
+    best: Synthesis | None = None
+    before: Abstraction | None = None
+    record: list[dict[str, Any]] = []
+    policies: Policies | None = None
+    rank = GUESSED_RANK if problem.n_agents > 1 else 1
+    undecided = int((~problem.automaton.absorbing).sum())
+    width, is_flat = FIRST_WIDTH, False
+    for level in range(MOST_LEVELS):
+        # Twice as fine, or as fine as time allows for.
+        for finer in FINER if level else (1.0,):
+            try:
+                cells = level_cells(problem, width / finer)
+                abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
+            except RelationRefused:
+                return best, record
+            seconds = seconds_of(abstraction, problem.horizon, undecided, rank)
+            if seconds <= MOST_SECONDS:
+                break
+        else:
+            break
+        if is_flat and seconds > CHEAP_SECONDS:
+            break
+        search, starts = plan.search, {}
+        if policies is not None and before is not None:
+            search = replace(search, max_sweeps=min(search.max_sweeps, 2), restarts=0)
+            starts = {"carried over": carried_over(before, abstraction, policies)}
+        result = _on(problem, abstraction, join(problem, abstraction, search.device), search, starts)
+        bound, rank = result.certificate.lower_bound, min(result.certificate.rank, MOST_GUESSED_RANK)
+        record.append({"cells": [list(part.grid.shape) for part in result.certificate.agents], "lower_bound": bound})
+        gain = bound - (0.0 if best is None else best.certificate.lower_bound)
+        best = result if best is None or gain > 0.0 else best
+        # Where a level gained little, further ones are made only if they cost next to nothing.
+        is_flat = bool(level) and bound > 0.0 and gain < LEAST_GAIN
+        if bound >= SOLVED or (level and finer < FINER[0]):
+            break
+        before, policies = abstraction, tuple(part.policy for part in result.certificate.agents)
+        width /= finer
+    return best, record
+
+
+def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
+    """Return the smaller of two upper bounds on what any policy attains; finite models bound only themselves."""
+    bounds = [result.stats.get("continuous_upper_bound") for result in (first, second)]
+    known = [bound for bound in bounds if isinstance(bound, float)]
+    return {"continuous_upper_bound": min(known, default=None)}
 
 
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:

@@ -231,8 +231,18 @@ class AffineChoices:
             index = np.minimum(base + np.array(corner), shape - 1)
             flat = np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape)
             weight = np.prod(np.where(corner, share, 1.0 - share), axis=2)
-            values = values + weight * table[:, flat]
-            bend = np.maximum(bend, (table[:, self.n_points + flat] * (weight > 0)).max(axis=2))
+            # Cells last in memory: what follows goes over the few points of each.
+            across = flat.T.ravel()
+            shape_in_memory = (len(table), flat.shape[1], flat.shape[0])
+            read = np.take(table, across, axis=1).reshape(shape_in_memory).transpose(0, 2, 1)
+            lacking = np.take(table, self.n_points + across, axis=1).reshape(shape_in_memory).transpose(0, 2, 1)
+            if needs_next.any():
+                read *= weight
+                lacking *= weight > 0
+                values += read
+            else:
+                values = read
+            np.maximum(bend, lacking.max(axis=2), out=bend)
         return values, bend, inside
 
     def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:

@@ -153,18 +153,20 @@ class LinearKernel(Kernel):
     def smooth(self, factors: NDArray) -> NDArray:
         """Return values and bends (n, 2 Z) at every lattice point of factors (n, 2^d S), nonnegative."""
         values = super().smooth(factors)
-        bends = np.zeros_like(values)
+        n, points = values.shape
+        result = np.empty((n, 2 * points))
+        result[:, :points] = values
+        bends = result[:, points:]
+        bends[...] = (self.slack + self.rounding) * factors.max(axis=1, initial=0.0)[:, None]
         second = {pair: self._derivative(factors, pair) for pair in self._pairs}
         for step in (*self.steps, *self.lattice_steps):
-            along = np.zeros_like(values)
-            for (i, j), derivative in second.items():
-                weight = step[i] * step[j] * (1.0 if i == j else 2.0)
-                if weight:
-                    along += weight * derivative
-            bends += 0.125 * np.maximum(along, 0.0)
-        largest = factors.max(axis=1, initial=0.0)
-        bends += (self.slack + self.rounding) * largest[:, None]
-        return np.concatenate([values, bends], axis=1)
+            weights = {(i, j): step[i] * step[j] * (0.125 if i == j else 0.25) for i, j in second}
+            used = [(second[pair], weight) for pair, weight in weights.items() if weight]
+            along = used[0][0] * used[0][1]
+            for derivative, weight in used[1:]:
+                along += weight * derivative
+            bends += np.maximum(along, 0.0, out=along)
+        return result
 
     @cached_property
     def slack(self) -> float:

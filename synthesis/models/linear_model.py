@@ -26,7 +26,7 @@ BEYOND_GRID = 3.0
 EVEN = 1e-9
 """Relative difference of widths up to which the cells of an axis count as equal."""
 
-LEAST_SLACK = 2e-4
+LEAST_SLACK = 1e-5
 """Largest slack per step, for want of fourth derivatives, with which an image is read in few parts."""
 
 MOST_PARTS = 8

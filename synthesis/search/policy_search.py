@@ -33,8 +33,11 @@ FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
 LINEAR_LIMITS = Limits(contribution=1e-5, elsewhere=1e-2, mass=1e-6, rank=40)
 """What sweeps of linear agents leave out at least: every term costs them its bends, and many terms much time."""
 
-LINEAR_FINAL = Limits(contribution=1e-7, elsewhere=1e-3, mass=1e-8, rank=120)
+LINEAR_FINAL = Limits(contribution=1e-6, elsewhere=1e-2, mass=1e-7, rank=60)
 """What their evaluation leaves out."""
+
+HOPE = 0.02
+"""What the evaluation of linear agents may be below their last sweep without being tried in another way."""
 
 MANY_TERMS = 64
 """Terms of a naive value tree from which tensor trains are used instead, unless the caller decides."""
@@ -234,9 +237,12 @@ def find_policies(
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
     if linear:
-        # Whether unions from below gain more than their minima lose is seen by trying.
-        tried = [sweep(joint, policies, start, LINEAR_FINAL, improve=False, climb=climb) for climb in (True, False)]
-        return Found(max(tried, key=lambda s: s.value), trees.values, trees.starts, relaxations, None)
+        evaluated = sweep(joint, policies, start, LINEAR_FINAL, improve=False)
+        if max(trees.values, default=0.0) > evaluated.value + HOPE:
+            # Far below what sweeps see: unions from below may lose more than they save.
+            plain = sweep(joint, policies, start, LINEAR_FINAL, improve=False, climb=False)
+            evaluated = max(evaluated, plain, key=lambda outcome: outcome.value)
+        return Found(evaluated, trees.values, trees.starts, relaxations, None)
     frozen, gain = _frozen(joint, policies, start)
     # Go on with the full tree while one agent alone could still gain.
     for _ in range(POLISHING if search.max_sweeps else 0):
