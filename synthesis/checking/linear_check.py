@@ -36,8 +36,8 @@ RELATIVE = 1e-11
 CHUNK = 3_000_000
 """Numbers that are formed at once."""
 
-EVEN = 2e-9
-"""Relative difference of widths up to which cells count as equal, so that images lie on the lattice."""
+EVEN = 6e-12
+"""Lattice steps by which widths may differ for cells to count as equal, so that images lie on the lattice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     widest = np.array([float(w.max()) for w in widths])
     pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
     per_cell = np.rint(widest / pitch)
-    even = all(float(np.ptp(w)) <= EVEN * float(w.max()) for w in widths)
+    even = all(float(np.ptp(w)) <= EVEN * step for w, step in zip(widths, pitch.tolist(), strict=True))
     parts = int(part.relation["parts"])
     aligned = bool(targets and even and np.all((per_cell % 2 == 0) & (per_cell % parts == 0)))
     gain = np.eye(len(widest)) if targets else _grid_matrix(agent, part)
@@ -305,7 +305,7 @@ def doubled(rows: NDArray, shape: tuple[int, ...]) -> NDArray:
     table = rows.reshape(len(rows), *shape)
     for axis in range(1, len(shape) + 1):
         table = np.repeat(table, 2, axis=axis)
-    return table.reshape(len(rows), -1)
+    return table.reshape(len(rows), 2 ** len(shape) * math.prod(shape))
 
 
 def places_of(part: AgentPart) -> int:
