@@ -201,11 +201,9 @@ def _nearest_maps(
     """
     cells = np.arange(choices.grid.n_cells)
     if not choices.windows:
-        offered = np.arange(len(choices.relation.menu))
-        gaps = [
-            (((choices.centres(cells, np.full(len(cells), a)) - means.T) / scale) ** 2).sum(axis=1) for a in offered
-        ]
-        return np.argmin(gaps, axis=0).astype(np.int32)
+        offered = [choices.centres(cells, np.full(len(cells), a)) for a in range(len(choices.relation.menu))]
+        distances = [(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered]
+        return np.argmin(distances, axis=0).astype(np.int32)
     tried, gaps = [], []
     sides = 2.0 * corner_sides(len(scale)) - 1.0
     for gain, windows in enumerate(choices.windows):

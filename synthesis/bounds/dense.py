@@ -79,9 +79,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
 def _refuse_linear(models: Sequence[AgentModel]) -> None:
     """Raise ValueError if a model has values at corners of cells: dense programming knows one value per cell."""
     if any(model.is_linear for model in models):
-        raise ValueError(
-            "`models`: expected one value per cell, got the relation `linear`; use another relation"
-        )
+        raise ValueError("`models`: expected one value per cell, got the relation `linear`; use another relation")
 
 
 def joint_outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:

@@ -117,8 +117,9 @@ def _fourth(u: FloatArray, e: FloatArray) -> float:
     if size == 0.0:
         return 0.0
     along = abs(float(np.dot(u, e))) / size
-    # A difference of nearly equal squares: rounded up.
-    across = math.sqrt(max(0.0, float(np.dot(u, u)) - along * along) + 1e-14 * float(np.dot(u, u)))
+    # The areas that u and e span in each plane; nothing large is subtracted. Rounded up.
+    areas = [u[i] * e[j] - u[j] * e[i] for i, j in itertools.combinations(range(len(u)), 2)]
+    across = math.hypot(*areas) / size + 1e-14 * math.hypot(*u.tolist())
     straight, mixed, square = HALF_NORMS
     return size * size * (straight * along * along + 2.0 * mixed * along * across + square * across * across)
 
