@@ -30,6 +30,9 @@ as one of the lattice within as many steps."""
 
 UNIT = 2.0**-53
 
+FAINT = 1e-280
+"""What is taken off every mass: numbers near the smallest double have few digits, which no relative error allows for."""
+
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
 
@@ -101,8 +104,8 @@ def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray
     density, tail = (40.0 + 6.0 * t**2) * phi, (30.0 + 8.0 * t**2) * np.minimum(above, below)
     of_mass = tail[:, :-1] + tail[:, 1:] + 4.0 * mass
     of_first = density[:, :-1] + density[:, 1:] + (1.0 + np.abs(a)) * of_mass
-    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass), 0.0)
-    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass), 0.0)
+    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass) - FAINT, 0.0)
+    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass) - FAINT, 0.0)
     slope = (phi[:, :-1] - mass / width, mass / width - phi[:, 1:])
     rise = (phi[:, 1:] - phi[:, :-1]) / width
     bend = (a * phi[:, :-1] + rise, -b * phi[:, 1:] - rise)
