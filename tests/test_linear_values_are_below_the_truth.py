@@ -16,10 +16,10 @@ from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, scalar_agent
 
 
-def random_case(rng: np.random.Generator, d: int, parts: int) -> tuple[Any, ...]:
+def random_case(rng: np.random.Generator, d: int, parts: int, rough: float = 0.5) -> tuple[Any, ...]:
     """A smooth function on a cell, its values at a sub-lattice, at the corners, and how much it may lack between."""
     sub = SubLattice.of(d, parts)
-    a, c = 0.5 * rng.normal(size=(3, d)), rng.uniform(0.0, 2.0, size=3)
+    a, c = rough * rng.normal(size=(3, d)), rng.uniform(0.0, 2.0, size=3)
     shift = rng.uniform(-1.0, 1.0, size=3)
 
     def f(x: NDArray) -> NDArray:
@@ -63,7 +63,7 @@ def test_clipping_single_corners_would_be_caught() -> None:
     rng = np.random.default_rng(7)
     points, wrong = rng.uniform(-1.0, 1.0, size=(400, 2)), 0
     for _ in range(300):
-        sub, f, values, corners, bend = random_case(rng, 2, 4)
+        sub, f, values, corners, bend = random_case(rng, 2, 4, rough=1.0)
         shift = np.maximum(corners @ sub.interpolation - values, 0.0).max() + bend[0, 0]
         clipped = np.maximum(corners[0, 0] - shift, 0.0)
         wrong += bool(np.any(interpolated(clipped, points) > f(points) + 1e-6))

@@ -31,7 +31,7 @@ as one of the lattice within as many steps."""
 UNIT = 2.0**-53
 
 FAINT = 1e-280
-"""What is taken off every mass: numbers near the smallest double have few digits, which no relative error allows for."""
+"""What is taken off every mass: numbers near the smallest double have few digits, and relative errors miss that."""
 
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
