@@ -8,7 +8,8 @@ goes on from there by coordinate ascent (``docs/theory/tree.md``, "Occupancy-wei
 
 The two policies differ in two ways. The raw one acts on the state, the wrapped one on the cell. And if some point of
 the cell cannot reach a target within the input box, the wrapped policy takes the nearest target that all points can
-reach. Finer cells make both differences smaller.
+reach. Finer cells make both differences smaller. Under the relation ``linear`` the wrapped policy moves with the state
+inside the cell, as the choice does whose means are nearest to those of the raw one.
 """
 
 from __future__ import annotations

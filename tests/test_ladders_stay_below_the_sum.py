@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from itertools import product
 
@@ -14,13 +15,9 @@ from certigym.synthesis.search.ladder import apply_rest, ladders
 
 def total(terms: list[NDArray], joint: tuple[int, ...]) -> Fraction:
     """The exact sum of products at one joint place."""
-    return sum(
-        (
-            np.prod([Fraction(float(term[k][s])) for term, s in zip(terms, joint, strict=True)], initial=Fraction(1))
-            for k in range(len(terms[0]))
-        ),
-        Fraction(0),
-    )
+    rows = range(len(terms[0]))
+    factors = ([Fraction(float(term[k][s])) for term, s in zip(terms, joint, strict=True)] for k in rows)
+    return sum((math.prod(row, start=Fraction(1)) for row in factors), Fraction(0))
 
 
 def random_terms(rng: np.random.Generator, n_agents: int, count: int) -> list[NDArray]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.certificates import AgentPart
 from certigym.synthesis.values import Terms
 from certigym.validation.audits import claimed_values
@@ -235,6 +236,19 @@ def test_relations_that_may_be_lost_are_refused_beside_linear() -> None:
     with pytest.raises(ValueError, match="never lost beside `linear`"):
         cg.synthesize(problem, 40, relation={"one": "linear", "two": "paper"})
     assert cg.check(cg.synthesize(problem, 40, relation={"one": "linear", "two": "exact"}).certificate)
+
+
+def test_what_linear_agents_cannot_have_is_refused_in_words() -> None:
+    problem = of_targets().problem
+    with pytest.raises(ValueError, match="`value`: expected 'auto' or 'tree'"):
+        cg.synthesize(problem, 20, relation="linear", value="train")
+    with pytest.raises(ValueError, match="relations `exact` and `tube`, got linear"):
+        cg.check_rigorous(of_targets())
+    with pytest.raises(ValueError, match="one value per cell"):
+        dense_optimum(problem, cg.abstract(problem, 20, relation="linear").models)
+    pytest.importorskip("torch")
+    with pytest.raises(ValueError, match="`device`: expected `numpy`"):
+        cg.synthesize(problem, 20, relation="linear", device="torch:cpu")
 
 
 @pytest.mark.parametrize("sliver", [0.0, 1e-13, 3e-12, 1e-11, 1e-10, 3e-9, 1e-7])
