@@ -25,8 +25,12 @@ HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
 
 ROUNDING = 9.9e-12
-"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13. A point counts
-as one of the lattice within as many steps."""
+"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13, and points that
+count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
+
+ON_LATTICE = 1.05e-11
+"""Lattice steps within which a point counts as one of the lattice: a little more than for the search, so that no point
+is read here with the bends of more neighbours."""
 
 UNIT = 2.0**-53
 
@@ -246,7 +250,7 @@ def _read(
     Images that are said to lie on the lattice and do not are not read.
     """
     whole = np.rint(position)
-    exact = np.abs(position - whole) <= ROUNDING
+    exact = np.abs(position - whole) <= ON_LATTICE
     base = np.where(exact, whole, np.floor(position)).astype(np.int64)
     rest = np.where(exact, 0.0, position - base)
     last = np.array(shape) - 1
