@@ -25,8 +25,8 @@ HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
 
 ROUNDING = 9.9e-12
-"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13, and points that
-count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
+"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13, and points
+that count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
 
 ON_LATTICE = 1.05e-11
 """Lattice steps within which a point counts as one of the lattice: a little more than for the search, so that no point

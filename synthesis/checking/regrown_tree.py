@@ -18,10 +18,9 @@ from ..values import Merges, Terms
 from .forward_mass import mass_at_start
 from .linear_check import linear_tables, linear_values, masks_of, places_of
 
-
 KEPT = 1.0 - 1e-9
-"""Share of a factor of a linear agent that a remainder is taken from, as in the search: how a difference of nearly equal
-factors bends is decided by digits that rounding has lost, and a larger remainder may bend more."""
+"""Share of a factor of a linear agent that a remainder is taken from, as in the search: how a difference of nearly
+equal factors bends is decided by digits that rounding has lost, and a larger remainder may bend more."""
 
 
 class BrokenTreeError(ValueError):
@@ -139,8 +138,8 @@ def _unite(
     """Factors (N, S) of agent i of the vertices before smoothing: masked, and united as the tree says.
 
     ``a x b + a' x b' >= (a + a') x m + a x (b - m)`` with m the minimum of b and b': the last product, or that of the
-    other vertex, may stay as a remainder. Where products have more factors, m stands in all but one of them. Of b only a
-    ``share`` is kept before m is taken off, for less is sound as well.
+    other vertex, may stay as a remainder. Where products have more factors, m stands in all but one of them. Of b only
+    a ``share`` is kept before m is taken off, for less is sound as well.
     """
     vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
     columns = (merges.into, merges.absorbed, merges.agent, merges.rests)
