@@ -171,14 +171,14 @@ def forged(spec: Spec, file: Path, forgery: Forgery, episodes: int, level: float
     return "true all the same", ""
 
 
-def forge_all(trials: int, episodes: int, first: int, per_array: int) -> int:
+def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: str | None = None) -> int:
     """Forgeries of the certificates of ``trials`` random problems; the number of findings."""
     outcomes, findings, seed, done = Counter[str](), 0, first, 0
     kinds: Counter[str] = Counter()
     with TemporaryDirectory() as folder:
         while done < trials:
             seed += 1
-            spec = random_spec(seed)
+            spec = random_spec(seed, relation)
             try:
                 certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
             except ValueError:
@@ -224,14 +224,14 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
-    parser.add_argument("--relation", help="one relation for all problems of ``claims``, such as linear")
+    parser.add_argument("--relation", help="one relation for all problems, such as linear")
     parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
     given = parser.parse_args()
     if given.part == "files":
         return int(files() > 0)
     if given.part == "claims":
         return int(claims(given.trials, given.episodes, given.seed, given.relation) > 0)
-    return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array) > 0)
+    return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array, given.relation) > 0)
 
 
 if __name__ == "__main__":

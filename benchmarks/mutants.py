@@ -145,7 +145,7 @@ MUTANTS = [
     # --- the value
     *_in(
         "synthesis/values/terms.py",
-        ("row_depths[into] = max(row_depths[into], row_depths[absorbed])", "row_depths[into] = 0"),
+        ("row_depths[into] = deepest", "row_depths[into] = 0"),
         (
             "row_depths[here] = depths[target][origin[here, 1]] + 1",
             "row_depths[here] = depths[target][origin[here, 1]]",
@@ -187,8 +187,8 @@ MUTANTS = [
     *_in(
         "synthesis/checking/regrown_tree.py",
         (
-            "vertex[a] = vertex[a] + vertex[b] if is_sum else np.minimum(vertex[a], vertex[b])",
-            "vertex[a] = vertex[a] + vertex[b]",
+            "vertex[a] = first + second if agent == i else least",
+            "vertex[a] = first + second",
         ),
         ("if len(np.unique(origin, axis=0)) != len(origin):", "if False:"),
         ("values = values * (points >= 0)", "values = values * 1.0"),

@@ -37,7 +37,10 @@ def random_spec(seed: int, relation: str | None = None) -> Spec:
     kept = {name: region for name, region in propositions.items() if name in used or rng.random() < 0.3}
     options = _options(rng, agents)
     if relation is not None:
-        options = {name: value for name, value in options.items() if name != "delta"} | {"relation": relation}
+        others = {name: value for name, value in options.items() if name != "delta"}
+        # Linear agents have no tensor trains.
+        options = {name: value for name, value in others.items() if (name, relation) != ("value", "linear")}
+        options["relation"] = relation
     return {
         "agents": agents,
         "propositions": kept,

@@ -35,6 +35,9 @@ from .values import Terms, start_above
 STORED_MARGIN = 1e-6
 """Share of the largest value of a factor by which it is stored lower: far above rounding, far below what matters."""
 
+STORED_LOSS = 1e-10
+"""What is taken off besides: a remainder is a small difference of factors near 1, and has the rounding of these."""
+
 
 def certified(
     problem: Problem,
@@ -125,7 +128,8 @@ def _stored(joint: JointModel, terms: Terms) -> Terms:
     """
     factors = []
     for model, rows in zip(joint.models, terms.factors, strict=True):
-        lower = np.maximum(rows - STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None], 0.0)
+        loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + STORED_LOSS
+        lower = np.maximum(rows - loss, 0.0)
         factors.append(lower if model.is_linear else rows)
     return Terms(tuple(factors), terms.index)
 

@@ -8,14 +8,16 @@ goes on from there by coordinate ascent (``docs/theory/tree.md``, "Occupancy-wei
 
 The two policies differ in two ways. The raw one acts on the state, the wrapped one on the cell. And if some point of
 the cell cannot reach a target within the input box, the wrapped policy takes the nearest target that all points can
-reach. Finer cells make both differences smaller.
+reach. Finer cells make both differences smaller. Under the relation ``linear`` the wrapped policy moves with the state
+inside the cell, as the choice does whose means are nearest to those of the raw one.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,13 +26,15 @@ from numpy.typing import NDArray
 from ..envs.agents import LinearAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts, FloatArray
+from .cells import CellCounts, FloatArray, corner_sides
 from .certificates import Synthesis
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .models import (
     Abstraction,
+    AffineChoices,
     AgentModel,
+    InputMenu,
     JointModel,
     Policies,
     Relations,
@@ -43,6 +47,9 @@ from .search import FINAL, Limits, Search, Sweep, sweep
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
+
+INSIDE = 0.999
+"""Share of the way from the centre of a cell to a corner at which a policy is asked: corners are of several cells."""
 
 
 def certify(
@@ -134,18 +141,39 @@ def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> P
     """Return policy tables (T, Q, S), one per agent: the admissible choice with the mean nearest to the policy's.
 
     Choices are compared at the centre of each cell, by Euclidean distance in grid coordinates divided by the cell
-    widths; -1 where no choice is admissible.
+    widths; -1 where no choice is admissible. Under the relation ``linear`` the corners decide between gains.
     """
     n_q, tables = problem.automaton.n_states, []
     for i, (agent, model) in enumerate(zip(problem.agents, abstraction.models, strict=True)):
-        table = np.empty((problem.horizon, n_q, model.n_cells), dtype=np.int32)
-        centres = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ model.grid.centres.T)
+        table = np.empty((problem.horizon, n_q, model.grid.n_cells), dtype=np.int32)
         for t in range(problem.horizon):
             for q in range(n_q):
-                inputs = policy.inputs(i, centres, np.full(model.n_cells, q), t)
-                table[t, q] = nearest_choices(model, _means(agent, model, centres, inputs))
+                centres = _means_at(agent, model, model.grid.centres, partial(_inputs, policy, i, q, t))
+                if isinstance(model.choices, AffineChoices):
+                    corners = [
+                        _means_at(agent, model, points, partial(_inputs, policy, i, q, t)) for points in _corners(model)
+                    ]
+                    table[t, q] = _nearest_maps(model.choices, centres, corners, _cell_widths(model))
+                else:
+                    table[t, q] = nearest_choices(model, centres)
         tables.append(table)
     return tuple(tables)
+
+
+def _inputs(policy: Decentralised, i: int, q: int, t: int, states: FloatArray) -> FloatArray:
+    """Return the inputs (m, S) of agent i at states (d, S)."""
+    return policy.inputs(i, states, np.full(states.shape[1], q), t)
+
+
+def _cell_widths(model: AgentModel) -> FloatArray:
+    """Return the mean width (d,) of cells along each axis."""
+    return np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in model.grid.edges])
+
+
+def _corners(model: AgentModel) -> list[FloatArray]:
+    """Return points (S, d) in grid coordinates near each corner of all cells, a little inside of them."""
+    sides = 2.0 * corner_sides(len(model.grid.edges)) - 1.0
+    return [model.grid.centres + INSIDE * side * model.grid.half_widths for side in sides]
 
 
 def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
@@ -153,16 +181,41 @@ def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
 
     Means are in grid coordinates.
     """
-    scale = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in model.grid.edges])
-    choices = model.choices
+    scale, choices = _cell_widths(model), model.choices
     if isinstance(choices, TargetWindows):
         return _nearest_targets(choices, means, scale)
+    assert isinstance(choices, InputMenu)
     points = np.stack(np.meshgrid(*model.lattice, indexing="ij"), axis=-1).reshape(-1, len(scale))
     offered = choices.leads_to
     # distances of all choices on offer, in cell widths; places of the menu that are empty are infinitely far
     gaps = (((points[np.maximum(offered, 0)] - means.T[:, None]) / scale) ** 2).sum(axis=-1)
     gaps = np.where(offered < 0, np.inf, gaps)
     return np.where((offered >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
+
+
+def _nearest_maps(
+    choices: AffineChoices, means: FloatArray, corners: Sequence[FloatArray], scale: FloatArray
+) -> NDArray[np.int32]:
+    """Return the choice (S,) of each cell whose means are nearest to those (d, S) at its centre and near its corners.
+
+    The target of each gain is the one nearest at the centre; the corners decide between gains.
+    """
+    cells = np.arange(choices.grid.n_cells)
+    if not choices.windows:
+        offered = [choices.centres(cells, np.full(len(cells), a)) for a in range(len(choices.relation.menu))]
+        distances = [(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered]
+        return np.argmin(distances, axis=0).astype(np.int32)
+    tried, gaps = [], []
+    sides = 2.0 * corner_sides(len(scale)) - 1.0
+    for gain, windows in enumerate(choices.windows):
+        targets = _nearest_targets(windows, means, scale)
+        tried.append(np.where(targets >= 0, targets + gain * choices.n_points, -1))
+        centres, gap = choices.centres(cells, np.maximum(targets, 0)), np.zeros(len(cells))
+        for side, goal in zip(sides, corners, strict=True):
+            here = centres + choices.relation.gains[gain][0, 0] * INSIDE * side * choices.grid.half_widths
+            gap += (((here - goal.T) / scale) ** 2).sum(axis=1)
+        gaps.append(np.where(targets >= 0, gap, np.inf))
+    return np.stack(tried)[np.argmin(gaps, axis=0), cells].astype(np.int32)
 
 
 def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
@@ -199,10 +252,15 @@ def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArr
     return int(flat[np.where(admissible, gaps, np.inf).argmin()])
 
 
-def _means(agent: LinearAgent, model: AgentModel, states: FloatArray, inputs: FloatArray) -> FloatArray:
-    """Return the means (d, S) of the next states in grid coordinates, with the inputs saturated."""
-    box = agent.input_box
-    saturated = np.clip(inputs, box.low[:, None], box.high[:, None])
+def _means_at(
+    agent: LinearAgent, model: AgentModel, points: FloatArray, inputs: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the means (d, S) of the next states in grid coordinates, from points (S, d) of the grid.
+
+    Inputs are saturated.
+    """
+    states, box = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ points.T), agent.input_box
+    saturated = np.clip(inputs(states), box.low[:, None], box.high[:, None])
     return model.relation.to_grid(agent.A @ states + agent.B @ saturated + np.asarray(agent.offset)[:, None])
 
 

@@ -50,6 +50,7 @@ def test_best_choices_are_the_brute_force_maxima(name: str, relation: str, n_obj
         specification=cg.Specification("F g", "co-safe"),
     )
     choices = abstract(problem, 40 if name == "scalar" else [13, 11], relation=relation).models[0].choices
+    assert isinstance(choices, InputMenu | TargetWindows)
     kernel_size = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(0)
     table = rng.integers(0, 6, size=(n_objectives, kernel_size)).astype(float)
@@ -100,6 +101,7 @@ def test_cells_of_no_weight_keep_their_choice_and_do_not_disturb_others(relation
         specification=cg.Specification("F g", "co-safe"),
     )
     choices = abstract(problem, [40, 30], relation=relation).models[0].choices
+    assert isinstance(choices, InputMenu | TargetWindows)
     points = int(np.prod(choices.shape)) if isinstance(choices, TargetWindows) else int(choices.leads_to.max()) + 1
     rng = np.random.default_rng(1)
     table, policy = rng.random((3, points)), choices.resting_choice.copy()

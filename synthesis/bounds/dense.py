@@ -33,6 +33,7 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Polici
     ValueError
         If a joint array would have more than ``MAX_ENTRIES`` entries.
     """
+    _refuse_linear(models)
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models)
     transitions = [_full_table(model) for model in models]
@@ -56,6 +57,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     Agents choose from a menu of inputs, or targets whose admissible ones are products of intervals (scaled permutation
     inputs).
     """
+    _refuse_linear(models)
     if any(isinstance(m.choices, TargetWindows) and not m.choices.relation.is_box for m in models):
         raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
     outcome = joint_outcomes(problem, models)
@@ -72,6 +74,12 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
             following[q] = expected
         value = _absorb(problem, following)
     return value
+
+
+def _refuse_linear(models: Sequence[AgentModel]) -> None:
+    """Raise ValueError if a model has values at corners of cells: dense programming knows one value per cell."""
+    if any(model.is_linear for model in models):
+        raise ValueError("`models`: expected one value per cell, got the relation `linear`; use another relation")
 
 
 def joint_outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:
@@ -145,6 +153,7 @@ def _best_along(model: AgentModel, values: NDArray[np.float64]) -> NDArray[np.fl
         for menu in windows.leads_to.T:
             best = np.maximum(best, np.where(menu >= 0, values[..., np.maximum(menu, 0)], 0.0))
         return best
+    assert isinstance(windows, TargetWindows)  # others were refused
     on_lattice = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
     best = np.zeros((len(on_lattice), model.n_cells))
     tensor = on_lattice.reshape(-1, *windows.shape)

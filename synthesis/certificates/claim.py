@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import slices_of, tree_text
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
-from ..cells import FloatArray, alike_text, hat_share_of, hats, shape_text, start_share
+from ..cells import FloatArray, alike_text, hat_share_of, shape_text, start_share
 from ..relations import Relation
 from ..values import Guards, Skeleton, Terms, Trains, Unread, ValueFunction, term_depths
 from .part import AgentPart
@@ -92,10 +92,9 @@ class Claim:
         for i, (agent, part) in enumerate(zip(self.problem.agents, self.agents, strict=True)):
             x = joint[:, self.problem.columns[i]]
             inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)
-            points = self.relations[i].to_grid(x.T)
-            at, weight = hats(part.grid, points) if part.is_linear else (part.grid.cell_of(points)[:, None], None)
+            at, weight = part.places_at(self.relations[i].to_grid(x.T))
             places.append(at)
-            weights.append(np.ones(at.shape) if weight is None else weight)
+            weights.append(weight)
             holds.append(self.problem.labeling.class_at(i, x.T))
         # The true letter of each state decides the automaton state in which the value is read.
         q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
@@ -110,12 +109,7 @@ class Claim:
         """Return the value (M,) in one automaton state: per agent, its places (M, K) and their weights."""
         if all(at.shape[1] == 1 for at in places) or not isinstance(self.value, Terms):
             return self.value.at(q, np.concatenate(places, axis=1))
-        rows = self.value.index[q]
-        product = np.ones((len(places[0]), len(rows)))
-        for i, (at, weight) in enumerate(zip(places, weights, strict=True)):
-            factors = self.value.factors[i][rows[:, i]]
-            product *= np.einsum("lmk,mk->ml", factors[:, at], weight)
-        return np.asarray(product.sum(axis=1))
+        return np.asarray(self.value.products_between(q, places, weights).sum(axis=1))
 
     def mean(self, low: Any, high: Any) -> float:
         """Return a lower bound on the satisfaction probability from a start drawn uniformly from ``[low, high)``.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent, tree_text
-from ..cells import FloatArray, Grid, shape_text, spread
+from ..cells import FloatArray, Grid, hats, shape_text, spread
 from ..relations import Relation, relation_from
 
 
@@ -76,6 +76,13 @@ class AgentPart:
     def n_places(self) -> int:
         """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
         return self.grid.n_cells * (2 ** len(self.lattice) if self.is_linear else 1)
+
+    def places_at(self, points: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return the places (M, K) of which factors at points (d, M) of the grid are means, and their weights."""
+        if self.is_linear:
+            return hats(self.grid, points)
+        cells = self.grid.cell_of(points)[:, None]
+        return cells, np.ones(cells.shape)
 
     @property
     def masks_at_start(self) -> NDArray[np.bool_]:

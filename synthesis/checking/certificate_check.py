@@ -327,9 +327,10 @@ def _check_values(certificate: Certificate, terms: Terms | Value, recomputed: fl
     if any(not np.all(own >= 0.0) for own in stored.factors):
         return [*failures, "the stored value function has factors that are negative or no numbers"]
     for i, (mine, yours) in enumerate(zip(stored.factors, regrown.factors, strict=True)):
-        if certificate.agents[i].relation["kind"] == "linear":
-            continue  # these were proved one by one as the tree was grown
+        linear = certificate.agents[i].relation["kind"] == "linear"
         for q, rows in enumerate(stored.index):
+            if linear and not certificate.problem.automaton.finished[q]:
+                continue  # these were proved one by one as the tree was grown; those of finished states are 1
             if np.any(mine[rows[:, i]] > yours[regrown.index[q][:, i]] * tolerance + 1e-250):
                 failures.append(
                     f"a stored factor of agent `{certificate.problem.agents[i].name}` exceeds its regrown value"

@@ -25,10 +25,17 @@ HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
 
 ROUNDING = 9.9e-12
-"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13. A point counts
-as one of the lattice within as many steps."""
+"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13, and points
+that count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
+
+ON_LATTICE = 1.05e-11
+"""Lattice steps within which a point counts as one of the lattice: a little more than for the search, so that no point
+is read here with the bends of more neighbours."""
 
 UNIT = 2.0**-53
+
+FAINT = 1e-280
+"""What is taken off every mass: numbers near the smallest double have few digits, and relative errors miss that."""
 
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
@@ -36,8 +43,8 @@ RELATIVE = 1e-11
 CHUNK = 3_000_000
 """Numbers that are formed at once."""
 
-EVEN = 2e-9
-"""Relative difference of widths up to which cells count as equal, so that images lie on the lattice."""
+EVEN = 6e-12
+"""Lattice steps by which widths may differ for cells to count as equal, so that images lie on the lattice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +75,7 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     widest = np.array([float(w.max()) for w in widths])
     pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
     per_cell = np.rint(widest / pitch)
-    even = all(float(np.ptp(w)) <= EVEN * float(w.max()) for w in widths)
+    even = all(float(np.ptp(w)) <= EVEN * step for w, step in zip(widths, pitch.tolist(), strict=True))
     parts = int(part.relation["parts"])
     aligned = bool(targets and even and np.all((per_cell % 2 == 0) & (per_cell % parts == 0)))
     gain = np.eye(len(widest)) if targets else _grid_matrix(agent, part)
@@ -101,8 +108,8 @@ def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray
     density, tail = (40.0 + 6.0 * t**2) * phi, (30.0 + 8.0 * t**2) * np.minimum(above, below)
     of_mass = tail[:, :-1] + tail[:, 1:] + 4.0 * mass
     of_first = density[:, :-1] + density[:, 1:] + (1.0 + np.abs(a)) * of_mass
-    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass), 0.0)
-    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass), 0.0)
+    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass) - FAINT, 0.0)
+    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass) - FAINT, 0.0)
     slope = (phi[:, :-1] - mass / width, mass / width - phi[:, 1:])
     rise = (phi[:, 1:] - phi[:, :-1]) / width
     bend = (a * phi[:, :-1] + rise, -b * phi[:, 1:] - rise)
@@ -117,8 +124,9 @@ def _fourth(u: FloatArray, e: FloatArray) -> float:
     if size == 0.0:
         return 0.0
     along = abs(float(np.dot(u, e))) / size
-    # A difference of nearly equal squares: rounded up.
-    across = math.sqrt(max(0.0, float(np.dot(u, u)) - along * along) + 1e-14 * float(np.dot(u, u)))
+    # The areas that u and e span in each plane; nothing large is subtracted. Rounded up.
+    areas = [u[i] * e[j] - u[j] * e[i] for i, j in itertools.combinations(range(len(u)), 2)]
+    across = math.hypot(*areas) / size + 1e-14 * math.hypot(*u.tolist())
     straight, mixed, square = HALF_NORMS
     return size * size * (straight * along * along + 2.0 * mixed * along * across + square * across * across)
 
@@ -242,7 +250,7 @@ def _read(
     Images that are said to lie on the lattice and do not are not read.
     """
     whole = np.rint(position)
-    exact = np.abs(position - whole) <= ROUNDING
+    exact = np.abs(position - whole) <= ON_LATTICE
     base = np.where(exact, whole, np.floor(position)).astype(np.int64)
     rest = np.where(exact, 0.0, position - base)
     last = np.array(shape) - 1
@@ -305,7 +313,7 @@ def doubled(rows: NDArray, shape: tuple[int, ...]) -> NDArray:
     table = rows.reshape(len(rows), *shape)
     for axis in range(1, len(shape) + 1):
         table = np.repeat(table, 2, axis=axis)
-    return table.reshape(len(rows), -1)
+    return table.reshape(len(rows), 2 ** len(shape) * math.prod(shape))
 
 
 def places_of(part: AgentPart) -> int:

@@ -18,6 +18,10 @@ from ..values import Merges, Terms
 from .forward_mass import mass_at_start
 from .linear_check import linear_tables, linear_values, masks_of, places_of
 
+KEPT = 1.0 - 1e-9
+"""Share of a factor of a linear agent that a remainder is taken from, as in the search: how a difference of nearly
+equal factors bends is decided by digits that rounding has lost, and a larger remainder may bend more."""
+
 
 class BrokenTreeError(ValueError):
     """A certificate's tree is not a tree of its guards."""
@@ -54,7 +58,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
             _check_merges(merges, kept)
             for i, part in enumerate(certificate.agents):
                 keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
-                vertex = _unite(masks[i], factors[i], keys, merges, i)
+                vertex = _unite(masks[i], factors[i], keys, merges, i, KEPT if linear[i] is not None else 1.0)
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent = linear[i]
                 if tables_of_agent is not None:
@@ -128,11 +132,14 @@ def _check_merges(merges: Merges, kept: NDArray[np.int64]) -> None:
         raise BrokenTreeError("its tree counts a vertex twice")
 
 
-def _unite(masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, merges: Merges, i: int) -> FloatArray:
+def _unite(
+    masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, merges: Merges, i: int, share: float = 1.0
+) -> FloatArray:
     """Factors (N, S) of agent i of the vertices before smoothing: masked, and united as the tree says.
 
     ``a x b + a' x b' >= (a + a') x m + a x (b - m)`` with m the minimum of b and b': the last product, or that of the
-    other vertex, may stay as a remainder. Where products have more factors, m stands in all but one of them.
+    other vertex, may stay as a remainder. Where products have more factors, m stands in all but one of them. Of b only
+    a ``share`` is kept before m is taken off, for less is sound as well.
     """
     vertex = masks[keys[:, 0]] * factors[keys[:, 1]]
     columns = (merges.into, merges.absorbed, merges.agent, merges.rests)
@@ -142,7 +149,8 @@ def _unite(masks: NDArray[np.bool_], factors: FloatArray, keys: NDArray, merges:
         least = np.minimum(first, second)
         vertex[a] = first + second if agent == i else least
         if rest:
-            vertex[b] = kept if agent == i else (kept - least if abs(rest) - 1 == i else least)
+            remainder = np.maximum(kept * share - least, 0.0)
+            vertex[b] = kept if agent == i else (remainder if abs(rest) - 1 == i else least)
     return vertex
 
 

@@ -262,6 +262,12 @@ def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], se
         raise ValueError(f"`{name}`: expected none with relation `{asked}`, got {value!r}; ask for `ellipsoid`")
     models = models_of(problem, cells, dict(enumerate(kinds)), settings)
     ordered = tuple(models[i] for i in range(problem.n_agents))
+    lossy = sorted({model.relation.kind for model in ordered if model.delta > 0})
+    if lossy and any(model.is_linear for model in ordered):
+        raise ValueError(
+            f"`relation`: expected relations that are never lost beside `linear`, got `{lossy[0]}`; ask for `exact` or "
+            "`tube`, or for `ellipsoid` with `delta=0`"
+        )
     return Abstraction(ordered, settings.used_by(ordered))
 
 

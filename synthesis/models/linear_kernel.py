@@ -37,6 +37,9 @@ ROUNDING_OF_BENDS = 1e-11
 """Share of the largest value that is added to a bend: far above the rounding of sums and second derivatives. Points
 count as lattice points within as many lattice steps, too."""
 
+ROUNDING_ACROSS = 1e-14
+"""Share of a step by which its part across another one is rounded up."""
+
 HAT_SLACK = 64.0
 """Units in the last place by which a density may be off near the mean, several times over."""
 
@@ -207,8 +210,9 @@ def _fourth(u: FloatArray, e: FloatArray) -> float:
         return 0.0
     # Split u into its part along e and the rest: the density is the same in every direction.
     along = abs(float(u @ e)) / math.sqrt(length)
-    # Rounded up: a difference that should be 0 has a root far above it.
-    across = math.sqrt(max(0.0, float(u @ u) - along**2) + 1e-14 * float(u @ u))
+    # Lagrange's identity: the root of a difference of squares would turn rounding into errors far above it.
+    across = math.sqrt(0.5 * float(np.sum((np.outer(u, e) - np.outer(e, u)) ** 2)) / length)
+    across += ROUNDING_ACROSS * math.sqrt(float(u @ u))
     return length * (FOURTH * along**2 + 2.0 * MIXED * along * across + SQUARED * across**2)
 
 

@@ -23,8 +23,8 @@ INPUT_LEVELS = {1: 33, 2: 11, 3: 5}
 BEYOND_GRID = 3.0
 """Standard deviations that means may lie outside the grid: from farther away hardly any mass comes back."""
 
-EVEN = 1e-9
-"""Relative difference of widths up to which the cells of an axis count as equal."""
+EVEN = 5e-12
+"""Lattice steps by which the widths of an axis may differ for images to count as lying on the lattice."""
 
 LEAST_SLACK = 1e-5
 """Largest slack per step, for want of fourth derivatives, with which an image is read in few parts."""
@@ -46,12 +46,12 @@ def linear_model(
     # How finely images are read depends on the lattice, and that on the relation.
     deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
     lattice = _lattice(agent, relation, grid, deviations, per_cell)
-    even = all(np.ptp(np.diff(edges)) <= EVEN * np.max(np.diff(edges)) for edges in grid.edges)
+    pitch = np.array([axis[1] - axis[0] for axis in lattice])
+    even = all(np.ptp(np.diff(edges)) <= EVEN * step for edges, step in zip(grid.edges, pitch, strict=True))
     on_lattice = bool(relation.steers) and even and per_cell % 2 == 0
     # Steps between the points of an image that are read: of a widest cell, along each side.
     widest = np.array([np.max(np.diff(edges)) for edges in grid.edges])
     gain = np.eye(len(widest)) if relation.steers else relation.A
-    pitch = np.array([axis[1] - axis[0] for axis in lattice])
     lattice_steps = np.zeros((0, len(pitch))) if on_lattice else np.diag(pitch)
     # As few parts as will do; those of images on the lattice are whole lattice steps.
     possible = [n for n in range(2, per_cell + 1) if per_cell % n == 0] if on_lattice else [2, 4, MOST_PARTS]

@@ -106,7 +106,7 @@ def _joined(
 ) -> tuple[float, list[int]]:
     """Return the weight of the ladder that sums in the factor of agent i, and the terms that join it."""
     union = [term[head].copy() for term in terms]
-    weight, members = float(np.prod([u @ mass for u, mass in zip(union, masses, strict=True)])), []
+    weight, members = float(np.prod([u @ mass for u, mass in zip(union, masses, strict=True)])), list[int]()
     for k in others:
         larger = [u + term[k] if j == i else np.minimum(u, term[k]) for j, (u, term) in enumerate(zip(union, terms))]
         heavier = float(np.prod([u @ mass for u, mass in zip(larger, masses, strict=True)]))

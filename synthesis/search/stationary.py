@@ -95,7 +95,7 @@ def _modal(joint: JointModel, policies: Policies, occupancies: list[Occupancy]) 
                     for j, masses in enumerate(factors):
                         if j != i:
                             weight *= masses.sum(axis=1)[rows[:, j]]
-                    mass[t, q] = weight @ factors[i][rows[:, i]]
+                    mass[t, q] = joint.models[i].summed(weight @ factors[i][rows[:, i]])
         time = np.argmax(mass, axis=0)  # the first of equals: where nobody comes, that is time 0
         modal_policies.append(np.take_along_axis(policy, time[None], axis=0))
     return tuple(modal_policies)

@@ -54,6 +54,19 @@ class Terms:
         """Return how many numbers ``at`` holds per joint cell."""
         return len(self.index[q])
 
+    def products_between(
+        self, q: int, places: Sequence[NDArray], weights: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """Return the products (M, R) of the terms of state q, up to rounding, between places.
+
+        The factors of agent i are means of their numbers at its places (M, K_i), with weights (M, K_i).
+        """
+        rows = self.index[q]
+        product = np.ones((len(places[0]), len(rows)))
+        for i, (at, weight) in enumerate(zip(places, weights, strict=True)):
+            product *= np.einsum("lmk,mk->ml", self.factors[i][rows[:, i]][:, at], weight)
+        return product
+
     def total(self, q: int, weights: Sequence[NDArray]) -> float:
         """Return ``sum_r prod_i <weights[i], factor>`` for weights (S_i,) per agent, up to rounding."""
         rows = self.index[q]

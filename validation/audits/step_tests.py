@@ -47,7 +47,7 @@ from ..statistics import check_confidence
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
 from .audit_report import AuditReport, joined_report, report_of
 from .ledger import STAKES, Ledger
-from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_at
+from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_between
 
 INCREMENT_SLACK = 1e-9
 """Added to every increment: more than rounding takes from a true certificate, less than any test can see."""
@@ -189,7 +189,8 @@ def _moment(setup: _Setup, dynamics: Dynamics, frame: Frame, count: int, was_ope
     cells = standing_cells(setup.certificate, dynamics, worlds, setup.loop.arranged[1], frame.memory)[:count]
     here = np.flatnonzero(open_)
     if len(here):
-        value = values_at(setup.values[time], worlds.q[here], cells[here])
+        states = core.joint(dynamics, worlds)[here]
+        value = values_between(setup.certificate, setup.values[time], worlds.q[here], cells[here], states)
         if setup.charge is not None:
             value = value - setup.charge(time, worlds.q[here], cells[here])
         level[here] = np.clip(value, 0.0, 1.0)
@@ -212,7 +213,8 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
     step = after.level[rows] - level
     wealth = _wealth(step, 1.0 - level)
     _add(q, wealth, step, ledger.wealth[time], ledger.worlds[time], ledger.increments[time])
-    # Split the step among the agents where the value is the certificate's tree, read at the cells of the states.
+    # Split the step among the agents where the value is the certificate's tree, read at the cells of the states. What
+    # is united at corners is not united at points between them: linear agents are left out.
     levels, certificate, now = None, setup.certificate, setup.values[time]
     following = setup.values[time + 1] if time + 1 < problem.horizon else terminal_values(certificate)
     if (
@@ -220,6 +222,7 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
         and isinstance(following, Terms)
         and not remembers(before.frame.memory)
         and setup.charge is None
+        and not any(part.is_linear for part in certificate.agents)
         and tree_fits(certificate, time, now, following)
     ):
         outside = agents_outside(dynamics, after.frame.worlds)[rows]

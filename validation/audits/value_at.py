@@ -70,6 +70,32 @@ def values_at(terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any]) -> NDA
     return values
 
 
+def values_between(
+    certificate: Certificate, terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any], states: NDArray[Any]
+) -> NDArray[Any]:
+    """Return the values (M,) in automaton states (M,) at joint cells (M, I), as ``values_at`` does.
+
+    Factors of linear agents are interpolated: they are read at joint states (M, D).
+    """
+    if not any(part.is_linear for part in certificate.agents):
+        return values_at(terms, q, cells)
+    assert isinstance(terms, Terms)  # linear agents have no trains
+    read = []
+    for i, (part, columns) in enumerate(zip(certificate.agents, certificate.problem.columns, strict=True)):
+        if part.is_linear:
+            read.append(part.places_at(certificate.controller.agents[i].project(states[:, columns].T)))
+        else:
+            read.append((cells[:, i, None], np.ones((len(cells), 1))))
+    values = np.zeros(len(q))
+    for state in np.unique(q):
+        here = np.flatnonzero(q == state)
+        numbers = len(here) * terms.work(int(state)) * max(places.shape[1] for places, _ in read)
+        for rows in np.array_split(here, max(1, -(-numbers // PRODUCTS))):
+            at, weights = [places[rows] for places, _ in read], [weight[rows] for _, weight in read]
+            values[rows] = terms.products_between(int(state), at, weights).sum(axis=1)
+    return values
+
+
 def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Charge | None:
     """Return what the certificate's bound subtracts: ``Delta Theta``, an upper bound; None if it subtracts nothing.
 
@@ -77,6 +103,11 @@ def charge_of(certificate: Certificate, values: Sequence[ValueFunction]) -> Char
     """
     if certificate.bound != "a-posteriori":
         return None
+    if any(part.is_linear for part in certificate.agents):
+        raise ValueError(
+            "`certificate`: expected the same loss in a whole cell, got the a-posteriori bound with linear agents; "
+            "use `validate`, or give the other agents a relation that is not lost"
+        )
     automaton, horizon = certificate.problem.automaton, certificate.problem.horizon
     trees = [value for value in values if isinstance(value, Terms)]
     # Trains have no terms with depths: every step that is left is charged.
@@ -163,6 +194,7 @@ def bound_by_steps_left(certificate: Certificate, values: Sequence[ValueFunction
     # With k steps left the policies of time T - k are played first, so the value at that time is the bound.
     charge, bounds = charge_of(certificate, values), []
     for time in reversed(range(len(values))):
-        bound = values_at(values[time], q, cells)[0] * (1.0 - certificate.relative_rounding)
+        value = values_between(certificate, values[time], q, cells, state)[0]
+        bound = value * (1.0 - certificate.relative_rounding)
         bounds.append(bound - (0.0 if charge is None else charge(time, q, cells)[0]))
     return np.clip(np.array(bounds), 0.0, 1.0)

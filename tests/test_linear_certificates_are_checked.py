@@ -1,0 +1,269 @@
+"""Certificates of linear agents claim what they store, survive files and rollouts, and are refused when forged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.bounds.dense import dense_optimum
+from certigym.synthesis.certificates import AgentPart
+from certigym.synthesis.values import Terms
+from certigym.validation.audits import claimed_values
+from problems import cart, cart_reach, scalar_agent, two_agents
+
+FALSE_ALARM = 1e-6
+"""Probability that rollouts refute a true certificate."""
+
+
+@cache
+def of_targets() -> cg.Certificate:
+    """Two scalar agents that choose targets; terms are united, and remainders are kept."""
+    return cg.synthesize(two_agents(horizon=4, noise_covariance=[[0.8]]), 40, relation="linear").certificate
+
+
+@cache
+def of_menu() -> cg.Certificate:
+    """A cart with one input."""
+    return cg.synthesize(cart_reach(cart()), [30, 15], relation="linear").certificate
+
+
+CERTIFICATES = {"targets": of_targets, "menu": of_menu}
+
+
+def product_at(certificate: cg.Certificate, state: np.ndarray) -> float:
+    """The value at one joint state: a sum over terms of products of interpolated factors, corner by corner."""
+    problem, terms = certificate.problem, certificate.value
+    assert isinstance(terms, Terms)
+    letter = [problem.labeling.class_at(i, state[columns, None])[:, 0] for i, columns in enumerate(problem.columns)]
+    q = int(problem.automaton.next_state(np.array(problem.automaton.initial), np.concatenate(letter)))
+    total = 0.0
+    for row in terms.index[q]:
+        term = 1.0
+        for i, (part, columns) in enumerate(zip(certificate.agents, problem.columns, strict=True)):
+            # One factor of 1 - share and share per axis, and the numbers of the cell's corners.
+            read, table = 0.0, terms.factors[i][row[i]].reshape([2 * n for n in part.grid.shape])
+            cell, share = [], []
+            for edges, x in zip(part.grid.edges, state[columns], strict=True):
+                k = min(int(np.searchsorted(edges, x, side="right")) - 1, len(edges) - 2)
+                cell.append(k)
+                share.append((x - edges[k]) / (edges[k + 1] - edges[k]))
+            for side in product((0, 1), repeat=len(cell)):
+                weight = np.prod([s if up else 1.0 - s for s, up in zip(share, side, strict=True)])
+                read += weight * table[tuple(2 * k + up for k, up in zip(cell, side, strict=True))]
+            term *= read
+        total += term
+    return total
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_claims_at_states_are_sums_over_corners(name: str) -> None:
+    certificate, rng = CERTIFICATES[name](), np.random.default_rng(0)
+    low = np.concatenate([agent.workspace.low for agent in certificate.problem.agents])
+    high = np.concatenate([agent.workspace.high for agent in certificate.problem.agents])
+    states = rng.uniform(low, high, size=(50, len(low)))
+    claimed = certificate.at(states)
+    expected = np.array([product_at(certificate, state) for state in states])
+    np.testing.assert_allclose(claimed, np.clip(expected, 0.0, 1.0), rtol=1e-9, atol=1e-12)
+    assert np.all(claimed <= expected) and claimed.max() > 0.5
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_means_and_minima_over_boxes(name: str) -> None:
+    """In one joint cell the mean is the value at the centre of the box; over several it is their weighted mean."""
+    certificate, rng = CERTIFICATES[name](), np.random.default_rng(1)
+    edges = [axis for part in certificate.agents for axis in part.grid.edges]
+    for _ in range(10):
+        first = [int(rng.integers(0, len(axis) - 2)) for axis in edges]
+        low = np.array([axis[k] + 0.3 * (axis[k + 1] - axis[k]) for axis, k in zip(edges, first, strict=True)])
+        high = np.array([axis[k + 1] + 0.6 * (axis[k + 2] - axis[k + 1]) for axis, k in zip(edges, first, strict=True)])
+        middle = np.array([axis[k + 1] for axis, k in zip(edges, first, strict=True)])
+        mean, volume = 0.0, np.prod(high - low)
+        for side in product((0, 1), repeat=len(edges)):
+            a, b = np.where(side, middle, low), np.where(side, high, middle)
+            mean += float(np.prod(b - a) / volume * product_at(certificate, 0.5 * (a + b)))
+        assert certificate.mean(low, high) == pytest.approx(mean, rel=1e-9, abs=1e-12)
+        inside = certificate.at(rng.uniform(low, high, size=(200, len(low))))
+        assert certificate.min(low, high) <= inside.min() + 1e-15
+        assert certificate.mean(low, low) == pytest.approx(float(certificate.at(low)[0]), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
+    """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
+    certificate = CERTIFICATES[name]()
+    cg.save_certificate(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    assert isinstance(loaded, cg.Certificate)
+    assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound
+    state = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    assert loaded.at(state) == certificate.at(state) > 0.8
+    report = cg.validate(loaded, 40_000, seed=1, confidence=1 - FALSE_ALARM)
+    assert report.verdict != "refuted" and report.details["inadmissible"] == 0
+    assert not cg.audit(loaded, 4_000, seed=2, confidence=1 - FALSE_ALARM).refuted
+
+
+def test_audits_refute_inflated_values() -> None:
+    """Power: the same audit refutes a value function that is a tenth too large."""
+    certificate = of_targets()
+    assert isinstance(certificate.value, Terms)
+    raised = Terms((1.1 * certificate.value.factors[0], *certificate.value.factors[1:]), certificate.value.index)
+    values = [raised, *claimed_values(certificate)[1:]]
+    assert cg.audit(certificate, 4_000, values=values, seed=2, confidence=1 - FALSE_ALARM).refuted
+
+
+def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    """The certificate with another first agent."""
+    return replace(certificate, agents=(replace(certificate.agents[0], **changes), *certificate.agents[1:]))
+
+
+def relation_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    return part_changed(certificate, relation=certificate.agents[0].relation | changes)
+
+
+def raised_factor(certificate: cg.Certificate, finished: bool = False) -> cg.Certificate:
+    """The largest number of a stored factor, a thousandth larger: one of a state that accepts, or of the first one."""
+    assert certificate.terms is not None
+    automaton, terms = certificate.problem.automaton, certificate.terms
+    q = int(np.flatnonzero(automaton.finished)[0]) if finished else automaton.initial
+    factors, row = terms.factors[0].copy(), int(terms.index[q][0, 0])
+    factors[row, np.argmax(factors[row])] += 1e-3
+    return replace(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
+
+
+def negative_corner(certificate: cg.Certificate) -> cg.Certificate:
+    assert certificate.terms is not None
+    factors = certificate.terms.factors[0].copy()
+    factors[0, 0] = -0.1
+    return replace(certificate, terms=Terms((factors, *certificate.terms.factors[1:]), certificate.terms.index))
+
+
+def unreachable(certificate: cg.Certificate, choice: int) -> cg.Certificate:
+    """All cells choose one target, from whatever distance."""
+    return part_changed(certificate, policy=np.full_like(certificate.agents[0].policy, choice))
+
+
+def shifted(part: AgentPart, share: float) -> tuple[np.ndarray, ...]:
+    return tuple(axis + share * (axis[1] - axis[0]) for axis in part.lattice)
+
+
+def flipped(certificate: cg.Certificate) -> cg.Certificate:
+    """Every remainder keeps the factor of the other vertex, and is subtracted from the wrong one."""
+    steps = [
+        replace(step, merges=tuple(replace(merges, rest=-merges.rests) for merges in step.merges))
+        for step in certificate.skeleton
+    ]
+    return replace(certificate, skeleton=tuple(steps))
+
+
+TARGETS: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
+    "a stored factor raised": raised_factor,
+    "a corner below 0": negative_corner,
+    "targets out of reach": lambda c: unreachable(c, 0),
+    "targets out of reach, gain 1": lambda c: unreachable(c, int(np.prod(c.agents[0].lattice_shape))),
+    "the lattice shifted by half a step": lambda c: part_changed(c, lattice=shifted(c.agents[0], 0.5)),
+    "a stored factor of a finished state raised": lambda c: raised_factor(c, finished=True),
+    "fewer parts": lambda c: relation_changed(c, parts=1),
+    "remainders of the wrong vertices": flipped,
+    "a gap": lambda c: replace(c, gap=0.01),
+    "called exact": lambda c: replace(c, gap=0.0, exact=True),
+    "the bound raised": lambda c: replace(
+        c, lower_bound=c.lower_bound + 1e-4, bounds={"nominal": c.lower_bound + 1e-4}
+    ),
+    "another bound": lambda c: replace(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
+    "called an exact relation": lambda c: part_changed(c, relation={"kind": "exact"}),
+}
+MENU: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
+    "a stored factor raised": raised_factor,
+    "a stored factor of a finished state raised": lambda c: raised_factor(c, finished=True),
+    "inputs outside their box": lambda c: relation_changed(
+        c, menu=(1.5 * np.array(c.agents[0].relation["menu"])).tolist()
+    ),
+    "inputs exchanged": lambda c: relation_changed(c, menu=c.agents[0].relation["menu"][::-1]),
+    "an input that is not there": lambda c: unreachable(c, len(c.agents[0].relation["menu"])),
+    "fewer parts": lambda c: relation_changed(c, parts=1),
+    "no menu": lambda c: relation_changed(c, menu=[]),
+}
+
+
+def refused(forge: Callable[[cg.Certificate], cg.Certificate], certificate: cg.Certificate, file: Path) -> bool:
+    """Whether a forgery is refused, in words, by the record, the reader or the check."""
+    try:
+        cg.save_certificate(forge(certificate), file)
+        return not cg.check(cg.load_certificate(file))
+    except ValueError:
+        return True
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_forged_targets_are_refused(name: str, tmp_path: Path) -> None:
+    assert cg.check(of_targets())
+    assert refused(TARGETS[name], of_targets(), tmp_path / "forged.npz")
+
+
+@pytest.mark.parametrize("name", MENU)
+def test_forged_menus_are_refused(name: str, tmp_path: Path) -> None:
+    assert cg.check(of_menu())
+    assert refused(MENU[name], of_menu(), tmp_path / "forged.npz")
+
+
+def test_given_policies_are_put_on_linear_cells() -> None:
+    """The certificate's own controller comes back as itself; improving does not lower it."""
+    for certificate, cells in ((of_targets(), 40), (of_menu(), [30, 15])):
+        again = cg.certify(certificate.problem, certificate.controller, cells, relation="linear")
+        assert again.certificate.lower_bound == pytest.approx(certificate.lower_bound, abs=1e-6)
+        assert cg.check(again.certificate)
+        better = cg.improve(certificate.problem, certificate.controller, cells, relation="linear", max_sweeps=1)
+        assert better.certificate.lower_bound >= again.certificate.lower_bound
+
+
+def test_policies_that_ignore_the_time_are_certified() -> None:
+    for certificate, cells in ((of_targets(), 40), (of_menu(), [30, 15])):
+        found = cg.synthesize(certificate.problem, cells, relation="linear", stationary=True).certificate
+        assert found.agents[0].policy.shape[0] == 1 and cg.check(found)
+        assert 0.5 < found.lower_bound <= certificate.lower_bound + 1e-3
+
+
+def test_relations_that_may_be_lost_are_refused_beside_linear() -> None:
+    problem = two_agents(horizon=2, noise_covariance=[[0.8]])
+    with pytest.raises(ValueError, match="never lost beside `linear`"):
+        cg.synthesize(problem, 40, relation={"one": "linear", "two": "paper"})
+    assert cg.check(cg.synthesize(problem, 40, relation={"one": "linear", "two": "exact"}).certificate)
+
+
+def test_what_linear_agents_cannot_have_is_refused_in_words() -> None:
+    problem = of_targets().problem
+    with pytest.raises(ValueError, match="`value`: expected 'auto' or 'tree'"):
+        cg.synthesize(problem, 20, relation="linear", value="train")
+    with pytest.raises(ValueError, match="relations `exact` and `tube`, got linear"):
+        cg.check_rigorous(of_targets())
+    with pytest.raises(ValueError, match="one value per cell"):
+        dense_optimum(problem, cg.abstract(problem, 20, relation="linear").models)
+    pytest.importorskip("torch")
+    with pytest.raises(ValueError, match="`device`: expected `numpy`"):
+        cg.synthesize(problem, 20, relation="linear", device="torch:cpu")
+
+
+@pytest.mark.parametrize("sliver", [0.0, 1e-13, 3e-12, 1e-11, 1e-10, 3e-9, 1e-7])
+def test_cells_that_are_nearly_even_are_accepted(sliver: float) -> None:
+    """A region boundary next to a lattice of even cells: search and check agree on whether images lie on it."""
+    agents = [scalar_agent("one"), scalar_agent("two")]
+    problem = cg.Problem(
+        name="nearly even",
+        horizon=3,
+        agents=agents,
+        propositions={"goal": cg.Proposition("one", [1.0 + sliver], [3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
+    # The second agent is in no proposition, so it has no masks.
+    certificate = cg.synthesize(problem, 32, relation="linear").certificate
+    assert certificate.lower_bound > 0.5
+    report = cg.check(certificate)
+    assert report, str(report)
