@@ -250,4 +250,6 @@ def test_default_cells_are_doubled_where_no_relation_applies() -> None:
 def test_agents_that_nothing_fits_are_refused_with_the_first_reason() -> None:
     runaway = cart(A=[[1.3, 0.0], [0.0, 0.5]], B=[[0.0], [1.0]], initial_state=[0.0, 0.0])
     with pytest.raises(ValueError, match="no feedback stabilises"):
-        cg.synthesize(cart_reach(runaway, horizon=2))
+        cg.synthesize(cart_reach(runaway, horizon=2), 80)
+    # Linear cells, which are tried where cells are left out, need no feedback.
+    assert kinds_of(cg.synthesize(cart_reach(runaway, horizon=2)).certificate) == ["linear"]

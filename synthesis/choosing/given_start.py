@@ -16,6 +16,7 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..certificates import AgentPart, Certificate, checked_certificate
 from ..models import Abstraction, AgentModel, InputMenu, Policies
+from ..relations import describe_relation
 
 
 def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
@@ -56,8 +57,12 @@ def _moves(agent: LinearAgent) -> dict[str, Any]:
 def _choices_fit(part: AgentPart, model: AgentModel) -> bool:
     """Return whether the choices of a certificate's agent mean the same in a model: equal cells, lattice and menu."""
     axes = [*zip(part.grid.edges, model.grid.edges, strict=False), *zip(part.lattice, model.lattice, strict=False)]
-    if part.policy.shape[-1] != model.n_cells or not all(np.array_equal(a, b) for a, b in axes):
+    if part.policy.shape[-1] != model.grid.n_cells or not all(np.array_equal(a, b) for a, b in axes):
         return False
+    if part.is_linear != model.is_linear:
+        return False
+    if model.is_linear:
+        return describe_relation(model.relation) == part.relation
     if isinstance(model.choices, InputMenu):
         return part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)
     return part.menu is None
