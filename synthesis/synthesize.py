@@ -49,7 +49,10 @@ from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary
 from .values import HOST, device_put
 
 MOST_LINEAR_AGENTS = 2
-"""Agents of a task up to which linear cells are tried without being asked for."""
+"""Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
+
+MOST_LINEAR_TERMS = 32
+"""Terms of the value trees of further agents up to which linear cells, which pay for every term, are tried."""
 
 Clock = tuple[float, float]
 """When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
@@ -241,12 +244,18 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
-    return {*kinds} == {"auto"} and problem.n_agents <= MOST_LINEAR_AGENTS and plan.settings == Settings()
+    few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
+    return {*kinds} == {"auto"} and few and plan.settings == Settings()
 
 
 def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the better of what linear cells, made finer level by level, and the other relations certify."""
     began = time.perf_counter()
+    if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS:
+        # The other relations are quick for single states, and show whether the tree grows many terms.
+        first = _compared(problem, None, kinds, plan)
+        if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
+            return first
     linear, record = _linear_levels(problem, plan)
     if linear is None:
         return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
