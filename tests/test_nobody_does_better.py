@@ -188,7 +188,7 @@ def cut(formula: str, names: tuple[str, ...] = ("plane",), **start: object) -> c
         state_high=[4.0, 4.0],
         input_low=[-0.01, -0.01],
         input_high=[0.01, 0.01],
-        **start,  # type: ignore[arg-type]
+        **start,
     )
     regions = {}
     for name in names:
