@@ -113,22 +113,23 @@ def certificate_of(
         start_target=joint.start_guards.target,
         start_mask=joint.start_guards.mask,
         skeleton=grown.skeleton if isinstance(grown, Sweep) else (),
-        terms=_stored(joint, grown.terms) if isinstance(grown, Sweep) else None,
+        terms=_stored(problem, joint, grown.terms) if isinstance(grown, Sweep) else None,
         rank=grown.rank,
         settings=settings,
         rounding=grown.rounding if isinstance(grown, TrainSweep) else None,
     )
 
 
-def _stored(joint: JointModel, terms: Terms) -> Terms:
+def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
     """Return the value function to be stored: factors of linear agents a little lower, which a lower bound may be.
 
-    What remains after unions from below, and how much an image bends, depend on rounding in both directions; a check
-    that computes both anew must find no factor too large.
+    What remains after unions from below, and how much an image bends, depend on rounding in both directions; so do
+    means, by what an execution may lose. A check that computes all of them anew must find no factor too large.
     """
     factors = []
-    for model, rows in zip(joint.models, terms.factors, strict=True):
-        loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + STORED_LOSS
+    for agent, model, rows in zip(problem.agents, joint.models, terms.factors, strict=True):
+        lost = joint.horizon * model.relation.execution_loss(agent, model.grid.edges)
+        loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + STORED_LOSS + lost
         lower = np.maximum(rows - loss, 0.0)
         factors.append(lower if model.is_linear else rows)
     return Terms(tuple(factors), terms.index)

@@ -14,6 +14,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.checking.certificate_check import _is_inverted
 from certigym.synthesis.values.terms import Terms
 from problems import scalar_agent, two_agents
 
@@ -245,6 +246,39 @@ def test_correlated_noise_is_not_hidden_by_the_scale_of_an_axis() -> None:
     assert "not independent" in str(cg.check(hidden))
     flat = with_agent(certificate, 0, coordinates=np.ones((2, 2)))
     assert "cannot be inverted" in str(cg.check(flat))
+
+
+@pytest.mark.parametrize("units", [[1.0, 1.0], [1e-7, 1e8], [1e6, 1e-6]])
+def test_whether_coordinates_are_inverted_does_not_depend_on_units(units: list[float]) -> None:
+    scale = np.diag(units)
+    noise, flat = np.array([[0.1, 0.05], [0.05, 0.1]]), np.array([[1.0, 0.3], [3.0, 0.9 + 1e-12]])
+    for grid_units in (np.eye(2), np.linalg.inv(scale)):  # the axes of a grid may have units of their own
+        own = scale @ np.array([[1.0, 0.0], [0.123456789, 1.0]]) @ grid_units
+        assert _is_inverted(own, scale @ noise @ scale)
+        assert not _is_inverted(scale @ flat @ grid_units, scale @ noise @ scale)
+
+
+def test_correlated_states_in_far_apart_units_are_checked() -> None:
+    agent = cg.LinearAgent(
+        name="one",
+        A=[[0.5, 6.667783779024805e-12], [0.0, 1.0]],
+        B=[[0.0], [11668084.094715789]],
+        noise_covariance=[[3.1188848557110475e-10, -0.4939309300919992], [-0.4939309300919992, 25810526296.692253]],
+        state_low=[-0.000742, -23500000.0],
+        state_high=[0.000742, 23500000.0],
+        input_low=[-0.6],
+        input_high=[0.6],
+        initial_state=[0.0, 0.0],
+    )
+    problem = cg.Problem(
+        name="one",
+        horizon=2,
+        agents=[agent],
+        propositions={"g": cg.Proposition("one", [-0.0006, -1.2e7], [0.0007, 2.4e7])},
+        specification=cg.Specification("F g", "co-safe"),
+    )
+    report = cg.check(cg.synthesize(problem, [5, 7], relation="linear"))
+    assert report, str(report)
 
 
 def test_other_coordinates_are_refused_where_the_start_is_a_box() -> None:

@@ -267,3 +267,32 @@ def test_cells_that_are_nearly_even_are_accepted(sliver: float) -> None:
     assert certificate.lower_bound > 0.5
     report = cg.check(certificate)
     assert report, str(report)
+
+
+def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
+    """A drift of billions that the input holds against: two sums of the same mean differ by 1e-6."""
+    drift = 2.4e10
+    agent = cart(
+        A=[[0.9, -0.07], [0.0, 0.5]],
+        B=[[0.0], [0.26440596508103253]],
+        offset=[0.0, -0.26440596508103253 * drift],
+        noise_covariance=[[0.0005, 0.0], [0.0, 0.01]],
+        state_low=[-1.0, -1.0],
+        state_high=[1.0, 1.0],
+        input_low=[drift - 0.7],
+        input_high=[drift + 0.6],
+        initial_state=[0.2, -0.1],
+    )
+    problem = cg.Problem(
+        name="held",
+        horizon=4,
+        agents=[agent],
+        propositions={"p": cg.Proposition("cart", [-0.885, -0.175], [0.0332, 0.511])},
+        specification=cg.Specification("G[0,1] p", "co-safe"),
+    )
+    for start in ([0.2, -0.1], [-0.3, 0.1]):
+        held = problem.replace(initial_state=start)
+        certificate = cg.synthesize(held, [13, 14], relation="linear", max_sweeps=2).certificate
+        report = cg.check(certificate)
+        assert report, str(report)
+    assert certificate.lower_bound > 0.1

@@ -175,10 +175,11 @@ def test_independent_tasks_multiply_them() -> None:
     assert result.certificate.lower_bound <= most == pytest.approx(alone**11) and most < 0.9
 
 
-def test_starts_whose_letter_is_not_certain_count_in_full() -> None:
-    """A ninth of the start box is in the region, which cuts through the cell that holds the box."""
+def cut(formula: str, names: tuple[str, ...] = ("plane",), **start: object) -> cg.Problem:
+    """Agents that start, by default, in boxes of which ``near`` cuts out ``NEAR``, aslant to all cells."""
+    start = start or {"initial_low": [-0.2, -0.2], "initial_high": [0.2, 0.2]}
     agent = cg.LinearAgent(
-        name="plane",
+        name=names[0],
         A=0.5 * np.eye(2),
         B=np.eye(2),
         noise_covariance=0.1 * np.eye(2),
@@ -187,14 +188,63 @@ def test_starts_whose_letter_is_not_certain_count_in_full() -> None:
         state_high=[4.0, 4.0],
         input_low=[-0.01, -0.01],
         input_high=[0.01, 0.01],
-        initial_low=[-0.2, -0.2],
-        initial_high=[0.2, 0.2],
+        **start,
     )
-    problem = cg.Problem(
+    regions = {}
+    for name in names:
+        regions[f"near_{name}"] = cg.Proposition(name, [0.0], [0.05])
+        regions[f"far_{name}"] = cg.Proposition(name, [1.5], [9.0])
+    agents = [agent.replace(name=name) for name in names]
+    return cg.Problem(
         name="cut",
         horizon=1,
-        agents=[agent],
-        propositions={"near": cg.Proposition("plane", [0.0], [0.05])},
-        specification=cg.Specification("near", "co-safe"),
+        agents=agents,
+        propositions=regions,
+        specification=cg.Specification(formula, "co-safe"),
     )
-    assert bound(problem, 5) > 0.05 * 2.5 * 0.9
+
+
+NEAR = (0.4 * 0.05 - 0.5 * 0.05**2) / 0.4**2
+"""Probability that two numbers that are uniform on [-.2, .2] have a sum in [0, .05]: their density is triangular."""
+
+
+def far_from(total: np.ndarray) -> np.ndarray:
+    """What the best inputs do for reaching ``far`` from states with this sum: the noise has variance .2."""
+    return np.asarray(norm.sf((1.5 - 0.5 * total - 0.02) / np.sqrt(0.2)))
+
+
+def test_starts_whose_letter_is_not_certain_count_in_full() -> None:
+    """A ninth of the start box is in the region, which cuts through the cell that holds the box."""
+    assert bound(cut("near_plane"), 5) > NEAR
+    assert NEAR < bound(cut("near_plane"), 80) < 1.0
+
+
+@pytest.mark.parametrize("cells", [5, 16, 40, 80])
+def test_starts_that_may_have_succeeded_are_not_read_as_waiting(cells: int) -> None:
+    """For a lower bound, a letter that may accept or not is read as one that does not; here it is the other way."""
+    most = bound(cut("near_plane | X far_plane"), cells)
+    total = np.linspace(-0.4, 0.4, 4001)
+    density = (0.4 - np.abs(total)) / 0.4**2
+    worth = np.where((total >= 0.0) & (total <= 0.05), 1.0, far_from(total))
+    assert most >= np.sum(density * worth) / np.sum(density) - 1e-3 > NEAR - 1e-3
+    assert cells < 80 or most < 0.7
+
+
+@pytest.mark.parametrize("cells", [5, 60])
+def test_some_letters_certain_and_others_not(cells: int) -> None:
+    """One of two agents may have succeeded, or both; some cells are cut and some are not."""
+    both = bound(cut("near_a & near_b | X (far_a & far_b)", ("a", "b")), cells)
+    either = bound(cut("near_a | near_b | X (far_a & far_b)", ("a", "b")), cells)
+    assert both >= NEAR**2 and either >= 1.0 - (1.0 - NEAR) ** 2
+    assert cells < 60 or both < 0.6
+
+
+def test_no_point_of_a_start_cell_is_worth_more_than_a_box_in_it() -> None:
+    """Points on an edge of the region, next to it, and anywhere."""
+    formula, rng = "near_plane | X far_plane", np.random.default_rng(0)
+    edges = [[0.0, 0.0], [0.1, -0.1], [0.02, 0.03], [-1e-17, 0.0], [-1e-9, 0.0], [0.05, 1e-9]]
+    in_box = bound(cut(formula), 5)
+    for point in [*edges, *rng.uniform(-0.2, 0.2, size=(20, 2)).tolist()]:
+        at_point = bound(cut(formula, initial_state=point), 5)
+        truth = 1.0 if 0.0 <= point[0] + point[1] <= 0.05 else float(far_from(np.array(sum(point))))
+        assert truth <= at_point <= in_box

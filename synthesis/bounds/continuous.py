@@ -4,7 +4,7 @@ Every agent is relaxed as in ``relaxation``, and everything that the finite mode
 
 - the mean of the next state may be any that *some* point of the cell and *some* admissible input lead to, and any in
   the smallest box around these, in noise coordinates;
-- the letter is the best of all that occur in the cell; outside the workspace a run has failed.
+- the letter is the best of all that occur in the cell, at the start as well; outside the workspace a run has failed.
 
 The supremum over a box of means is taken over the points of a lattice with spacing h. With V between 0 and M, the
 expectation ``g(m) = E[V(m + w)]`` has ``|d2g/dm_k^2| <= (M/2) E|z^2 - 1| / sigma_k^2``, since the density's second
@@ -125,6 +125,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     None if the lattice of an agent would be too large.
     """
     values: list[FloatArray] = []
+    begins: list[FloatArray] = []
     optimists: dict[object, Optimist | None] = {}
     computed: dict[object, FloatArray] = {}
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
@@ -141,18 +142,48 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
         if key not in computed:
             computed[key] = _values(joint, optimist, possible)
         values.append(computed[key])
-    # The product over agents bounds the joint value (Proposition 3); sum it over the mass at the start.
-    total, mass = 0.0, 0.0
+        begins.append(_arriving(computed[key], possible, problem.automaton.initial))
+    # The product over agents bounds the joint value (Proposition 3); sum it over the mass at the start. The letter of a
+    # point is known, that of a cell of a box only where it has one.
+    point = _is_point(problem)
+    known = [np.ones(model.grid.n_cells) if point else _has_one_letter(model) for model in joint.models]
+    total = 0.0
     for q, rows in enumerate(start.terms.index):
         for row in rows:
             triples = zip(joint.models, start.terms.factors, row, strict=True)
             shares = [model.summed(to_host(factors)[k]) for model, factors, k in triples]
-            mass += math.prod(float(share.sum()) for share in shares)
-            total += math.prod(float(share @ value[q]) for share, value in zip(shares, values, strict=True))
-    # The occupancy leaves out cells of a box whose first letter is not certain: count them as 1.
-    unread = 0.0 if _is_point(problem) else max(0.0, 1.0 - mass)
+            worth = zip(shares, known, values, strict=True)
+            total += math.prod(float((share * certain) @ value[q]) for share, certain, value in worth)
+    unread = 0.0 if point else _unread(problem, joint, known, begins)
     n = sum(joint.n_cells) + len(values)
-    return min(1.0, total * (1.0 + 4.0 * n * UNIT) + unread + 1e-12)
+    return min(1.0, (total + unread) * (1.0 + 4.0 * n * UNIT) + 1e-12)
+
+
+def _unread(problem: Problem, joint: JointModel, known: list[FloatArray], begins: list[FloatArray]) -> float:
+    """Return an upper bound on what the start box is worth where some agent's letter is not known.
+
+    There each agent reads the best letter of its cell. Of the agents whose letters are not known one is the first.
+    """
+    pairs = zip(problem.agents, joint.models, strict=True)
+    shares = [model.summed(model.share(agent.initial.low, agent.initial.high)) for agent, model in pairs]
+    everywhere = [float(share @ begin) for share, begin in zip(shares, begins, strict=True)]
+    total, before = 0.0, 1.0
+    for i, (share, certain, begin) in enumerate(zip(shares, known, begins, strict=True)):
+        total += before * float((share * (1.0 - certain)) @ begin) * math.prod(everywhere[i + 1 :])
+        before *= float((share * certain) @ begin)
+    return total
+
+
+def _has_one_letter(model: AgentModel) -> FloatArray:
+    """Return 1 for cells (S,) whose points all have one class and lie inside the workspace, 0 for others."""
+    labels = model.start_labels
+    single = np.append(labels.sets.sum(axis=1) == 1, False)  # the last entry is read by cells with label -1
+    return single[labels.number].astype(float)
+
+
+def _arriving(value: FloatArray, possible: NDArray[np.bool_], q: int) -> FloatArray:
+    """Return upper bounds (S,) on what the best letter of each cell is worth that is read in state q."""
+    return np.asarray((possible[q].T * value).max(axis=0))
 
 
 def _values(joint: JointModel, optimist: Optimist, possible: NDArray[np.bool_]) -> FloatArray:
@@ -161,9 +192,7 @@ def _values(joint: JointModel, optimist: Optimist, possible: NDArray[np.bool_]) 
     settled = value.copy()
     for _ in range(joint.horizon):
         # The best letter of each cell, inside the expectation.
-        arriving = np.zeros_like(value)
-        for p in range(joint.n_states):
-            arriving = np.maximum(arriving, possible[:, :, p] * value[p])
+        arriving = [_arriving(value, possible, q) for q in range(joint.n_states)]
         for q in range(joint.n_states):
             value[q] = settled[q] if joint.absorbing[q] else optimist.back(arriving[q])
     return value

@@ -51,6 +51,9 @@ from .upper_end import MOST, attained, inexact
 CORRELATION = 1e-11
 """Largest correlation between the noises of two grid axes that counts as rounding."""
 
+INVERSE = 1e-9
+"""By how much, in deviations of the noise, states may change on the way to grid coordinates and back."""
+
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
 
@@ -201,7 +204,7 @@ def _check_grids(certificate: Certificate) -> list[str]:
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         low = np.array([edges[0] for edges in part.grid.edges])
         high = np.array([edges[-1] for edges in part.grid.edges])
-        if not _is_inverted(part.coordinates):
+        if not _is_inverted(part.coordinates, agent.noise_covariance):
             failures.append(f"the grid coordinates of agent `{agent.name}` cannot be inverted")
             continue
         identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
@@ -221,13 +224,19 @@ def _check_grids(certificate: Certificate) -> list[str]:
     return failures
 
 
-def _is_inverted(coordinates: FloatArray) -> bool:
-    """Return whether the computed inverse of the grid coordinates is an inverse; everything else relies on it."""
+def _is_inverted(coordinates: FloatArray, covariance: FloatArray) -> bool:
+    """Return whether the computed inverse of the grid coordinates is an inverse; everything else relies on it.
+
+    States are counted in deviations of their noise, so that their units do not matter.
+    """
     try:
         inverse = np.linalg.inv(coordinates)
     except np.linalg.LinAlgError:
         return False
-    return bool(np.all(np.abs(coordinates @ inverse - np.eye(len(coordinates))) <= 1e-9))
+    variances = np.diag(covariance)
+    units = np.sqrt(np.where(variances > 0, variances, 1.0))
+    off = np.abs(coordinates @ inverse - np.eye(len(coordinates)))
+    return bool(np.all(off * units <= INVERSE * units[:, None]))
 
 
 def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> bool:
