@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import certigym as cg
+from certigym.synthesis.cells import Grid
 from certigym.synthesis.checking import linear_check
+from certigym.synthesis.models.kernel import Kernel
 from certigym.synthesis.models.linear_kernel import (
     LinearKernel,
     _fourth,
@@ -18,6 +21,7 @@ from certigym.synthesis.models.linear_kernel import (
     rounding_of_bends,
     uniform_axis,
 )
+from certigym.synthesis.models.linear_model import linear_model
 
 mpmath.mp.dps = 50
 
@@ -140,3 +144,37 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float) -> 
         worst = max(worst, float(np.max(gap[1:5] / allowed[1:5])))
     # The bound is not idle.
     assert worst > 0.1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) -> None:
+    """The loss is a sum of suprema; the largest sum at a single point, as it was once, is less."""
+    rng = np.random.default_rng(seed)
+    problem = cg.make_problem("car-park-planar-v0")
+    agent = problem.agents[0]
+    grid = Grid(tuple(np.linspace(a, b, 13) for a, b in zip(agent.state_low, agent.state_high, strict=True)))
+    relation, lattice, kernel, _ = linear_model(agent, grid, np.eye(2), 4)
+    factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
+    bends = kernel.smooth(factors)[:, kernel.n_points :]
+    each = []
+    for axis in range(2):
+        tables = [(kernel.tables, kernel.curvatures)[axis == k][k] for k in range(2)]
+        square = float(np.sum(kernel.steps[:, axis] ** 2))
+        each.append(0.125 * square * np.maximum(Kernel(tuple(tables)).smooth(factors), 0.0))
+    for factor in range(4):
+        # Any window of lattice points may be the image of a cell.
+        for _ in range(200):
+            window = tuple(slice(k, k + 5) for k in rng.integers(0, np.array(kernel.lattice_shape) - 5))
+            seen = bends[factor].reshape(kernel.lattice_shape)[window].max()
+            suprema = sum(s[factor].reshape(kernel.lattice_shape)[window].max() for s in each)
+            assert seen >= suprema
+    assert relation.kind == "linear" and len(lattice) == 2
+
+
+def test_shares_of_directions_sum_to_one_in_the_check() -> None:
+    """Whatever the shares are, the largest s_k / share_k is at least the sum of the largest s_k if they sum to 1."""
+    for name, cells in (("car-park-planar-v0", 12), ("integrator-chain-v0", 30)):
+        problem = cg.make_problem(name, horizon=1)
+        part = cg.synthesize(problem, cells, relation="linear").certificate.agents[0]
+        shares = linear_check.linear_tables(problem.agents[0], part).shares
+        assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)

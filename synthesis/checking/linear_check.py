@@ -51,13 +51,15 @@ EVEN = 6e-12
 class LinearTables:
     """Hat masses (Z, 2 S) of every axis, from below, their derivatives, and the steps between points of images.
 
-    ``between`` says whether points between those of the lattice are read, and paid for.
+    ``shares`` are those of the steps in what an image bends; ``between`` says whether points between those of the
+    lattice are read, and paid for.
     """
 
     masses: list[FloatArray]
     slopes: list[FloatArray]
     curvatures: list[FloatArray]
     steps: FloatArray
+    shares: FloatArray
     parts: int
     slack: float
     between: bool
@@ -85,7 +87,8 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     slack = float(sum(_fourth(u / deviations, e / deviations) for u in steps for e in steps)) / 64.0
     slack += ROUNDING * (2.0 + float(np.sum(pitch / deviations)))
     masses, slopes, curvatures = tables
-    return LinearTables(masses, slopes, curvatures, steps, parts, slack, not aligned)
+    lengths = np.array([float(np.dot(u / deviations, u / deviations)) for u in steps])
+    return LinearTables(masses, slopes, curvatures, steps, lengths / lengths.sum(), parts, slack, not aligned)
 
 
 def _grid_matrix(agent: LinearAgent, part: AgentPart) -> FloatArray:
@@ -161,9 +164,12 @@ def linear_values(
         if np.any(tables.steps[:, i] * tables.steps[:, j] != 0.0):
             chosen = [(tables.masses, tables.slopes, tables.curvatures)[(k == i) + (k == j)][k] for k in range(d)]
             seconds[i, j] = _applied(factors, chosen)
-    for u in tables.steps:
-        along = sum((1.0 + (i != j)) * u[i] * u[j] * second for (i, j), second in seconds.items())
-        bends = bends + np.maximum(along, 0.0) / 8.0
+    # Each direction bends most at a point of its own: with shares that sum to 1, the largest s_k / share_k over points
+    # and directions is at least the sum of the largest s_k.
+    for u, share in zip(tables.steps, tables.shares, strict=True):
+        if share > 0.0:
+            along = sum((1.0 + (i != j)) * u[i] * u[j] * second for (i, j), second in seconds.items())
+            bends = np.maximum(bends, along / (8.0 * share))
     bends = bends + tables.slack * factors.max(axis=1, initial=0.0)[:, None]
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))

@@ -7,12 +7,16 @@ is a product over axes as before: the table of an axis holds, for each cell, the
 Beside each value stands a *bend*: an upper bound, at this lattice point, on how far g may be below its interpolation
 between neighbouring points that are read,
 
-    sum_k |u_k|^2 / 8 * (second derivative of g along u_k)^+ ,
+    sum_k |u_k|^2 / 8 * sup (second derivative of g along u_k)^+ ,
 
 over the steps u_k between points of the image that are read (and the steps of the lattice, where the points that are
-read do not lie on it). Second derivatives come from tables, too. Between the points where they are read, they are
-bounded by fourth derivatives: ``sup |d_e^2 d_u^2 g| <= max l * |e|^2 |u|^2 * (half the L1 norm of that derivative of
-the normal density)``, since it integrates to 0 (docs/theory/linear.md, "The loss").
+read do not lie on it). Each direction has its supremum at a point of its own, so that the largest *sum* at any one
+point would be too little. With shares a_k that sum to 1, the largest of ``s_k / a_k`` over points and directions is
+enough; shares by the squares of the steps lose nothing where g bends alike in all directions.
+
+Second derivatives come from tables, too. Between the points where they are read, they are bounded by fourth
+derivatives: ``sup |d_e^2 d_u^2 g| <= max l * |e|^2 |u|^2 * (half the L1 norm of that derivative of the normal
+density)``, since it integrates to 0 (docs/theory/linear.md, "The loss").
 """
 
 from __future__ import annotations
@@ -160,15 +164,19 @@ class LinearKernel(Kernel):
         result = np.empty((n, 2 * points))
         result[:, :points] = values
         bends = result[:, points:]
-        bends[...] = (self.slack + self.rounding) * factors.max(axis=1, initial=0.0)[:, None]
+        bends[...] = 0.0
         second = {pair: self._derivative(factors, pair) for pair in self._pairs}
-        for step in (*self.steps, *self.lattice_steps):
-            weights = {(i, j): step[i] * step[j] * (0.125 if i == j else 0.25) for i, j in second}
+        every = np.concatenate([self.steps, self.lattice_steps])
+        for step, share in zip(every, shares_of(every / self.deviations), strict=True):
+            if share == 0.0:
+                continue
+            weights = {(i, j): step[i] * step[j] * (0.125 if i == j else 0.25) / share for i, j in second}
             used = [(second[pair], weight) for pair, weight in weights.items() if weight]
             along = used[0][0] * used[0][1]
             for derivative, weight in used[1:]:
                 along += weight * derivative
-            bends += np.maximum(along, 0.0, out=along)
+            np.maximum(bends, along, out=bends)
+        bends += (self.slack + self.rounding) * factors.max(axis=1, initial=0.0)[:, None]
         return result
 
     @cached_property
@@ -195,6 +203,12 @@ class LinearKernel(Kernel):
 def rounding_of_bends(pitch: FloatArray) -> float:
     """Return what is added to bends for rounding; ``pitch`` (d,) are lattice steps in standard deviations."""
     return ROUNDING_OF_BENDS * (2.0 + float(np.sum(pitch)))
+
+
+def shares_of(steps: FloatArray) -> FloatArray:
+    """Return the share of each step, in standard deviations (K, d), in what images bend: they sum to 1."""
+    squares = np.sum(steps**2, axis=1)
+    return np.asarray(squares / squares.sum())
 
 
 def slack_of(steps: FloatArray, lattice_steps: FloatArray, deviations: FloatArray) -> float:
