@@ -16,16 +16,18 @@ from .abstraction import (
 )
 from .affine_choices import AffineChoices, Choices
 from .agent_models import SNAPPED_POINTS
+from .bends import Bends
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
-from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table
-from .linear_kernel import LinearKernel
+from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
+from .linear_kernel import LinearKernel, hat_table
 
 __all__ = [
     "Abstraction",
     "AffineChoices",
     "AgentModel",
     "BAND_BYTES",
+    "Bends",
     "Choices",
     "InputMenu",
     "JointModel",
@@ -44,8 +46,8 @@ __all__ = [
     "alike_arrays",
     "check_names",
     "check_settings",
-    "gaussian_table",
     "has_full_rank",
+    "hat_table",
     "join",
     "models_of",
     "relations_of",

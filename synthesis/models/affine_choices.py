@@ -26,7 +26,7 @@ from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_pla
 from ..relations import LinearRelation
 from .choices import InputMenu, StepPolicy, TargetWindows, target_windows
 
-ON_LATTICE = 1e-11
+ON_LATTICE = 1e-9
 """Share of a lattice step within which a point counts as one of the lattice; bends allow for it."""
 
 NUMBERS_AT_ONCE = 4_000_000

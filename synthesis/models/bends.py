@@ -47,12 +47,13 @@ FOURTH_BEYOND, SIXTH_BEYOND = 2.49e-3, 3.21e-2
 those of the straight ones are twice the derivative below them at 4.5, and mixed ones have less."""
 
 WINDOW_MARGIN = 1e-6
-"""Deviations by which windows are wider than they need be, so that the check, without them, never sees more cells."""
+"""Deviations by which windows are wider than they need be: an edge just where they end must not decide what the check,
+which computes them again, sees of a factor."""
 
 GROUP = 4
 """Neighbouring lattice points of an axis that share a window."""
 
-ROUNDING_OF_BENDS = 1e-11
+ROUNDING_OF_BENDS = 1e-9
 """Share of the largest value that is added to a bend: far above the rounding of sums. Points count as lattice points
 within as many lattice steps, too."""
 
@@ -91,11 +92,11 @@ class Bends:
     def add_to(self, bends: NDArray, values: NDArray, factors: NDArray) -> None:
         """Write bends (n, Z) of values (n, Z) of factors (n, 2^d S)."""
         shape = tuple(len(axis) for axis in self.lattice)
-        pieces = values.size // NUMBERS_AT_ONCE + 1
-        for rows in np.array_split(np.arange(len(values)), min(pieces, len(values))):
-            if len(rows):
-                part = slice(rows[0], rows[-1] + 1)
-                bends[part] = self._of(values[part].reshape(-1, *shape), factors[part]).reshape(len(rows), -1)
+        rows_at_once = max(1, NUMBERS_AT_ONCE // math.prod(shape))
+        for first in range(0, len(values), rows_at_once):
+            rows = slice(first, first + rows_at_once)
+            tensor = values[rows].reshape(-1, *shape)
+            bends[rows] = self._of(tensor, factors[rows]).reshape(len(tensor), -1)
 
     def _of(self, values: NDArray, factors: NDArray) -> NDArray:
         """Return bends (n, Z_1, ...) of values of that shape."""
