@@ -44,7 +44,7 @@ MAY_IMPORT = {
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
     "synthesis.choosing",
     "validation.statistics": "",
-    "validation.simulation": ENVS,
+    "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
     "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite",

@@ -15,7 +15,7 @@ from ..dynamics import OneWorld, World
 from ..dynamics import worlds as core
 from ..pictures import Picture, checked_render_mode, verdict_text
 from ..problem import Problem
-from .observation import checked_option
+from .observation import INFOS, checked_option, checked_reset
 from .shaping import REWARDS, Potential
 
 RENDER_MODES = ("ansi", "rgb_array", "human")
@@ -34,15 +34,24 @@ class Episode:
     render_mode : None, "ansi", "rgb_array" or "human"
     caption : str
         A line shown in pictures.
+    infos : "numbers" or "words"
+        Infos hold numbers and arrays of fixed shape; "words" adds the names of the propositions that hold (`letter`).
     """
 
     def __init__(
-        self, problem: Problem, reward: str, discount: float, render_mode: str | None, caption: str = ""
+        self,
+        problem: Problem,
+        reward: str,
+        discount: float,
+        render_mode: str | None,
+        caption: str = "",
+        infos: str = "numbers",
     ) -> None:
         self.problem = problem
         self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
         self.caption = caption
         self.discount = checked_discount(discount)
+        self._words = checked_option(infos, "infos", INFOS) == "words"
         self.dynamics = core.Dynamics.of(problem)
         self.one_world = OneWorld.of(self.dynamics)
         shaped = checked_option(reward, "reward", REWARDS) == "shaped"
@@ -60,8 +69,8 @@ class Episode:
         return self._world
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> None:
-        """Start an episode; `options["initial_state"]` replaces the problem's start, other keys are ignored."""
-        start = (options or {}).get("initial_state")
+        """Start an episode; `options["initial_state"]` replaces the problem's start; other keys are refused."""
+        start = checked_reset(options).get("initial_state")
         dynamics = self.dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
@@ -94,13 +103,15 @@ class Episode:
         return reward, terminated, truncated
 
     def info(self) -> dict[str, Any]:
-        """Return the entries of every info: letter, automaton state, satisfaction, time."""
+        """Return the entries of every info: automaton state, satisfaction, time; letter, if words are asked for."""
         world = self.world
+        # Learners stack infos into arrays, so by default nothing here is text or changes its length.
+        words = {"letter": self.one_world.names(world.letter)} if self._words else {}
         return {
-            "letter": self.one_world.names(world.letter),
             "automaton_state": world.q,
             "satisfied": self.one_world.satisfied(world),
             "time": world.time,
+            **words,
         }
 
     def render(self) -> str | np.ndarray | None:

@@ -10,7 +10,7 @@ Autoreset, declared in `metadata["autoreset_mode"]`:
 - `DISABLED`: the caller resets all worlds, or those of `options["reset_mask"]`; stepping an ended world is an error.
 
 Infos are arrays over the worlds with masks `_name`, as in Gymnasium: `state` (M, D), `automaton_state`, `satisfied`,
-`time`. Names of letters are left out, for speed.
+`time`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ from .episode import checked_discount
 from .observation import (
     ACTIONS,
     PRECISIONS,
+    RESET_OPTIONS,
     action_space,
     batch_inputs,
     checked_option,
+    checked_reset,
     joint_observations,
     observation_space,
 )
@@ -115,13 +117,14 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             Seed of a new generator; without it the current one continues.
         options : dict, optional
             `initial_state` replaces the start of the worlds that are reset; `reset_mask`, bool (M,), selects them.
+            Other keys are refused.
         """
         # Several seeds are hashed into one, since one generator serves all worlds.
         if isinstance(seed, list | tuple):
             self.np_random = np.random.default_rng(np.random.SeedSequence([int(s) for s in seed]))
         elif seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(seed)
-        options = options or {}
+        options = checked_reset(options, (*RESET_OPTIONS, "reset_mask"))
         start, dynamics = options.get("initial_state"), self._dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))

@@ -188,9 +188,10 @@ def _learner(algorithm: str, view: View, worlds: int, reward: str, seed: int, us
     torch.set_num_threads(1)  # small networks gain little from threads, which would change the order of sums
     env = WorldsVecEnv(view, worlds, reward=reward, discount=float(used["gamma"]), horizon_ends="terminated")
     arguments = {name: value for name, value in used.items() if name not in ("hidden", "log_std_init")}
+    arguments = {"device": "cpu", **arguments}
     arguments |= {"learning_rate": _falling(float(used["learning_rate"])), "policy_kwargs": _networks(used)}
     learner: Any = SAC if algorithm == "sac" else PPO
-    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, device="cpu", **arguments)
+    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, **arguments)
     return model
 
 
