@@ -39,7 +39,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     problem : Problem
         Ids and files are taken by `certigym.central_env`.
     render_mode : None, "ansi", "rgb_array" or "human"
-    reward : "sparse" or "shaped"
+    reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"

@@ -27,8 +27,8 @@ class Episode:
     Parameters
     ----------
     problem : Problem
-    reward : "sparse" or "shaped"
-        1 on satisfaction; "shaped" adds the differences of the potential of `shaping`.
+    reward : "sparse", "shaped" or "progress"
+        1 on satisfaction; the others add differences of the potential of `shaping`.
     discount : float
         Discount factor of the learner, for the shaped reward; between 0 and 1.
     render_mode : None, "ansi", "rgb_array" or "human"
@@ -54,8 +54,8 @@ class Episode:
         self._words = checked_option(infos, "infos", INFOS) == "words"
         self.dynamics = core.Dynamics.of(problem)
         self.one_world = OneWorld.of(self.dynamics)
-        shaped = checked_option(reward, "reward", REWARDS) == "shaped"
-        self._potential = Potential.of(self.dynamics) if shaped else None
+        self._reward = checked_option(reward, "reward", REWARDS)
+        self._potential = None if reward == "sparse" else Potential.of(self.dynamics)
         self.level = 0.0
         self._world: World | None = None
         self._track: list[World] = []
@@ -80,6 +80,8 @@ class Episode:
         self._track = [self._world]
         if self._potential is not None:
             self.level = float(self._potential.at(worlds)[0])
+            if self._reward == "progress":
+                self.level = float(self._potential.kept(worlds, np.array([self.level]))[0])
         self._show()
 
     def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
@@ -94,10 +96,13 @@ class Episode:
         terminated = self.one_world.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon
         reward = float(self.one_world.satisfied(world))
-        # Shaping pays the difference of potentials; that of an ended episode is 0.
+        # Both pay the difference of levels; "shaped" forgets that of an ended episode, "progress" keeps it.
         if self._potential is not None:
             before = self.level
-            self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
+            if self._reward == "progress":
+                self.level = float(self._potential.kept(self._batch(), np.array([before]))[0])
+            else:
+                self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
             reward += self.discount * self.level - before
         self._show()
         return reward, terminated, truncated

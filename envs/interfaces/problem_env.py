@@ -51,7 +51,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     render_mode : None, "ansi", "rgb_array" or "human"
         A line of text, or a picture (see `rendering`).
     observation : "local" or "full"
-    reward : "sparse" or "shaped"
+    reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"

@@ -1,7 +1,8 @@
 """Shaped rewards: a potential read off the task automaton; every step pays the difference of the potential.
 
-With the potential Phi of a state, a step from s to s' pays `r + discount Phi(s') - Phi(s)`, and Phi is 0 once the
-episode has ended. The discounted sum over an episode of T steps is then
+**"shaped"** pays what no policy can influence in the end. With the potential Phi of a state, a step from s to s' pays
+`r + discount Phi(s') - Phi(s)`, and Phi is 0 once the episode has ended. The discounted sum over an episode of T steps
+is then
 
     sum_t discount^t r_t  -  Phi(s_0).
 
@@ -12,6 +13,14 @@ problem ends at the horizon as well.
 Phi lies in [0, 1]. It is 1 in accepting states, and 0 where acceptance is out of reach or an agent has left its
 workspace. Elsewhere it counts the automaton steps that are still needed; between two of them it rises as agents come
 closer to the regions of a letter that takes the next step. It estimates progress; no guarantee rests on it.
+
+A consequence of the zero at the end: **all failing episodes have the same return**, -Phi(s_0). A learner that has never
+succeeded learns nothing from it.
+
+**"progress"** tells a good failure from a bad one. It pays the same differences, but of a level that is kept to the
+end: when a task is lost, the level stays what it was. The undiscounted return is satisfaction plus the progress made,
+so the optimal policies may differ from those of the task; learn with it first and with "sparse" afterwards. Tasks that
+are judged at the horizon count the time survived, too: their level is the mean of Phi and of the share of time gone by.
 """
 
 from __future__ import annotations
@@ -25,7 +34,7 @@ from ..agents import linear
 from ..dynamics import Dynamics, Worlds
 from ..logic import Automaton
 
-REWARDS = ("sparse", "shaped")
+REWARDS = ("sparse", "shaped", "progress")
 # Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
 _STATE_PATHS = 2000  # paths of a state's diagram that are read
 _STATE_LETTERS = 32  # letters of a state that are used: those that ask for the fewest propositions
@@ -76,6 +85,14 @@ class Potential:
             if np.isfinite(self.steps[q]):
                 result[here] = (most - self.steps[q] + self._closeness(int(q), gaps[:, here])) / (most + 1.0)
         return np.where(worlds.failed, 0.0, result)
+
+    def kept(self, worlds: Worlds, before: np.ndarray) -> np.ndarray:
+        """Return the level of the reward "progress", float (M,) in [0, 1]; lost tasks keep the level `before`."""
+        problem = self.dynamics.problem
+        levels = self.at(worlds)
+        if not problem.automaton.is_co_safe:
+            levels = 0.5 * (levels + np.asarray(worlds.time) / problem.horizon)
+        return np.where(worlds.failed | problem.automaton.dead[worlds.q], before, levels)
 
     def _closeness(self, q: int, gaps: np.ndarray) -> np.ndarray:
         """Return how close the agents are to a letter that takes a step forward: float (M,), between 0 and 1."""

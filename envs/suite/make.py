@@ -23,7 +23,7 @@ OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "infos", "ca
 CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions", "infos")
 """The same of `central_env`."""
 
-VECTOR_OPTIONS = ("autoreset_mode", "reward", "discount", "dtype", "actions")
+VECTOR_OPTIONS = ("autoreset_mode", "reward", "discount", "dtype", "actions", "spread")
 """The same of `vector_env`."""
 
 
