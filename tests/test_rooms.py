@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis",
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "
     "validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",

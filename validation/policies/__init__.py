@@ -2,18 +2,22 @@
 
 from .actors import NotAnActor, load_actor
 from .comparison import Comparison, compare
+from .probing import Attempt, Probe, probe
 from .rollout_policies import IdleController, RandomController, as_controller
 from .training import ALGORITHMS, Training, train
 
 __all__ = [
     "ALGORITHMS",
+    "Attempt",
     "Comparison",
     "IdleController",
     "NotAnActor",
+    "Probe",
     "RandomController",
     "Training",
     "as_controller",
     "compare",
     "load_actor",
+    "probe",
     "train",
 ]

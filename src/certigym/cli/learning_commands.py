@@ -7,6 +7,8 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from ..envs.problem import Problem
 from ..synthesis.certificates import load_certificate, save_certificate
 from ..synthesis.certify import certify as certify_policy
@@ -15,6 +17,7 @@ from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
 from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
 from ..validation.policies import compare as compare_policies
+from ..validation.policies import probe as probe_certificate
 from .given import cells_of, problem_of, relation_of, show
 from .work import trained, trials
 
@@ -24,7 +27,8 @@ def train(options: Namespace) -> int:
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
     problem = problem_of(options)
-    training = trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
+    chosen = {"worlds": options.worlds, "reward": options.reward, "warm_start": options.warm_start}
+    training = trained(problem, options.algo, options.steps, options.seed, **chosen)
     path = training.save(options.out)
     if options.plot:
         draw_curves([training], options.plot)
@@ -36,6 +40,29 @@ def train(options: Namespace) -> int:
         f"agents see: {training.information}\nsaved to {path.parent}",
         training.to_dict(),
     )
+    return 0
+
+
+def probe(options: Namespace) -> int:
+    """Let a learner try to beat the certified controllers, and print by how much it did."""
+    with tqdm(desc="probe", unit=" steps", disable=None, leave=False) as bar:
+
+        def learned(count: int, success: float) -> None:
+            bar.set_postfix_str(f"success {success:.3f}")
+            bar.update(count)
+
+        with trials(options, 2 * options.episodes) as plan:
+            found = probe_certificate(
+                problem_of(options),
+                options.certificate,
+                plan,
+                seconds=options.seconds,
+                steps=options.steps,
+                learned=learned,
+            )
+    if options.out:
+        found.save_actor(options.out)
+    show(options, found, found.to_dict())
     return 0
 
 
@@ -75,7 +102,7 @@ def _policy(problem: Problem, name: str, options: Namespace) -> Any:
     if name == "certified":
         return synthesize(problem, cells_of(options), **relation_of(options))
     if name in ALGORITHMS:
-        return [trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
+        return [trained(problem, name, options.steps, seed) for seed in options.train_seeds]
     if name in ("random", "idle"):
         return RandomController() if name == "random" else IdleController()
     return _policy_of_file(problem, name)

@@ -32,6 +32,7 @@ MODULES = {
     "stress": "validation_commands",
     "report": "validation_commands",
     "train": "learning_commands",
+    "probe": "learning_commands",
     "compare": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
@@ -154,9 +155,30 @@ def _add_learning(commands: Any) -> None:
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
     train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
     train.add_argument("--worlds", type=int, metavar="M", help="worlds side by side (default: by algorithm)")
-    train.add_argument("--reward", choices=["shaped", "sparse"], default="shaped", help="default: shaped")
+    train.add_argument(
+        "--reward",
+        choices=["sparse", "shaped", "progress"],
+        help="one reward for all of the training (default: progress first, then sparse)",
+    )
+    train.add_argument(
+        "--warm-start",
+        metavar="certificate|CERT",
+        help="clone certified controllers first: those of the file CERT, or of the certificate made with the defaults",
+    )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor.npz, training.json, model.zip")
     add_picture(train, "the training curve")
+
+    probe = commands.add_parser(
+        "probe", help="let a learner that starts from the certified controllers try to beat them"
+    )
+    add_problem(probe)
+    probe.add_argument(
+        "--certificate", metavar="CERT", default="certificate", help="certificate file (default: one is made)"
+    )
+    probe.add_argument("--seconds", type=float, default=120.0, metavar="S", help="budget of the learner (default: 120)")
+    probe.add_argument("--steps", type=int, metavar="N", help="world steps per attempt, instead of --seconds")
+    probe.add_argument("--out", metavar="ACTOR", help="also save the best actor (.npz)")
+    add_trials(probe, 20_000, " that judge")
 
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
