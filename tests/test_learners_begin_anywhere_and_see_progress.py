@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.shaping import Potential
 
 IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
 
@@ -116,6 +119,48 @@ def test_a_lost_task_keeps_its_level() -> None:
     assert lost.any()
     # Every step survived pays half of a share of the horizon; the step that loses pays nothing.
     assert total[lost] == pytest.approx(0.5 * (times[lost] - 1) / problem.horizon)
+
+
+def potential(id: str) -> Potential:
+    return Potential.of(core.Dynamics.of(cg.make_problem(id)))
+
+
+def test_letters_that_nobody_can_have_are_no_short_cuts() -> None:
+    """A robot cannot be in the cafe and at its desk at once, though the formula does not say so."""
+    found = potential("meeting-v0")
+    names = cg.make_problem("meeting-v0").automaton.propositions
+    assert found.steps[0] == 2.0
+    assert {names[p] for p in found.route[0]} in ({"cafe_0", "cafe_1"}, {"lab_0", "lab_1"})
+    assert {names[p] for p in found.route[2]} == {"desk_0", "desk_1"}
+
+
+@pytest.mark.parametrize("id", ["patrol-recharge-v0", "building-automation-v0"])
+def test_ease_is_the_chance_under_letters_at_random(id: str) -> None:
+    """Against the sum over all letters, two steps before the horizon and earlier."""
+    problem = cg.make_problem(id)
+    automaton, found = problem.automaton, potential(id).ease
+    count, last = len(automaton.propositions), problem.horizon
+    letters = np.array(list(product([False, True], repeat=count))).T
+    chance = automaton.accepting.astype(float)
+    for time in range(last, last - 4, -1):
+        alive = chance > 0.0
+        logs = np.log(chance[alive])
+        span = logs.max() - logs.min()
+        assert found[time, alive] == pytest.approx((logs - logs.min()) / span if span else np.ones_like(logs))
+        assert not found[time, ~alive].any()
+        following = [automaton.next_state(np.full(letters.shape[1], q), letters) for q in range(automaton.n_states)]
+        chance = np.array([chance[states].mean() for states in following])
+
+
+def test_a_charged_battery_is_worth_more_than_an_empty_one() -> None:
+    """Two robots at the post pay less than one that visits its dock, and dying pays nothing more."""
+    problem = cg.make_problem("patrol-recharge-v0")
+    totals = {}
+    for action in (0.0, -1.0):  # stay, or send the first robot to its dock, 4 away
+        envs = cg.vector_env(problem, 300, reward="progress")
+        envs.reset(seed=0)
+        totals[action] = float(envs.step(np.tile([action, 0.0], (300, 1)))[1].mean())
+    assert totals[-1.0] > totals[0.0] > 0.0
 
 
 @pytest.mark.parametrize("id", IDS)
