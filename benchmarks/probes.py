@@ -1,14 +1,16 @@
 """How much better than the certified controllers a learner does that starts from them: the table of ``docs/probes.md``.
 
 ``python benchmarks/probes.py [--seconds 120] [--certificates FOLDER] [--out docs/probes.md] [ID ...]`` probes suite
-problems and writes their rows; rows of other problems that the page already has stay. Certificates are made with the
-defaults, and kept in the folder if one is given. Needs the extra `rl`.
+problems and writes the page, and beside it the numbers as JSON; those of other problems that are there already stay.
+Certificates are made with the defaults, and kept in the folder if one is given. Needs the extra `rl`.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
+from typing import Any
 
 import certigym as cg
 
@@ -40,40 +42,47 @@ def certificate_of(name: str, folder: Path | None) -> cg.Certificate | cg.Produc
     return certificate
 
 
-def row(name: str, seconds: float, folder: Path | None) -> str:
-    """Probe one problem and return its row."""
+def probed(name: str, seconds: float, folder: Path | None) -> dict[str, Any]:
+    """Probe one problem and return its numbers."""
     found = cg.probe(name, certificate_of(name, folder), 20_000, seconds=seconds)
-    rates = found.lower_bound, found.certified / found.episodes, found.cloned, found.learned / found.episodes
-    steps = sum(attempt.steps for attempt in found.attempts)
-    return (
-        f"| {name} | {' | '.join(f'{rate:.4f}' for rate in rates)} | {found.gain:+.4f} | "
-        f"[{found.gain_low:+.4f}, {found.gain_high:+.4f}] | {steps} | {found.seconds:.0f} | "
-        f"{rates[3] - rates[0]:+.4f} |"
-    )
+    return {
+        "certified": round(found.lower_bound, 6),
+        "controllers": found.certified / found.episodes,
+        "clone": found.cloned,
+        "learner": found.learned / found.episodes,
+        "gain": round(found.gain, 6),
+        "gain_low": round(found.gain_low, 6),
+        "gain_high": round(found.gain_high, 6),
+        "steps": sum(attempt.steps for attempt in found.attempts),
+        "seconds": round(found.seconds),
+    }
 
 
-def rows_of(page: Path | None) -> dict[str, str]:
-    """Return the rows that a page already has, by id."""
-    if page is None or not page.is_file():
-        return {}
-    lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
-    return {line.split(" | ")[0].removeprefix("| "): line for line in lines if not line.startswith("| id ")}
+def row(name: str, numbers: dict[str, Any]) -> str:
+    """Return the row of a problem."""
+    rates = " | ".join(f"{numbers[key]:.4f}" for key in ("certified", "controllers", "clone", "learner"))
+    limits = f"[{numbers['gain_low']:+.4f}, {numbers['gain_high']:+.4f}]"
+    above = f"{numbers['learner'] - numbers['certified']:+.4f}"
+    cost = f"{numbers['steps']} | {numbers['seconds']}"
+    return f"| {name} | {rates} | {numbers['gain']:+.4f} | {limits} | {cost} | {above} |"
 
 
 def main() -> None:
-    """Probe the problems one after the other, and write the page after each."""
+    """Probe the problems one after the other, and write page and numbers after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ids", nargs="*", default=cg.problem_ids())
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--certificates", type=Path)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs/probes.md"))
     options = parser.parse_args()
-    rows = rows_of(options.out)
+    table = options.out.with_suffix(".json")
+    found = json.loads(table.read_text(encoding="utf-8")) if table.is_file() else {}
     for name in options.ids:
-        rows[name] = row(name, options.seconds, options.certificates)
-        print(rows[name], flush=True)
-        if options.out is not None:
-            options.out.write_text(HEAD + "\n".join(rows[id] for id in sorted(rows)) + "\n", encoding="utf-8")
+        found[name] = probed(name, options.seconds, options.certificates)
+        print(row(name, found[name]), flush=True)
+        table.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        rows = [row(id, found[id]) for id in sorted(found)]
+        options.out.write_text(HEAD + "\n".join(rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
