@@ -131,7 +131,7 @@ def _learners(id: str) -> list[str]:
 def _table(name: str) -> dict[str, Any]:
     """The numbers that `benchmarks/learners.py` or `benchmarks/probes.py` has written."""
     path = FOLDER.parent / f"{name}.json"
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}  # type: ignore[no-any-return]
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def _docstring(id: str) -> tuple[str, str, str]:

@@ -130,6 +130,21 @@ def test_verbs_take_an_id() -> None:
     assert cg.compare(name, {"mine": controller}, 50).problem == name
 
 
+def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    from certigym import baselines
+
+    assert {"WorldsVecEnv", "shared_vec_env", "central_vec_env"} <= set(dir(baselines))
+    env = baselines.shared_vec_env(cg.make_problem("reach-avoid-v0"), worlds=2, render_mode="rgb_array")
+    env.reset()
+    frame = env.render()
+    assert env.render_mode == "rgb_array" and frame.ndim == 3 and frame.dtype == np.uint8
+    env.step(np.zeros((4, 1)))
+    assert not np.array_equal(frame, env.render())
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        baselines.nothing  # noqa: B018
+
+
 def test_training_takes_an_id_and_a_device() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     training = cg.train("reach-avoid-v0", steps=64, worlds=2, device="cpu", n_steps=16, batch_size=64)

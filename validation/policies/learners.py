@@ -46,6 +46,8 @@ class WorldsVecEnv(VecEnv):
     horizon_ends : "truncated" or "terminated"
     spread : float
         Share of the episodes that begin anywhere, as in `ProblemVectorEnv`; 0 for the problem's own starts.
+    render_mode : None or "rgb_array"
+        One picture per world, so that `VecVideoRecorder` of Stable-Baselines3 has something to film.
 
     Examples
     --------
@@ -64,9 +66,10 @@ class WorldsVecEnv(VecEnv):
         discount: float = 1.0,
         horizon_ends: str = "truncated",
         spread: float = 0.0,
+        render_mode: str | None = None,
     ) -> None:
         self.view = view
-        self.render_mode = None
+        self.render_mode = render_mode
         self.worlds = ProblemVectorEnv(
             view.problem,
             worlds,
@@ -75,6 +78,7 @@ class WorldsVecEnv(VecEnv):
             discount=discount,
             actions="unit",
             spread=spread,
+            render_mode=render_mode,
         )
         # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
@@ -118,6 +122,10 @@ class WorldsVecEnv(VecEnv):
 
     def close(self) -> None:
         """Do nothing: no resource is held."""
+
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        """Return one picture per world in the render mode "rgb_array"."""
+        return list(self.worlds.render() or ())
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return one attribute, the same for all rows."""

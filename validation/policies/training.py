@@ -15,6 +15,7 @@ everything: network, worlds, batches. The same seed, versions and machine give t
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass
 from io import BytesIO
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json
+from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json, write_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 ALGORITHMS = ("ppo", "central-ppo", "sac")
+
+CLONED = "cloned from certified controllers"
+"""The help that a warm start is."""
 
 CURVE_POINTS = 50
 """Points of a training curve."""
@@ -117,7 +121,10 @@ class Training:
         }
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``actor.npz``, ``training.json`` and ``model.zip`` (of Stable-Baselines3); return the actor's path."""
+        """Write ``actor.npz``, ``training.json``, ``curve.csv`` and ``model.zip``; return the actor's path.
+
+        ``model.zip`` is the learner of Stable-Baselines3, with which ``train(resume=folder)`` goes on.
+        """
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)
         record = self.to_dict()
@@ -125,6 +132,9 @@ class Training:
             self.actor, target / "actor.npz", **{k: record[k] for k in ("algorithm", "seed", "steps", "seconds")}
         )
         write_json(target / "training.json", record)
+        columns = ("steps", "seconds", "episodes", "success", "return")
+        lines = [",".join(columns), *(",".join(f"{point[name]:.10g}" for name in columns) for point in self.curve)]
+        write_text(target / "curve.csv", "\n".join(lines) + "\n")
         model = BytesIO()
         self.model.save(model)
         write_bytes(target / "model.zip", model.getvalue())
@@ -138,6 +148,7 @@ def train(
     seed: int = 0,
     *,
     warm_start: Any = None,
+    resume: str | Path | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> Training:
@@ -154,6 +165,8 @@ def train(
     warm_start : optional
         Certified controllers to clone first: a Synthesis, a certificate, the path of one, or "certificate" for the one
         that ``synthesize`` makes with its defaults. Not for SAC.
+    resume : str or Path, optional
+        Folder that ``Training.save`` has written: go on with its learner, with the settings of a warm start.
     progress : callable, optional
         Called with the world steps taken since the last call and the latest success rate.
     **settings
@@ -167,19 +180,24 @@ def train(
         If an argument is unknown or out of range, or Stable-Baselines3 is not installed.
     """
     problem = as_problem(problem)
-    _check(algorithm, seed, warm_start, steps=steps, worlds=settings.get("worlds"))
+    _check(algorithm, seed, warm_start, resume, steps=steps, worlds=settings.get("worlds"))
     view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)
-    used = settings_for(algorithm, view, warm=warm_start is not None, steps=steps, **settings)
+    before = None if resume is None else _record(Path(resume), problem, algorithm)
+    if before is not None:
+        settings = {"hidden": before["settings"]["hidden"], **settings}
+    used = settings_for(algorithm, view, warm=warm_start is not None or resume is not None, steps=steps, **settings)
     shown = None if warm_start is None else demonstrate(view, certificate_of(problem, warm_start).controller, seed=seed)
     began = time.perf_counter()
     model = new_learner(algorithm, view, used, seed)
     if shown is not None:
         clone(model, shown, seed=seed)
+    if resume is not None:
+        model.set_parameters(str(Path(resume) / "model.zip"), device=model.device)
     watcher = new_watcher(view.rows, max(1, used.steps // CURVE_POINTS), progress)
-    actor = _best(model, view, used, watcher, seed, start_counts=shown is not None)
+    actor = _best(model, view, used, watcher, seed, start_counts=shown is not None or before is not None)
     seconds = time.perf_counter() - began
     taken = int(model.num_timesteps) // view.rows
-    helped = "" if shown is None else "cloned from certified controllers"
+    helped = str(before["help"]) if before is not None else "" if shown is None else CLONED
     return Training(
         problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, used.to_dict(), model, helped
     )
@@ -242,12 +260,26 @@ def _pieces(phase: Phase, settings: Settings) -> list[tuple[int, tuple[float, fl
     return [(length, (first, last)) for length, first, last in parts]
 
 
-def _check(algorithm: str, seed: int, warm_start: Any, **counts: int | None) -> None:
+def _record(folder: Path, problem: Problem, algorithm: str) -> dict[str, Any]:
+    """Return the record of the training that is to be continued; raise ValueError if it does not fit."""
+    if not (folder / "training.json").is_file() or not (folder / "model.zip").is_file():
+        raise ValueError(f"`resume`: expected a folder with training.json and model.zip, got {str(folder)!r}")
+    record: dict[str, Any] = json.loads((folder / "training.json").read_text(encoding="utf-8"))
+    # Another horizon or start is welcome (a curriculum), other agents or tasks are another network.
+    if record["problem"] != problem.name or record["algorithm"] != algorithm:
+        found = f"{record['algorithm']!r} on {record['problem']!r}"
+        raise ValueError(f"`resume`: expected {algorithm!r} on {problem.name!r}, got {found}")
+    return record
+
+
+def _check(algorithm: str, seed: int, warm_start: Any, resume: Any, **counts: int | None) -> None:
     """Raise ValueError unless the algorithm exists and all numbers that are given are whole and large enough."""
     if algorithm not in ALGORITHMS:
         raise ValueError(f"`algorithm`: expected {', '.join(map(repr, ALGORITHMS))}, got {algorithm!r}")
     if warm_start is not None and algorithm == "sac":
         raise ValueError("`warm_start`: expected only with 'ppo' or 'central-ppo'; SAC has no actor that clones fit")
+    if warm_start is not None and resume is not None:
+        raise ValueError("`resume`: expected without `warm_start`; a learner that goes on is not cloned again")
     checked_count(seed, "seed", least=0)
     for name, value in counts.items():
         if value is not None:

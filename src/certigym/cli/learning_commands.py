@@ -15,7 +15,14 @@ from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
 from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
-from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
+from ..validation.policies import (
+    ALGORITHMS,
+    IdleController,
+    NotAnActor,
+    RandomController,
+    certificate_of,
+    load_actor,
+)
 from ..validation.policies import compare as compare_policies
 from ..validation.policies import probe as probe_certificate
 from .given import cells_of, problem_of, relation_of, show
@@ -23,23 +30,33 @@ from .work import trained, trials
 
 
 def train(options: Namespace) -> int:
-    """Train a baseline, save it, and print how it went."""
+    """Train a baseline with one seed or several, save it, and print how it went."""
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
-    problem = problem_of(options)
-    chosen = {"worlds": options.worlds, "reward": options.reward, "warm_start": options.warm_start}
-    training = trained(problem, options.algo, options.steps, options.seed, **chosen)
-    path = training.save(options.out)
+    problem, seeds = problem_of(options), options.seeds or [options.seed]
+    chosen = {name: getattr(options, name) for name in ("worlds", "reward", "warm_start", "resume")}
+    if options.warm_start is not None:  # one certificate for all seeds
+        chosen["warm_start"] = certificate_of(problem, options.warm_start)
+    trainings, texts = [], []
+    for seed in seeds:
+        training = trained(problem, options.algo, options.steps, seed, **chosen)
+        folder = Path(options.out) if len(seeds) == 1 else Path(options.out) / f"seed-{seed}"
+        training.save(folder)
+        trainings.append(training)
+        last = training.curve[-1]["success"] if training.curve else float("nan")
+        texts.append(
+            f"{problem.name}: {options.algo}, seed {seed}, {training.steps} world steps in {training.seconds:.1f} s; "
+            f"success while exploring {last:.3f}; saved to {folder}"
+        )
     if options.plot:
-        draw_curves([training], options.plot)
-    last = training.curve[-1]["success"] if training.curve else float("nan")
-    show(
-        options,
-        f"{problem.name}: {options.algo}, seed {options.seed}, {training.steps} world steps in "
-        f"{training.seconds:.1f} s; success while exploring {last:.3f}\n"
-        f"agents see: {training.information}\nsaved to {path.parent}",
-        training.to_dict(),
-    )
+        draw_curves(trainings, options.plot)
+    texts += [f"agents see: {trainings[0].information}", f"settings: {trainings[0].settings}"]
+    data: Any = trainings[0].to_dict()
+    if len(seeds) > 1:
+        result = compare_policies(problem, {options.algo: trainings})
+        texts.append(str(result))
+        data = {"trainings": [training.to_dict() for training in trainings], "comparison": result.to_dict()}
+    show(options, "\n".join(texts), data)
     return 0
 
 

@@ -154,6 +154,10 @@ def _add_learning(commands: Any) -> None:
     )
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
     train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
+    train.add_argument(
+        "--seeds", nargs="+", type=int, metavar="S", help="several trainings, compared at the end; folders DIR/seed-S"
+    )
+    train.add_argument("--resume", metavar="DIR", help="go on with the learner that is saved in this folder")
     train.add_argument("--worlds", type=int, metavar="M", help="worlds side by side (default: by algorithm)")
     train.add_argument(
         "--reward",
@@ -165,7 +169,7 @@ def _add_learning(commands: Any) -> None:
         metavar="certificate|CERT",
         help="clone certified controllers first: those of the file CERT, or of the certificate made with the defaults",
     )
-    train.add_argument("--out", metavar="DIR", required=True, help="folder for actor.npz, training.json, model.zip")
+    train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
     add_picture(train, "the training curve")
 
     probe = commands.add_parser(
