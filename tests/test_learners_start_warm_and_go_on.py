@@ -69,6 +69,12 @@ def test_a_learner_goes_on_where_it_stopped(helped: Any, tmp_path: Path) -> None
             cg.train("reach-avoid-v0", "central-ppo", 64, resume=tmp_path / name)
 
 
+def test_sac_goes_on_too(tmp_path: Path) -> None:
+    cg.train(RA2, "sac", 64, worlds=4, hidden=[8]).save(tmp_path / "sac")
+    again = cg.train(RA2, "sac", 32, worlds=4, resume=tmp_path / "sac")
+    assert again.settings["hidden"] == [8] and again.help == ""
+
+
 def test_the_learner_ends_with_the_numbers_of_its_best_actor(helped: Any) -> None:
     rows = np.random.default_rng(0).uniform(-1.0, 1.0, (20, SharedView(RA2).size)).astype(np.float32)
     expected, _ = helped.model.predict(rows, deterministic=True)
@@ -100,6 +106,8 @@ def test_several_seeds_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_mistakes_are_answered(certificate: Any, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="`warm_start`: expected only with 'ppo' or 'central-ppo'"):
         cg.train(RA2, "sac", warm_start=certificate)
+    with pytest.raises(ValueError, match="`deviation`: expected only with"):
+        cg.train(RA2, "sac", 100, deviation=0.1)
     with pytest.raises(ValueError, match="`resume`: expected without `warm_start`"):
         cg.train(RA2, "ppo", warm_start=certificate, resume=tmp_path)
     with pytest.raises(ValueError, match="certificate of 'meeting-v0', got one about another problem"):

@@ -29,8 +29,8 @@ EPISODES = 1500
 """Demonstrated episodes: some 30,000 rows for each agent of the small problems, in about a second."""
 
 DISTURBANCE = 0.05
-"""Standard deviation of the disturbance of demonstrated inputs, in half widths of the input box; teams that have to move
-in step stand no more."""
+"""Standard deviation of the disturbance of demonstrated inputs, in half widths of the input box: little, for teams that
+have to move in step."""
 
 ROUNDS, BATCH, FIRST_RATE = 6000, 512, 2e-3
 """Steps of the regression, rows per step, and the first learning rate, which falls to 0: some fifteen CPU seconds."""

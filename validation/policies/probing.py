@@ -29,7 +29,7 @@ from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, shown_bound
 from ...synthesis.controllers import LOCAL
-from ..simulation import TrialOptions, TrialPlan, planned, rollout
+from ..simulation import Plan, TrialOptions, TrialPlan, planned, rollout
 from ..statistics import clopper_pearson, paired_difference
 from .actors import Actor, save_actor
 from .imitation import clone, demonstrate
@@ -218,11 +218,23 @@ def probe(
     # Three seeds that share nothing: to learn from, to choose by, and to judge by; torch takes 31 bits.
     learning, choosing, judging = (np.random.SeedSequence(settled.seed).generate_state(3) >> 1).tolist()
     began = time.perf_counter()
-    search = _Search(problem, held, learning, choosing, learned)
-    cloned, attempts, actor = search.run(None if steps is not None else seconds, steps)
-    spent = time.perf_counter() - began
-    judged = replace(settled, seed=judging)
-    ours, theirs = (rollout(problem, policy, judged).success for policy in (held, actor))
+    best = _Search(problem, held, learning, choosing, learned).run(None if steps is not None else seconds, steps)
+    return _judged(held, best, time.perf_counter() - began, (settled, judging))
+
+
+@dataclass(frozen=True)
+class _Best:
+    """What a search found: the score of the clone, all attempts, and the best actor."""
+
+    cloned: float
+    attempts: tuple[Attempt, ...]
+    actor: Actor
+
+
+def _judged(held: Certificate | ProductCertificate, best: _Best, seconds: float, plan: tuple[Plan, int]) -> Probe:
+    """Return the record of a probe, from episodes that nothing has been chosen by."""
+    (settled, judging), problem = plan, held.problem
+    ours, theirs = (rollout(problem, policy, replace(settled, seed=judging)).success for policy in (held, best.actor))
     only = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
     low, high = paired_difference(only[1], only[0], settled.episodes, settled.confidence)
     return Probe(
@@ -241,11 +253,11 @@ def probe(
         gain=(only[1] - only[0]) / settled.episodes,
         gain_low=low,
         gain_high=high,
-        seconds=spent,
-        cloned=cloned,
-        attempts=attempts,
+        seconds=seconds,
+        cloned=best.cloned,
+        attempts=best.attempts,
         information=LOCAL,
-        actor=actor,
+        actor=best.actor,
     )
 
 
@@ -259,8 +271,8 @@ class _Search:
     choosing: int
     learned: Progress | None
 
-    def run(self, seconds: float | None, steps: int | None) -> tuple[float, tuple[Attempt, ...], Actor]:
-        """Make one attempt per deviation; return the score of the clone, all attempts, and the best actor."""
+    def run(self, seconds: float | None, steps: int | None) -> _Best:
+        """Clone the controllers, and make one attempt per deviation."""
         deadline = float("inf") if seconds is None else time.perf_counter() + seconds
         view = SharedView(self.problem)
         # The clone is made once. It takes part itself, and every attempt begins with its numbers.
@@ -278,7 +290,7 @@ class _Search:
             attempts.append(attempt)
             if attempt.best > best_score:
                 best, best_score = actor, attempt.best
-        return cloned, tuple(attempts), best
+        return _Best(cloned, tuple(attempts), best)
 
     def _attempt(
         self, view: SharedView, numbers: dict[str, Any], start: tuple[int, float], limits: tuple[int | None, float]

@@ -90,7 +90,9 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
     """
     given = {name: value for name, value in changes.items() if value is not None}
     table = dict(_tables()["sac" if algorithm == "sac" else "ppo"])
-    if warm:
+    if algorithm == "sac" and ("deviation" in given or "fixed" in given):
+        raise ValueError("`deviation`: expected only with 'ppo' or 'central-ppo'; SAC chooses its own")
+    if warm and algorithm != "sac":
         table |= _tables()["warm"]
     phases = tuple(Phase(**phase) for phase in table["phases"])
     # One reward for all of the training: the last phase keeps to the start of the problem, so it is the one that stays.

@@ -65,6 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_synthesis(commands)
     _add_validation(commands)
     _add_learning(commands)
+    _add_comparing(commands)
     _add_pictures(commands)
     for command in commands.choices.values():
         add_json(command)
@@ -143,7 +144,7 @@ def _add_validation(commands: Any) -> None:
 
 
 def _add_learning(commands: Any) -> None:
-    """Add the commands about learned and given policies."""
+    """Add the commands that train learners."""
     train = commands.add_parser("train", help="train a baseline of Stable-Baselines3 and save it")
     add_problem(train)
     train.add_argument(
@@ -184,6 +185,9 @@ def _add_learning(commands: Any) -> None:
     probe.add_argument("--out", metavar="ACTOR", help="also save the best actor (.npz)")
     add_trials(probe, 20_000, " that judge")
 
+
+def _add_comparing(commands: Any) -> None:
+    """Add the commands that compare and certify policies."""
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
     compare.add_argument(
