@@ -40,8 +40,9 @@ OPTIONS = (
     ("spread", "0", "batches only: share of the episodes that begin anywhere, for learners"),
 )
 WHY_NOT = {
-    "package-delivery-eased-v0": "Carrying is lost when one robot crosses the edge of a band alone, so all four have "
-    "to learn the same step at once, and exploring robots hardly ever cross together.",
+    "package-delivery-eased-v0": "trainings of 400,000 and 900,000 world steps stayed at 0. Carrying is lost when one "
+    "robot crosses the edge of a band alone, so all four have to learn the same step at once, and exploring robots "
+    "hardly ever cross together.",
 }
 """Why the learner without help misses .8 of the certified share, where it does."""
 
@@ -117,8 +118,10 @@ def _learners(id: str) -> list[str]:
         lines.append(
             f"- Without help (`certigym train {id}`): success {alone['ppo']:.4f} of 20,000 episodes after "
             f"{alone['steps']:,} world steps ({alone['seconds']} s), where the certified controllers reach "
-            f"{alone['certified']:.4f}. {WHY_NOT.get(id, '')}".rstrip()
+            f"{alone['certified']:.4f}."
         )
+    elif id in WHY_NOT:
+        lines.append(f"- Without help: {WHY_NOT[id]}")
     if helped is not None:
         lines.append(
             f"- Started from the certified controllers (`certigym probe {id}`): {helped['learner']:.4f} against their "
