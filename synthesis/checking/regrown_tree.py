@@ -16,7 +16,8 @@ from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, axis_tables, smooth
 from ..values import Merges, Terms
 from .forward_mass import mass_at_start
-from .linear_check import linear_tables, linear_values, masks_of, places_of
+from .linear_check import linear_values, masks_of, places_of
+from .linear_tables import linear_tables
 
 KEPT = 1.0 - 1e-9
 """Share of a factor of a linear agent that a remainder is taken from, as in the search: how a difference of nearly
