@@ -53,7 +53,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", metavar="PATH")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--steps", type=int, help="world steps of each training (default: 100000)")
+    parser.add_argument("--steps", type=int, default=100_000, help="world steps of each training (default: 100000)")
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
     options = parser.parse_args()

@@ -28,11 +28,24 @@ OPTIONS = (
     ("disturbance_scale", "1", "factor on the standard deviations of the noise"),
     ("render_mode", "None", '"ansi", "rgb_array" or "human"'),
     ("observation", '"local"', 'PettingZoo only; "full": the states of the other agents too'),
-    ("reward", '"sparse"', '"shaped": potential-based, from the automaton; the same policies are optimal'),
+    (
+        "reward",
+        '"sparse"',
+        '"shaped": potential-based, the same policies are optimal; "progress": pays good failures more',
+    ),
     ("discount", "1", "of the learner, for the shaped reward"),
     ("dtype", '"float64"', 'of observations; or "float32"'),
     ("actions", '"input"; Gymnasium "unit"', '"input": the input box; "unit": scaled to [-1, 1], float32'),
+    ("infos", '"numbers"', '"words": also the names of the propositions that hold (`letter`)'),
+    ("spread", "0", "batches only: share of the episodes that begin anywhere, for learners"),
 )
+WHY_NOT = {
+    "package-delivery-eased-v0": "trainings of 400,000 and 900,000 world steps stayed at 0. Carrying is lost when one "
+    "robot crosses the edge of a band alone, so all four have to learn the same step at once, and exploring robots "
+    "hardly ever cross together.",
+}
+"""Why the learner without help misses .8 of the certified share, where it does."""
+
 USE = """```python
 import certigym as cg
 
@@ -79,7 +92,8 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
             "## Rewards",
             "1 to every agent when the task is satisfied, once, and 0 otherwise: the undiscounted return is "
             'satisfaction, and its mean the satisfaction probability. With `reward="shaped"` differences of a '
-            "potential between 0 and 1 are added, so that rewards lie in [-1, 2].",
+            "potential between 0 and 1 are added, so that rewards lie in [-1, 2]; "
+            '`reward="progress"` adds those of a level that lost tasks keep.',
             "## Start",
             _start(problem),
             "## Episode ends",
@@ -88,11 +102,39 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
             _arguments(id),
             "## Certified bound and measured rate",
             _numbers(problem, measured),
+            *_learners(id),
             "## Versions",
             versions,
             "*Written by `python docs/environment_pages.py`; change the code, not this page.*\n",
         ]
     )
+
+
+def _learners(id: str) -> list[str]:
+    """What learners reach without help and with it, if that was measured."""
+    alone, helped = (_table(name).get(id) for name in ("learners", "probes"))
+    lines = []
+    if alone is not None:
+        lines.append(
+            f"- Without help (`certigym train {id}`): success {alone['ppo']:.4f} of 20,000 episodes after "
+            f"{alone['steps']:,} world steps ({alone['seconds']} s), where the certified controllers reach "
+            f"{alone['certified']:.4f}."
+        )
+    elif id in WHY_NOT:
+        lines.append(f"- Without help: {WHY_NOT[id]}")
+    if helped is not None:
+        lines.append(
+            f"- Started from the certified controllers (`certigym probe {id}`): {helped['learner']:.4f} against their "
+            f"{helped['controllers']:.4f} on common random numbers; the gain {helped['gain']:+.4f} has the exact "
+            f"99.9 % limits [{helped['gain_low']:+.4f}, {helped['gain_high']:+.4f}]."
+        )
+    return ["## Learners", "\n".join(lines)] if lines else []
+
+
+def _table(name: str) -> dict[str, Any]:
+    """The numbers that `benchmarks/learners.py` or `benchmarks/probes.py` has written."""
+    path = FOLDER.parent / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def _docstring(id: str) -> tuple[str, str, str]:

@@ -1,4 +1,4 @@
-"""Train a decentralised policy, certify it, improve it (needs the extra `rl`)."""
+"""Train a decentralised policy, certify it, improve it, and probe the result (needs the extra `rl`)."""
 
 from __future__ import annotations
 
@@ -17,3 +17,7 @@ assert isinstance(actor, Decentralised)  # only policies that see one agent at a
 certified = cg.certify(problem, actor, cells=100)
 improved = cg.improve(problem, actor, cells=100)
 print(cg.compare(problem, {"raw": training, "certified": certified, "improved": improved}, episodes=4_000))
+
+# Can a learner that starts from the certified controllers do better than they do?
+found: cg.Probe = cg.probe(problem, improved, episodes=4_000, steps=1_000)
+print(found)

@@ -136,7 +136,7 @@ def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: P
     expected, _ = training.model.predict(rows, deterministic=True)
     assert training.actor.network.actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
     path = training.save(tmp_path / "kept")
-    assert {file.name for file in path.parent.iterdir()} == {"actor.npz", "training.json", "model.zip"}
+    assert {file.name for file in path.parent.iterdir()} == {"actor.npz", "training.json", "curve.csv", "model.zip"}
     again = load_actor(path, RA2)
     assert np.array_equal(again.network.actions(rows), training.actor.network.actions(rows))
     assert np.array_equal(cg.rollout(RA2, again, 300).success, cg.rollout(RA2, training.actor, 300).success)

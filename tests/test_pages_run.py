@@ -67,7 +67,7 @@ def toml_name(block: str) -> str:
 
 
 EXECUTED = [page for page in PAGES if any(language in ("python", "console", "toml") for language, _ in blocks(page))]
-LEARNING = {"learned_policies.md"}
+LEARNING = {"learned_policies.md", "probe.md"}
 
 
 @pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.relative_to(ROOT).as_posix())

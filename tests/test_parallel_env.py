@@ -181,7 +181,7 @@ def test_actions_are_clipped_and_bad_ones_refused() -> None:
     far = env.step({"agent_0": np.array([99.0]), "agent_1": zero})[0]
     edge = twin.step({"agent_0": np.array([5.0]), "agent_1": zero})[0]
     assert (far["agent_0"] == edge["agent_0"]).all()
-    for bad in (np.array([np.nan]), np.zeros(2), 0.0):
+    for bad in (np.array([np.nan]), np.zeros(2), "0.0"):
         with pytest.raises(ValueError, match=r"`actions\['agent_0'\]`: expected finite numbers of shape \(1,\)"):
             env.step({"agent_0": bad, "agent_1": zero})
     with pytest.raises(ValueError, match="got none for 'agent_1'"):
@@ -191,7 +191,7 @@ def test_actions_are_clipped_and_bad_ones_refused() -> None:
 def test_an_exit_terminates_and_the_observation_stays_in_its_space() -> None:
     problem = cg.make_problem("invariance-v0", n_agents=2, initial_state=[9.9, 9.9], setting="B")
     outside = problem.replace(initial_state=[50.0, 0.0])
-    env = cg.parallel_env(outside)
+    env = cg.parallel_env(outside, infos="words")
     observations, infos = env.reset(seed=0)
     assert env.observation_space("agent_0").contains(observations["agent_0"])
     assert infos["agent_0"]["state"].tolist() == [50.0] and infos["agent_0"]["letter"] == ()
@@ -202,7 +202,7 @@ def test_an_exit_terminates_and_the_observation_stays_in_its_space() -> None:
 
 
 def test_a_start_that_satisfies_pays_once_at_the_first_step() -> None:
-    env = cg.parallel_env(cg.make_problem("reach-avoid-v0", initial_state=[0.0, -4.0]))
+    env = cg.parallel_env(cg.make_problem("reach-avoid-v0", initial_state=[0.0, -4.0]), infos="words")
     _, infos = env.reset(seed=0)
     assert infos["agent_0"]["satisfied"] and infos["agent_0"]["letter"] == ("p1",)
     _, rewards, terminations, _, _ = env.step({agent: np.zeros(1) for agent in env.agents})

@@ -139,7 +139,10 @@ def test_replace_names_its_argument() -> None:
 def test_suite_arguments() -> None:
     with pytest.raises(ValueError, match=r"got 'reach-avoid-v1'; did you mean 'reach-avoid-v0'\?"):
         cg.make_problem("reach-avoid-v1")
-    with pytest.raises(ValueError, match=r"`horizn`: no argument of reach-avoid-v0; did you mean `horizon`\?"):
+    with pytest.raises(
+        ValueError,
+        match=r"`horizn`: got an unexpected keyword argument 'horizn' of reach-avoid-v0; did you mean `horizon`\?",
+    ):
         cg.make_problem("reach-avoid-v0", horizn=3)
     with pytest.raises(ValueError, match=r"`n_agents`: expected a whole number from 1 to 10000, got 0"):
         cg.make_problem("invariance-v0", n_agents=0)

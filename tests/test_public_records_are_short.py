@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.baselines import IdleController
 from certigym.synthesis.cells import Grid
+from certigym.validation.policies import Attempt
 
 MOST_CHARACTERS, MOST_LINES = 1500, 15
 EPISODES = 100
@@ -53,6 +54,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "InputTable": lambda: cg.InputTable(grid, np.zeros((20, 5, 500, 1))),
         "LinearAgent": lambda: problem.agents[0],
         "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
+        "Probe": lambda: probe_of(certificate),
         "Problem": lambda: problem,
         "ProductCertificate": lambda: certificate,
         "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),
@@ -63,6 +65,16 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "TrialPlan": lambda: cg.TrialPlan(EPISODES, seed=3),
         "ValidationReport": lambda: cg.validate(result, EPISODES),
     }
+
+
+def probe_of(certificate: Any) -> cg.Probe:
+    """The record of a probe that was never made: it needs learners, which are an extra."""
+    names, problem = inspect.signature(cg.Probe).parameters, certificate.problem
+    numbers: dict[str, Any] = dict.fromkeys(names, 50)
+    numbers |= {"problem": problem.name, "information": "own state", "fingerprint": problem.fingerprint}
+    numbers |= {"gap": None, "lower_bound": certificate.lower_bound, "confidence": 0.99, "episodes": EPISODES}
+    numbers |= {"attempts": (Attempt(0, 0.1, 1000, 0.5),) * 50, "actor": np.zeros(1000)}
+    return cg.Probe(**numbers)
 
 
 def refused(formula: str) -> cg.FormulaError:

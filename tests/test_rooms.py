@@ -44,10 +44,10 @@ MAY_IMPORT = {
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
     "synthesis.choosing",
     "validation.statistics": "",
-    "validation.simulation": ENVS,
+    "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis",
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "
     "validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",

@@ -2,7 +2,16 @@
 
 from .agent import LinearAgent, checked_name
 from .box import Box
-from .checks import MOST_AGENTS, checked_count, float_array, read_only, shown, slices_of
+from .checks import (
+    MOST_AGENTS,
+    UnknownArgument,
+    checked_count,
+    float_array,
+    read_only,
+    shown,
+    slices_of,
+    unknown_argument,
+)
 from .labeling import Labeling, Proposition, contains, inside, linear, row_times
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .saving import write_bytes, write_json, write_text
@@ -13,6 +22,7 @@ __all__ = [
     "LinearAgent",
     "MOST_AGENTS",
     "Proposition",
+    "UnknownArgument",
     "box_text",
     "checked_count",
     "checked_name",
@@ -28,6 +38,7 @@ __all__ = [
     "shown",
     "slices_of",
     "tree_text",
+    "unknown_argument",
     "write_bytes",
     "write_json",
     "write_text",

@@ -6,6 +6,7 @@ Every array that enters a problem passes through `float_array`, whether it comes
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from itertools import accumulate, pairwise
 from numbers import Real
 from typing import Any
@@ -21,6 +22,22 @@ LARGEST_MAGNITUDE = 1e100
 
 MOST_AGENTS = 10_000
 """Most agents of a problem: ten times what has been tried, and few enough that a mistyped number fails at once."""
+
+
+class UnknownArgument(ValueError, TypeError):
+    """A keyword argument that does not exist.
+
+    It is a `ValueError`, as all mistakes of callers are, and also a `TypeError` in Python's own words ("unexpected
+    keyword argument"): libraries catch that one to find out what an environment takes.
+    """
+
+
+def unknown_argument(name: str, owner: str, known: Iterable[str]) -> UnknownArgument:
+    """Return the error about the argument `name` of `owner`, with the known argument that it resembles, or all."""
+    known = list(known)
+    close = get_close_matches(name, known, n=1)
+    remedy = f"did you mean `{close[0]}`?" if close else f"the arguments are {', '.join(known)}"
+    return UnknownArgument(f"`{name}`: got an unexpected keyword argument {name!r} of {owner}; {remedy}")
 
 
 def float_array(value: Any, name: str, shape: tuple[int | None, ...], example: str) -> FloatArray:

@@ -6,8 +6,8 @@
   the fraction of time left.
 - **Reward**: 1 once, when the task is satisfied, else 0; with `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
-- **Info**: `letter`, `automaton_state`, `satisfied`, `time` as in `parallel_env`, `state` (the true joint state,
-  float64), and `is_success` in the last step.
+- **Info**: `automaton_state`, `satisfied`, `time` as in `parallel_env`, `state` (the true joint state, float64), and
+  `is_success` in the last step; with `infos="words"` also `letter`.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     problem : Problem
         Ids and files are taken by `certigym.central_env`.
     render_mode : None, "ansi", "rgb_array" or "human"
-    reward : "sparse" or "shaped"
+    reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"
         Type of the observations.
     actions : "unit" or "input"
+    infos : "numbers" or "words"
 
     Examples
     --------
@@ -66,12 +67,13 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         discount: float = 1.0,
         dtype: str = "float64",
         actions: str = "unit",
+        infos: str = "numbers",
     ) -> None:
         self.problem = checked_problem(problem)
         self.render_mode = render_mode
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
-        self._episode = Episode(self.problem, reward, discount, render_mode)
+        self._episode = Episode(self.problem, reward, discount, render_mode, infos=infos)
         self._ended = False
         self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
         self.action_space = action_space(self.problem.agents, actions)
@@ -79,7 +81,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; `options["initial_state"]` replaces the start."""
+        """Begin an episode; `options["initial_state"]` replaces the start; other keys are refused."""
         super().reset(seed=seed)
         self._episode.begin(self.np_random, options)
         self._ended = False
@@ -98,6 +100,8 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._ended:
             raise RuntimeError("the episode has ended; call `reset` before `step`")
         joint_action = np.asarray(action)
+        if joint_action.ndim == 0 and self.action_space.shape == (1,):  # some learners drop an axis of length 1
+            joint_action = joint_action[None]
         if joint_action.shape != self.action_space.shape:
             raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
         # Cut the joint action into those of the agents, and scale or clip each.

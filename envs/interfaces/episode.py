@@ -15,7 +15,7 @@ from ..dynamics import OneWorld, World
 from ..dynamics import worlds as core
 from ..pictures import Picture, checked_render_mode, verdict_text
 from ..problem import Problem
-from .observation import checked_option
+from .observation import INFOS, checked_option, checked_reset
 from .shaping import REWARDS, Potential
 
 RENDER_MODES = ("ansi", "rgb_array", "human")
@@ -27,26 +27,35 @@ class Episode:
     Parameters
     ----------
     problem : Problem
-    reward : "sparse" or "shaped"
-        1 on satisfaction; "shaped" adds the differences of the potential of `shaping`.
+    reward : "sparse", "shaped" or "progress"
+        1 on satisfaction; the others add differences of the potential of `shaping`.
     discount : float
         Discount factor of the learner, for the shaped reward; between 0 and 1.
     render_mode : None, "ansi", "rgb_array" or "human"
     caption : str
         A line shown in pictures.
+    infos : "numbers" or "words"
+        Infos hold numbers and arrays of fixed shape; "words" adds the names of the propositions that hold (`letter`).
     """
 
     def __init__(
-        self, problem: Problem, reward: str, discount: float, render_mode: str | None, caption: str = ""
+        self,
+        problem: Problem,
+        reward: str,
+        discount: float,
+        render_mode: str | None,
+        caption: str = "",
+        infos: str = "numbers",
     ) -> None:
         self.problem = problem
         self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
         self.caption = caption
         self.discount = checked_discount(discount)
+        self._words = checked_option(infos, "infos", INFOS) == "words"
         self.dynamics = core.Dynamics.of(problem)
         self.one_world = OneWorld.of(self.dynamics)
-        shaped = checked_option(reward, "reward", REWARDS) == "shaped"
-        self._potential = Potential.of(self.dynamics) if shaped else None
+        self._reward = checked_option(reward, "reward", REWARDS)
+        self._potential = None if reward == "sparse" else Potential.of(self.dynamics)
         self.level = 0.0
         self._world: World | None = None
         self._track: list[World] = []
@@ -60,8 +69,8 @@ class Episode:
         return self._world
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> None:
-        """Start an episode; `options["initial_state"]` replaces the problem's start, other keys are ignored."""
-        start = (options or {}).get("initial_state")
+        """Start an episode; `options["initial_state"]` replaces the problem's start; other keys are refused."""
+        start = checked_reset(options).get("initial_state")
         dynamics = self.dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
@@ -71,6 +80,8 @@ class Episode:
         self._track = [self._world]
         if self._potential is not None:
             self.level = float(self._potential.at(worlds)[0])
+            if self._reward == "progress":
+                self.level = float(self._potential.kept(worlds, np.array([self.level]))[0])
         self._show()
 
     def step(self, inputs: Any, rng: np.random.Generator) -> tuple[float, bool, bool]:
@@ -85,22 +96,27 @@ class Episode:
         terminated = self.one_world.settled(world)
         truncated = not terminated and world.time >= self.problem.horizon
         reward = float(self.one_world.satisfied(world))
-        # Shaping pays the difference of potentials; that of an ended episode is 0.
+        # Both pay the difference of levels; "shaped" forgets that of an ended episode, "progress" keeps it.
         if self._potential is not None:
             before = self.level
-            self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
+            if self._reward == "progress":
+                self.level = float(self._potential.kept(self._batch(), np.array([before]))[0])
+            else:
+                self.level = 0.0 if terminated or truncated else float(self._potential.at(self._batch())[0])
             reward += self.discount * self.level - before
         self._show()
         return reward, terminated, truncated
 
     def info(self) -> dict[str, Any]:
-        """Return the entries of every info: letter, automaton state, satisfaction, time."""
+        """Return the entries of every info: automaton state, satisfaction, time; letter, if words are asked for."""
         world = self.world
+        # Learners stack infos into arrays, so by default nothing here is text or changes its length.
+        words = {"letter": self.one_world.names(world.letter)} if self._words else {}
         return {
-            "letter": self.one_world.names(world.letter),
             "automaton_state": world.q,
             "satisfied": self.one_world.satisfied(world),
             "time": world.time,
+            **words,
         }
 
     def render(self) -> str | np.ndarray | None:

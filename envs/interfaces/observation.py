@@ -27,6 +27,13 @@ from ..problem import Problem
 SCOPES = ("local", "full")
 PRECISIONS = ("float64", "float32")
 ACTIONS = ("input", "unit")
+INFOS = ("numbers", "words")
+
+RESET_OPTIONS = ("initial_state",)
+"""Keys that `reset(options=...)` takes."""
+
+PLACEHOLDER = "options"
+"""A key that means nothing: PettingZoo's conformance tests pass `{"options": 1}` to every environment."""
 
 
 def checked_option(value: Any, argument: str, choices: Sequence[str]) -> str:
@@ -34,6 +41,15 @@ def checked_option(value: Any, argument: str, choices: Sequence[str]) -> str:
     if value not in choices:
         raise ValueError(f"`{argument}`: expected {' or '.join(map(repr, choices))}, got {shown(value)}")
     return str(value)
+
+
+def checked_reset(options: dict[str, Any] | None, known: Sequence[str] = RESET_OPTIONS) -> dict[str, Any]:
+    """Return the options of a `reset` if all keys are known, or raise ValueError."""
+    options = dict(options or {})
+    for name in options:
+        if name not in (*known, PLACEHOLDER):
+            raise ValueError(f"`options`: expected the keys {' and '.join(map(repr, known))}, got {shown(name)}")
+    return options
 
 
 def observation_space(problem: Problem, agents: Sequence[LinearAgent], dtype: str) -> spaces.Box:
@@ -96,6 +112,8 @@ def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
     # Plain numbers, as a single world computes on them.
     numbers = np.asarray(action).tolist()
     size = len(agent.input_low)
+    if size == 1 and not isinstance(numbers, list):  # some learners drop an axis of length 1
+        numbers = [numbers]
     if not isinstance(numbers, list) or len(numbers) != size or not all(map(_is_number, numbers)):
         raise ValueError(f"`{name}`: expected finite numbers of shape ({size},), got {shown(action)}")
     result = []
@@ -116,6 +134,8 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
     """
     problem = dynamics.problem
     joint_actions = np.asarray(action, dtype=np.float64)
+    if joint_actions.ndim == 1 and problem.n_inputs == 1:  # some learners drop an axis of length 1
+        joint_actions = joint_actions[:, None]
     is_table = joint_actions.ndim == 2 and joint_actions.shape[1] == problem.n_inputs
     if not is_table or not np.isfinite(joint_actions).all():
         raise ValueError(

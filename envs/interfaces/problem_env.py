@@ -10,8 +10,9 @@ Everything below holds for any problem; the pages of the suite add the numbers o
 - **Rewards**: cooperative: every agent gets 1 once, when the task is satisfied, else 0; the undiscounted return *is*
   satisfaction. For `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
-- **Infos**, per agent: `letter` (names of the propositions that hold; empty after a failure, when no letter is read),
-  `automaton_state` (int), `satisfied` (bool), `state` (the agent's true state, float64), `time` (int).
+- **Infos**, per agent: numbers and arrays of fixed shape: `automaton_state` (int), `satisfied` (bool), `state` (the
+  agent's true state, float64), `time` (int); with `infos="words"` also `letter` (names of the propositions that hold;
+  empty after a failure, when no letter is read).
 """
 
 from __future__ import annotations
@@ -50,19 +51,20 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     render_mode : None, "ansi", "rgb_array" or "human"
         A line of text, or a picture (see `rendering`).
     observation : "local" or "full"
-    reward : "sparse" or "shaped"
+    reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"
         Type of the observations.
     actions : "input" or "unit"
+    infos : "numbers" or "words"
     caption : str
         A line shown in pictures.
     """
 
     metadata: dict[str, Any]
 
-    # Nine parameters: environments take flat keywords, which makers and learners hand on by name.
+    # Many parameters: environments take flat keywords, which makers and learners hand on by name.
     def __init__(
         self,
         problem: Problem,
@@ -73,6 +75,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         discount: float = 1.0,
         dtype: str = "float64",
         actions: str = "input",
+        infos: str = "numbers",
         caption: str = "",
     ) -> None:
         self.metadata = {
@@ -85,7 +88,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.render_mode = render_mode
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []
-        self._episode = Episode(problem, reward, discount, render_mode, caption)
+        self._episode = Episode(problem, reward, discount, render_mode, caption, infos)
         self._rng: np.random.Generator | None = None
         self._scope = checked_option(observation, "observation", SCOPES)
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
@@ -114,7 +117,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             Seed of a new generator; without it the current one continues.
         options : dict, optional
             `initial_state`: a start in place of the problem's, in the forms that `Problem.replace` takes. Other keys
-            are ignored.
+            are refused.
         """
         if seed is not None or self._rng is None:
             self._rng, _ = seeding.np_random(seed)

@@ -1,7 +1,8 @@
 """Shaped rewards: a potential read off the task automaton; every step pays the difference of the potential.
 
-With the potential Phi of a state, a step from s to s' pays `r + discount Phi(s') - Phi(s)`, and Phi is 0 once the
-episode has ended. The discounted sum over an episode of T steps is then
+**"shaped"** pays what no policy can influence in the end. With the potential Phi of a state, a step from s to s' pays
+`r + discount Phi(s') - Phi(s)`, and Phi is 0 once the episode has ended. The discounted sum over an episode of T steps
+is then
 
     sum_t discount^t r_t  -  Phi(s_0).
 
@@ -12,20 +13,38 @@ problem ends at the horizon as well.
 Phi lies in [0, 1]. It is 1 in accepting states, and 0 where acceptance is out of reach or an agent has left its
 workspace. Elsewhere it counts the automaton steps that are still needed; between two of them it rises as agents come
 closer to the regions of a letter that takes the next step. It estimates progress; no guarantee rests on it.
+
+A consequence of the zero at the end: **all failing episodes have the same return**, -Phi(s_0). A learner that has never
+succeeded learns nothing from it.
+
+**"progress"** tells a good failure from a bad one. It pays the differences of a level that is kept to the end: when a
+task is lost, the level stays what it was. The undiscounted return is satisfaction plus the progress made, so the
+optimal policies may differ from those of the task; learn with it first and with "sparse" afterwards.
+
+- Co-safe tasks: the level counts automaton steps as Phi does, but between two of them it rises along *one* letter, the
+  one nearest to the start of the problem. Where two letters are equally good (two rooms to meet in), agents that see
+  only themselves would else be drawn to both.
+- Tasks judged at the horizon: half of the level is the share of time survived, a quarter is Phi, and a quarter says how
+  *easily* the automaton state is carried to acceptance by letters at random. That rewards what keeps options open, such
+  as a battery that was just charged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
 from ..agents import linear
 from ..dynamics import Dynamics, Worlds
+from ..dynamics import worlds as core
 from ..logic import Automaton
 
-REWARDS = ("sparse", "shaped")
+REWARDS = ("sparse", "shaped", "progress")
 # Limits that keep the potential cheap to evaluate; a shorter list makes the guess coarser, and nothing else.
 _STATE_PATHS = 2000  # paths of a state's diagram that are read
 _STATE_LETTERS = 32  # letters of a state that are used: those that ask for the fewest propositions
@@ -52,16 +71,19 @@ class Potential:
     def of(cls, dynamics: Dynamics) -> Potential:
         """Return the potential of a problem, read off its automaton."""
         automaton = dynamics.problem.automaton
-        steps = _steps(automaton)
         manager, roots = automaton.diagrams()
+        # Letters that no state of the agents has would be short cuts: the regions of one agent may lie apart.
+        listed = [list(_letters(manager, root)) for root in roots]
+        moves = [[move for move in following if _possible(dynamics, move[0])] for following in listed]
+        targets = [{target for _, target in following} for following in moves]
+        for q, following in enumerate(listed):
+            if len(following) == _STATE_PATHS:  # there may be more letters than were read
+                targets[q].update(manager.leaves(roots[q]))
+        steps = _steps(automaton.accepting, targets)
         wanted = []
-        for q, root in enumerate(roots):
-            letters = set()
-            # A letter is named by the propositions that have to hold; those that must not hold are ignored.
-            for assignment, target in islice(manager.paths(root), _STATE_PATHS):
-                if steps[target] < steps[q]:
-                    letters.add(frozenset(p for p, holds in assignment.items() if holds))
-            simplest = sorted(letters, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
+        for q, following in enumerate(moves):
+            forward = {letter for letter, target in following if steps[target] < steps[q]}
+            simplest = sorted(forward, key=lambda letter: (len(letter), sorted(letter)))[:_STATE_LETTERS]
             wanted.append(tuple(np.array(sorted(letter), dtype=int) for letter in simplest))
         return cls(dynamics, steps, tuple(wanted))
 
@@ -77,6 +99,47 @@ class Potential:
                 result[here] = (most - self.steps[q] + self._closeness(int(q), gaps[:, here])) / (most + 1.0)
         return np.where(worlds.failed, 0.0, result)
 
+    def kept(self, worlds: Worlds, before: np.ndarray) -> np.ndarray:
+        """Return the level of the reward "progress", float (M,) in [0, 1]; lost tasks keep the level `before`."""
+        problem = self.dynamics.problem
+        if problem.automaton.is_co_safe:
+            levels = self._along(worlds)
+        else:
+            time = np.asarray(worlds.time)
+            levels = 0.25 * self.at(worlds) + 0.25 * self.ease[time, worlds.q] + 0.5 * time / problem.horizon
+        return np.where(worlds.failed | problem.automaton.dead[worlds.q], before, levels)
+
+    @cached_property
+    def ease(self) -> np.ndarray:
+        """How easily each automaton state is carried to acceptance, float (T + 1, Q), from 0 to 1 at every time."""
+        return _ease(self.dynamics.problem.automaton, self.dynamics.problem.horizon)
+
+    @cached_property
+    def route(self) -> tuple[np.ndarray, ...]:
+        """Per automaton state: the one letter to pursue, as its propositions; empty if there is none."""
+        start = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
+        gaps = self._offsets(start)[:, 0]
+        empty = np.zeros(0, dtype=int)
+        return tuple(
+            min(letters, key=lambda p: gaps[p].mean() if p.size else 0.0, default=empty) for letters in self.wanted
+        )
+
+    def _along(self, worlds: Worlds) -> np.ndarray:
+        """Return how far the worlds have come along the route, float (M,), between 0 and 1."""
+        most = self.steps[np.isfinite(self.steps)].max(initial=0.0)
+        offsets, result = self._offsets(worlds), np.zeros(worlds.n_worlds)
+        for q in np.unique(worlds.q):
+            here = np.flatnonzero(worlds.q == q)
+            letter = self.route[q]
+            near = 1.0 - offsets[np.ix_(letter, here)].mean(axis=0) if letter.size else 1.0
+            if np.isfinite(self.steps[q]):
+                result[here] = (most - self.steps[q] + near) / (most + 1.0)
+        return result
+
+    def _offsets(self, worlds: Worlds) -> np.ndarray:
+        """Return the mean gap of all axes to the region of each proposition, in workspace widths: (P, M) in [0, 1]."""
+        return self._gaps(worlds, np.mean)
+
     def _closeness(self, q: int, gaps: np.ndarray) -> np.ndarray:
         """Return how close the agents are to a letter that takes a step forward: float (M,), between 0 and 1."""
         if self.steps[q] == 0 or not self.wanted[q]:
@@ -86,30 +149,79 @@ class Potential:
             best = np.maximum(best, 1.0 - gaps[letter].mean(axis=0) if letter.size else 1.0)
         return best
 
-    def _gaps(self, worlds: Worlds) -> np.ndarray:
+    def _gaps(self, worlds: Worlds, joined: Callable[..., np.ndarray] = np.max) -> np.ndarray:
         """Return how far the owner of each proposition is from its region, in workspace widths: (P, M) in [0, 1]."""
         result = np.zeros((len(self.dynamics.problem.propositions), worlds.n_worlds))
         for block, x in zip(self.dynamics.blocks, worlds.states):
             if block.propositions.size:
                 with np.errstate(over="ignore", invalid="ignore"):
                     y = (x if block.identity_output else linear(block.C, x))[:, block.owners]
-                    # The width is that of the outputs of the workspace; the largest gap of all axes counts.
+                    # The width is that of the outputs of the workspace.
                     extent = (block.state_high - block.state_low)[None]
                     width = (np.abs(block.C) * extent).sum(axis=1)[:, block.owners]
                     gap = np.maximum(np.maximum(block.region_low - y, y - block.region_high), 0.0) / width
-                result[block.propositions] = np.nan_to_num(np.minimum(gap, 1.0), nan=1.0).max(axis=0)
+                result[block.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
         return result
 
 
-def _steps(automaton: Automaton) -> np.ndarray:
+def _letters(manager: Any, root: int) -> Iterator[tuple[frozenset[int], int]]:
+    """Yield the letters of a state, each with the state it leads to.
+
+    A letter is named by the propositions that have to hold; those that must not hold are ignored.
+    """
+    for assignment, target in islice(manager.paths(root), _STATE_PATHS):
+        yield frozenset(p for p, holds in assignment.items() if holds), target
+
+
+def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:
+    """Return whether the regions of every agent in a letter have a point in common."""
+    for block in dynamics.blocks:
+        for agent in np.unique(block.owners):
+            held = [k for k, p in enumerate(block.propositions) if block.owners[k] == agent and int(p) in letter]
+            if held and (block.region_low[:, held].max(axis=1) >= block.region_high[:, held].min(axis=1)).any():
+                return False
+    return True
+
+
+def _steps(accepting: np.ndarray, following: Sequence[Collection[int]]) -> np.ndarray:
     """Return the fewest transitions from each automaton state to an accepting one, infinite if there is no way."""
-    manager, roots = automaton.diagrams()
-    following = [manager.leaves(root) for root in roots]
-    steps = np.where(automaton.accepting, 0.0, np.inf)
+    steps = np.where(accepting, 0.0, np.inf)
     # Bellman-Ford: shortest ways are at most as long as there are states.
-    for _ in range(automaton.n_states):
+    for _ in range(len(following)):
         shorter = np.array([min((steps[t] + 1.0 for t in targets), default=np.inf) for targets in following])
         if (shorter >= steps).all():
             break
         steps = np.minimum(steps, shorter)
     return steps
+
+
+def _ease(automaton: Automaton, horizon: int) -> np.ndarray:
+    """Return how easily letters at random lead each state to acceptance: float (T + 1, Q), from 0 to 1 at every time.
+
+    The chance that T - t letters, in which every proposition holds or not by the toss of a coin, are accepted from a
+    state; on a logarithmic scale, from the least chance of a state that is not dead to the largest.
+    """
+    result = np.zeros((horizon + 1, automaton.n_states))
+    chance = automaton.accepting.astype(float)
+    levels = [np.flatnonzero(automaton.variable == p) for p in np.unique(automaton.variable)[::-1]]
+    for time in range(horizon, -1, -1):
+        with np.errstate(divide="ignore"):
+            logs = np.log(chance)
+        alive = np.isfinite(logs)
+        if alive.any():
+            least, most = logs[alive].min(), logs[alive].max()
+            result[time, alive] = (logs[alive] - least) / (most - least) if most > least else 1.0
+        # One letter more: half of the chance behind either child, from the last proposition to the first.
+        nodes = np.zeros(len(automaton.variable))
+        for here in levels:
+            low, high = (_behind(entries[here], chance, nodes) for entries in (automaton.low, automaton.high))
+            nodes[here] = 0.5 * low + 0.5 * high
+        chance = _behind(automaton.root, chance, nodes)
+        chance = chance / max(chance.max(), 1e-300)  # only ratios count; products of many halves would vanish
+    return result
+
+
+def _behind(entries: np.ndarray, chance: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Return the numbers behind entries of a diagram: of a node, or of state -1 - e for an entry e below 0."""
+    of_states = chance[-1 - np.minimum(entries, -1)]
+    return np.where(entries < 0, of_states, nodes[np.maximum(entries, 0)] if nodes.size else 0.0)

@@ -22,6 +22,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from ..problem import Problem
+from .observation import checked_reset
 from .problem_env import Infos, Observations, ProblemEnv
 
 
@@ -165,7 +166,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     def _starts(self, options: dict[str, Any] | None) -> list[dict[str, Any] | None]:
         """Return the options of each task: its share of a start in `options`."""
-        start = (options or {}).get("initial_state")
+        start = checked_reset(options).get("initial_state")
         if start is None:
             return [None] * len(self.tasks)
         # The problem checks the start and splits it by agents.

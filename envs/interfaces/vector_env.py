@@ -10,7 +10,7 @@ Autoreset, declared in `metadata["autoreset_mode"]`:
 - `DISABLED`: the caller resets all worlds, or those of `options["reset_mask"]`; stepping an ended world is an error.
 
 Infos are arrays over the worlds with masks `_name`, as in Gymnasium: `state` (M, D), `automaton_state`, `satisfied`,
-`time`. Names of letters are left out, for speed.
+`time`; with `spread` also `scattered`, whether the episode began anywhere.
 """
 
 from __future__ import annotations
@@ -31,12 +31,15 @@ from .episode import checked_discount
 from .observation import (
     ACTIONS,
     PRECISIONS,
+    RESET_OPTIONS,
     action_space,
     batch_inputs,
     checked_option,
+    checked_reset,
     joint_observations,
     observation_space,
 )
+from .scattering import checked_share, scattered
 from .shaping import REWARDS, Potential
 
 MOST_WORLDS = 10_000_000
@@ -58,6 +61,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     autoreset_mode : AutoresetMode or str
     reward, discount, dtype, actions
         As for `central_env`.
+    spread : float
+        Share of the episodes that begin anywhere, for learners: at states uniform in the workspaces, in an automaton
+        state and at a time drawn at random. Of those episodes no success rate says anything about the problem.
 
     Examples
     --------
@@ -80,6 +86,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         discount: float = 1.0,
         dtype: str = "float64",
         actions: str = "unit",
+        spread: float = 0.0,
     ) -> None:
         self.problem = checked_problem(problem)
         self.num_envs = checked_count(num_envs, "num_envs", most=MOST_WORLDS)
@@ -90,8 +97,10 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._dynamics = core.Dynamics.of(self.problem)
-        shaped = checked_option(reward, "reward", REWARDS) == "shaped"
-        self._potential = Potential.of(self._dynamics) if shaped else None
+        self._reward = checked_option(reward, "reward", REWARDS)
+        self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
+        self._spread = checked_share(spread)
+        self._scattered = np.zeros(self.num_envs, dtype=bool)
         self.single_observation_space = observation_space(self.problem, self.problem.agents, dtype)
         self.single_action_space = action_space(self.problem.agents, actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -115,13 +124,14 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             Seed of a new generator; without it the current one continues.
         options : dict, optional
             `initial_state` replaces the start of the worlds that are reset; `reset_mask`, bool (M,), selects them.
+            Other keys are refused.
         """
         # Several seeds are hashed into one, since one generator serves all worlds.
         if isinstance(seed, list | tuple):
             self.np_random = np.random.default_rng(np.random.SeedSequence([int(s) for s in seed]))
         elif seed is not None:
             self._np_random, self._np_random_seed = seeding.np_random(seed)
-        options = options or {}
+        options = checked_reset(options, (*RESET_OPTIONS, "reset_mask"))
         start, dynamics = options.get("initial_state"), self._dynamics
         if start is not None:
             dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
@@ -129,10 +139,10 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._worlds is None or which.all():
             # Worlds restart at different times later on, so each has a time from the beginning.
             worlds = core.initial(dynamics, self.np_random, self.num_envs)
-            self._worlds = replace(worlds, time=np.zeros(self.num_envs, dtype=np.int64))
             which[:] = True
+            self._worlds = self._begun(replace(worlds, time=np.zeros(self.num_envs, dtype=np.int64)), which)
         else:
-            self._worlds = core.restart(dynamics, self._worlds, which, self.np_random)
+            self._worlds = self._begun(core.restart(dynamics, self._worlds, which, self.np_random), which)
         self._ended = self._ended & ~which
         self._relevel(which)
         return joint_observations(self._dynamics, self._worlds, self._dtype), self._infos(which)
@@ -156,7 +166,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if fresh.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
-            worlds = core.restart(self._dynamics, worlds, fresh, self.np_random)
+            worlds = self._begun(core.restart(self._dynamics, worlds, fresh, self.np_random), fresh)
         # Worlds that the start has settled do not move, but end in this step.
         moving = ~(fresh | self._settled(worlds))
         worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
@@ -219,10 +229,14 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         rewards = np.where(fresh, 0.0, core.satisfied(self._dynamics, worlds).astype(np.float64))
         if self._potential is None:
             return rewards
-        # Shaping pays the difference of potentials; that of an ended world is 0.
-        levels = self._potential.at(worlds)
-        rewards = rewards + np.where(fresh, 0.0, self.discount * np.where(ended, 0.0, levels) - self._levels)
-        self._levels = levels
+        # Both pay the difference of levels; "shaped" forgets that of an ended world, "progress" keeps it.
+        if self._reward == "shaped":
+            levels = self._potential.at(worlds)
+            after = np.where(ended, 0.0, levels)
+        else:
+            after = levels = self._potential.kept(worlds, self._levels)
+        rewards = rewards + np.where(fresh, 0.0, self.discount * after - self._levels)
+        self._levels = np.where(fresh, self._first_levels(worlds), levels)
         return rewards
 
     def _restarted(self, ended: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
@@ -234,7 +248,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             observations[k] = final[k].copy()
         before = {name: values for name, values in infos.items() if not name.startswith("_")}
         masks = {f"_{name}": ended.copy() for name in before}
-        self._worlds = core.restart(self._dynamics, self._present(), ended, self.np_random)
+        self._worlds = self._begun(core.restart(self._dynamics, self._present(), ended, self.np_random), ended)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._relevel(ended)
         return {
@@ -248,7 +262,21 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _relevel(self, which: np.ndarray) -> None:
         """Note the potentials of worlds that have just started."""
         if self._potential is not None:
-            self._levels = np.where(which, self._potential.at(self._present()), self._levels)
+            self._levels = np.where(which, self._first_levels(self._present()), self._levels)
+
+    def _first_levels(self, worlds: core.Worlds) -> np.ndarray:
+        """Return the levels of worlds that have just started."""
+        assert self._potential is not None
+        at_start = self._potential.at(worlds)
+        return at_start if self._reward == "shaped" else self._potential.kept(worlds, at_start)
+
+    def _begun(self, worlds: core.Worlds, which: np.ndarray) -> core.Worlds:
+        """Return the worlds, with a share of those of `which` put anywhere."""
+        if self._spread == 0.0:
+            return worlds
+        chosen = which & (self.np_random.random(which.size) < self._spread)
+        self._scattered = np.where(which, chosen, self._scattered)
+        return scattered(self._dynamics, worlds, chosen, self.np_random)
 
     def _infos(self, which: np.ndarray) -> dict[str, Any]:
         """Return the infos with the mask `which`; where pictures are asked for, note the states for them as well."""
@@ -261,6 +289,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "time": worlds.time.copy(),
             "state": core.joint(self._dynamics, worlds),
         }
+        if self._spread > 0.0:
+            values["scattered"] = self._scattered.copy()
         return {**values, **{f"_{name}": which.copy() for name in values}}
 
     def _present(self) -> core.Worlds:

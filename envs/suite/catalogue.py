@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from importlib import import_module
 from inspect import signature
 from typing import Any
 
-from ..agents import shown
+from ..agents import shown, unknown_argument
 from ..problem import Problem
-from .ids import MODULES, NAMESPACE
+from .ids import MODULES, NAMESPACE, gymnasium_id
 
 # Arguments that every problem takes: they are handed to `Problem.replace`.
 _CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
+
+_BY_GYMNASIUM = {gymnasium_id(id).removeprefix(f"{NAMESPACE}/"): id for id in MODULES}
 
 
 def problem_ids() -> tuple[str, ...]:
@@ -33,7 +35,7 @@ def make_problem(id: str, **arguments: Any) -> Problem:
     Parameters
     ----------
     id : str
-        One of `problem_ids()`, with or without the prefix "certigym/".
+        One of `problem_ids()`, with or without the prefix "certigym/"; the names of Gymnasium ("Meeting-v0") will do.
     **arguments
         Arguments of the problem, such as `horizon` or, if its page says so, `n_agents`. Every problem also takes
         `initial_state`, or `initial_low` and `initial_high`, and `disturbance_scale`, in the forms of
@@ -49,20 +51,24 @@ def make_problem(id: str, **arguments: Any) -> Problem:
     >>> make_problem("invariance-v0", n_agents=3, horizon=5).n_agents
     3
     """
+    return problem_of_id(id, arguments)
+
+
+def problem_of_id(id: str, arguments: dict[str, Any], also: Iterable[str] = ()) -> Problem:
+    """Return a suite problem; `also` are arguments taken elsewhere, which the error about an unknown one lists, too."""
     key = id.removeprefix(f"{NAMESPACE}/") if isinstance(id, str) else id
+    key = _BY_GYMNASIUM.get(key, key) if isinstance(key, str) else key
     if not isinstance(key, str) or key not in MODULES:
         close = get_close_matches(str(key), MODULES, n=1)
         remedy = f"did you mean {close[0]!r}?" if close else f"the ids are {', '.join(problem_ids())}"
         raise ValueError(f"`id`: expected the id of a suite problem, got {shown(id)}; {remedy}")
     # Load the one module that is needed; its parameters are the problem's arguments.
     make: Callable[..., Problem] = import_module(f".{MODULES[key]}", __package__).problem
-    changes = {name: arguments.pop(name) for name in _CHANGES if name in arguments}
+    changes = {name: value for name, value in arguments.items() if name in _CHANGES}
+    arguments = {name: value for name, value in arguments.items() if name not in _CHANGES}
     parameters = list(signature(make).parameters)
     for name in arguments:
         if name not in parameters:
-            allowed = [*parameters, *_CHANGES]
-            close = get_close_matches(name, allowed, n=1)
-            remedy = f"did you mean `{close[0]}`?" if close else f"its arguments are {', '.join(allowed)}"
-            raise ValueError(f"`{name}`: no argument of {key}; {remedy}")
+            raise unknown_argument(name, key, [*parameters, *_CHANGES, *also])
     problem = make(**arguments)
     return problem.replace(**changes) if changes else problem

@@ -12,17 +12,18 @@ from typing import Any
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
+from ..agents import UnknownArgument
 from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv
 from ..problem import Problem, load_problem
-from .catalogue import make_problem
+from .catalogue import problem_of_id
 
-OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "caption")
+OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "infos", "caption")
 """Arguments of `parallel_env` that say how a problem is shown, not which problem."""
 
-CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions")
+CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions", "infos")
 """The same of `central_env`."""
 
-VECTOR_OPTIONS = ("autoreset_mode", *CENTRAL_OPTIONS)
+VECTOR_OPTIONS = ("autoreset_mode", "reward", "discount", "dtype", "actions", "spread")
 """The same of `vector_env`."""
 
 
@@ -47,7 +48,7 @@ def parallel_env(
     ['agent_0', 'agent_1']
     """
     options = _taken(arguments, OPTIONS)
-    resolved = resolve(problem, arguments)
+    resolved = resolve(problem, arguments, OPTIONS)
     if resolved.groups:
         return TasksEnv(resolved, render_mode, **options)
     return ProblemEnv(resolved, render_mode, **options)
@@ -77,7 +78,7 @@ def central_env(problem: Problem | str | Path, render_mode: str | None = None, *
     ((6,), (2,))
     """
     options = _taken(arguments, CENTRAL_OPTIONS)
-    return CentralEnv(resolve(problem, arguments), render_mode, **options)
+    return CentralEnv(resolve(problem, arguments, CENTRAL_OPTIONS), render_mode, **options)
 
 
 def vector_env(
@@ -103,27 +104,30 @@ def vector_env(
     (1000, 6)
     """
     options = _taken(arguments, VECTOR_OPTIONS)
-    return ProblemVectorEnv(resolve(problem, arguments), num_envs, render_mode, **options)
+    return ProblemVectorEnv(resolve(problem, arguments, VECTOR_OPTIONS), num_envs, render_mode, **options)
 
 
-def resolve(problem: Any, arguments: dict[str, Any]) -> Problem:
+def resolve(problem: Any, arguments: dict[str, Any], options: tuple[str, ...] = ()) -> Problem:
     """Return the problem for a Problem, a suite id (with arguments) or the path of a problem file.
+
+    The options of the environment are taken elsewhere; an error about an unknown argument lists them, too.
 
     Raises
     ------
     ValueError
-        If `problem` is not one of these, or if there are arguments without an id.
+        If `problem` is not one of these, or if there are arguments without an id (`UnknownArgument`).
     """
     # A text is the path of a problem file if it ends like one, and an id otherwise.
     if isinstance(problem, str) and not problem.endswith(".toml"):
-        return make_problem(problem, **arguments)
+        return problem_of_id(problem, arguments, (*options, "render_mode") if options else ())
     if isinstance(problem, str | Path):
         problem = load_problem(problem)
     if not isinstance(problem, Problem):
         raise ValueError(f"`problem`: expected a Problem or the id of one, got {type(problem).__name__}")
     for name in arguments:
-        raise ValueError(
-            f"`{name}`: expected only with a problem id; use `problem.replace`, or correct the name of the option"
+        raise UnknownArgument(
+            f"`{name}`: expected only with a problem id; use `problem.replace`, or correct the name of the option "
+            f"(got an unexpected keyword argument {name!r})"
         )
     return problem
 

@@ -35,8 +35,10 @@ from .synthesis.synthesize import synthesize as synthesize
 from .validation.audits import AuditReport as AuditReport
 from .validation.audits import audit as audit
 from .validation.policies import Comparison as Comparison
+from .validation.policies import Probe as Probe
 from .validation.policies import as_controller as as_controller
 from .validation.policies import compare as compare
+from .validation.policies import probe as probe
 from .validation.policies import train as train
 from .validation.reports import report as report
 from .validation.simulation import Mismatch as Mismatch
@@ -64,6 +66,7 @@ __all__ = [
     "InputTable",
     "LinearAgent",
     "Mismatch",
+    "Probe",
     "Problem",
     "ProductCertificate",
     "Proposition",
@@ -90,6 +93,7 @@ __all__ = [
     "load_problem",
     "make_problem",
     "parallel_env",
+    "probe",
     "problem_ids",
     "report",
     "rollout",

@@ -285,7 +285,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
         return [Contestant(name, name, _information(carrier), carrier, *claim, seconds)]
     if isinstance(policy, Training):
         actor = policy.actor
-        return [Contestant(name, name, actor.information, actor, seconds=policy.seconds, seed=policy.seed)]
+        return [Contestant(name, name, policy.information, actor, seconds=policy.seconds, seed=policy.seed)]
     # Any other controller is simulated as it is; a decentralised policy becomes one first.
     controller: Any = policy if hasattr(policy, "batch") else as_controller(problem, policy)
     return [Contestant(name, name, _information(controller), controller)]

@@ -6,7 +6,8 @@ contract with Stable-Baselines3:
 
 - a row that ends is reset in the same step; its last observation is in ``infos[row]["terminal_observation"]``;
 - ``infos[row]["TimeLimit.truncated"]`` says whether the row ended undecided at the horizon;
-- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length;
+- ``infos[row]["is_success"]`` says whether the task was satisfied, ``infos[row]["episode"]`` holds return and length,
+  ``infos[row]["scattered"]`` says whether the episode began anywhere;
 - dones are Booleans, rewards are float32, and ``seed(n)`` decides every number drawn from the next ``reset`` on.
 
 The observation holds the time left, so the horizon really ends the decision problem, and nothing comes after it. After
@@ -39,10 +40,14 @@ class WorldsVecEnv(VecEnv):
     view : SharedView or CentralView
     worlds : int
         Number of worlds M; there are ``M * view.rows`` rows.
-    reward : "sparse" or "shaped"
+    reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, which shapes the reward, too.
     horizon_ends : "truncated" or "terminated"
+    spread : float
+        Share of the episodes that begin anywhere, as in `ProblemVectorEnv`; 0 for the problem's own starts.
+    render_mode : None or "rgb_array"
+        One picture per world, so that `VecVideoRecorder` of Stable-Baselines3 has something to film.
 
     Examples
     --------
@@ -60,11 +65,20 @@ class WorldsVecEnv(VecEnv):
         reward: str = "shaped",
         discount: float = 1.0,
         horizon_ends: str = "truncated",
+        spread: float = 0.0,
+        render_mode: str | None = None,
     ) -> None:
         self.view = view
-        self.render_mode = None
+        self.render_mode = render_mode
         self.worlds = ProblemVectorEnv(
-            view.problem, worlds, autoreset_mode="SameStep", reward=reward, discount=discount, actions="unit"
+            view.problem,
+            worlds,
+            autoreset_mode="SameStep",
+            reward=reward,
+            discount=discount,
+            actions="unit",
+            spread=spread,
+            render_mode=render_mode,
         )
         # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
@@ -109,6 +123,10 @@ class WorldsVecEnv(VecEnv):
     def close(self) -> None:
         """Do nothing: no resource is held."""
 
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        """Return one picture per world in the render mode "rgb_array"."""
+        return list(self.worlds.render() or ())
+
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return one attribute, the same for all rows."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
@@ -142,6 +160,7 @@ class WorldsVecEnv(VecEnv):
                         "terminal_observation": last[row],
                         "TimeLimit.truncated": bool(truncated[world]) and self._bootstrap,
                         "is_success": bool(final["satisfied"][world]),
+                        "scattered": bool("scattered" in final and final["scattered"][world]),
                         "episode": episode,
                     }
                 )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
-from ...envs.problem import Problem
+from ...envs.suite import as_problem
 from ...synthesis.controllers import LOCAL, Decentralised, Policy, decentralised
 
 Array = NDArray[Any]
@@ -113,13 +113,13 @@ class IdleBatch:
         return tuple(np.repeat(middle, worlds.n_worlds, axis=-1) for middle in middles), None
 
 
-def as_controller(problem: Problem, policy: Policy) -> LocalController:
+def as_controller(problem: Any, policy: Policy) -> LocalController:
     """Return decentralised policies of any form as a controller for ``rollout`` and ``compare``.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     policy : mapping, function, InputTable, controller or actor
         As for ``certify``: one policy for all agents, or one per agent by name.
     """
-    return LocalController(decentralised(problem, policy))
+    return LocalController(decentralised(as_problem(problem), policy))

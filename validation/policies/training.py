@@ -5,14 +5,18 @@
 ``central-ppo``  one learner sees the states of all agents and moves all of them.
 ``sac``          like ``central-ppo``, but learning off policy.
 
-Training uses the start and the dynamics of the problem. The seed decides everything: network, worlds, batches. The same
-seed, versions and machine give the same actor.
+A warm start clones certified controllers first (``imitation``) and goes on learning from there. Such a learner was
+helped: it is no independent baseline, and says so wherever it is shown.
+
+The settings are those of ``settings.toml``. Now and then the actor of the moment plays episodes of its own; the best
+one is kept, since learners also forget. Training uses the start and the dynamics of the problem. The seed decides
+everything: network, worlds, batches. The same seed, versions and machine give the same actor.
 """
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -20,21 +24,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json
+from ...envs.agents import checked_count, counted, tree_text, write_bytes, write_json, write_text
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from .actors import Actor, Network, actor_of, save_actor
+from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
+from ...synthesis.synthesize import synthesize
+from ..simulation import rollout
+from .actors import Actor, save_actor
+from .imitation import clone, demonstrate
+from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of
+from .settings import Phase, Settings, settings_for
 from .views import CentralView, SharedView, View
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 ALGORITHMS = ("ppo", "central-ppo", "sac")
-STEPS = {"ppo": 100_000, "central-ppo": 200_000, "sac": 20_000}
-"""Default numbers of world steps: enough for the small problems of the suite."""
+
+CLONED = "cloned from certified controllers"
+"""The help that a warm start is."""
 
 CURVE_POINTS = 50
 """Points of a training curve."""
+
+PIECES = 12
+"""Parts of a training after each of which the actor is judged: often enough to catch a good one, and cheap."""
+
+JUDGED = 2000
+"""Episodes that judge an actor while it is trained: a success rate to about .01, in a fraction of a second."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +73,9 @@ class Training:
     actor : Actor
     settings : dict
     model : BaseAlgorithm
-        The learner, to continue with Stable-Baselines3.
+        The learner with the numbers of the actor, to continue with Stable-Baselines3.
+    help : str
+        What the learner was given beside the problem: "" for nothing, or "cloned from certified controllers".
     """
 
     problem: Problem
@@ -68,6 +87,7 @@ class Training:
     actor: Actor
     settings: dict[str, Any]
     model: BaseAlgorithm
+    help: str = ""
 
     def __repr__(self) -> str:
         shapes = " x ".join(str(bias.size) for bias in self.actor.network.biases)
@@ -82,8 +102,8 @@ class Training:
 
     @property
     def information(self) -> str:
-        """What the actor sees."""
-        return self.actor.information
+        """What the actor sees, and how it was helped."""
+        return f"{self.actor.information}; {self.help}" if self.help else self.actor.information
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but actor and model as JSON values."""
@@ -95,12 +115,16 @@ class Training:
             "seed": self.seed,
             "steps": self.steps,
             "seconds": self.seconds,
+            "help": self.help,
             "settings": self.settings,
             "curve": list(self.curve),
         }
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``actor.npz``, ``training.json`` and ``model.zip`` (of Stable-Baselines3); return the actor's path."""
+        """Write ``actor.npz``, ``training.json``, ``curve.csv`` and ``model.zip``; return the actor's path.
+
+        ``model.zip`` is the learner of Stable-Baselines3, with which ``train(resume=folder)`` goes on.
+        """
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)
         record = self.to_dict()
@@ -108,6 +132,9 @@ class Training:
             self.actor, target / "actor.npz", **{k: record[k] for k in ("algorithm", "seed", "steps", "seconds")}
         )
         write_json(target / "training.json", record)
+        columns = ("steps", "seconds", "episodes", "success", "return")
+        lines = [",".join(columns), *(",".join(f"{point[name]:.10g}" for name in columns) for point in self.curve)]
+        write_text(target / "curve.csv", "\n".join(lines) + "\n")
         model = BytesIO()
         self.model.save(model)
         write_bytes(target / "model.zip", model.getvalue())
@@ -120,9 +147,9 @@ def train(
     steps: int | None = None,
     seed: int = 0,
     *,
-    worlds: int | None = None,
-    reward: str = "shaped",
-    progress: Callable[[int, float], None] | None = None,
+    warm_start: Any = None,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
     **settings: Any,
 ) -> Training:
     """Train a baseline on a problem; nothing about the result is certified.
@@ -132,16 +159,20 @@ def train(
     problem : Problem, id or path
     algorithm : "ppo", "central-ppo" or "sac"
     steps : int, optional
-        World steps of all worlds together; default: ``STEPS``. The learner finishes the round in which it reaches them.
+        World steps of all worlds together; default: see ``settings.toml``. The learner finishes the round in which it
+        reaches them.
     seed : int
-    worlds : int, optional
-        Worlds side by side; default: 64 for PPO, 16 for SAC.
-    reward : "shaped" or "sparse"
-        The shaped reward has the same optimal policies and is needed with three or more agents.
+    warm_start : optional
+        Certified controllers to clone first: a Synthesis, a certificate, the path of one, or "certificate" for the one
+        that ``synthesize`` makes with its defaults. Not for SAC.
+    resume : str or Path, optional
+        Folder that ``Training.save`` has written: go on with its learner, with the settings of a warm start.
     progress : callable, optional
         Called with the world steps taken since the last call and the latest success rate.
     **settings
-        Settings of the learner that replace the defaults.
+        Values that replace those of ``settings.toml``: ``worlds`` side by side, ``reward`` ("sparse", "shaped" or
+        "progress", for all of the training), ``spread``, ``learning_rate``, ``deviation``, ``hidden``; ``device``; and
+        whatever the learner of Stable-Baselines3 takes.
 
     Raises
     ------
@@ -149,141 +180,107 @@ def train(
         If an argument is unknown or out of range, or Stable-Baselines3 is not installed.
     """
     problem = as_problem(problem)
-    count = worlds or (16 if algorithm == "sac" else 64)
-    _check(algorithm, seed, steps=steps, worlds=worlds)
-    # The learner counts rows, we count steps of worlds: a world has as many rows as its view says.
+    _check(algorithm, seed, warm_start, resume, steps=steps, worlds=settings.get("worlds"))
     view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)
-    used = {**_defaults(algorithm, problem, view, count), **settings}
-    model = _learner(algorithm, view, count, reward, seed, used)
-    wanted = STEPS[algorithm] if steps is None else steps
-    watcher = _watcher(view.rows, max(1, wanted // CURVE_POINTS), progress)
+    before = None if resume is None else _record(Path(resume), problem, algorithm)
+    if before is not None:
+        settings = {"hidden": before["settings"]["hidden"], **settings}
+    used = settings_for(algorithm, view, warm=warm_start is not None or resume is not None, steps=steps, **settings)
+    shown = None if warm_start is None else demonstrate(view, certificate_of(problem, warm_start).controller, seed=seed)
     began = time.perf_counter()
-    model.learn(wanted * view.rows, callback=watcher)
+    model = new_learner(algorithm, view, used, seed)
+    if shown is not None:
+        clone(model, shown, seed=seed)
+    if resume is not None:
+        model.set_parameters(str(Path(resume) / "model.zip"), device=model.device)
+    watcher = new_watcher(view.rows, max(1, used.steps // CURVE_POINTS), progress)
+    actor = _best(model, view, used, watcher, seed, start_counts=shown is not None or before is not None)
     seconds = time.perf_counter() - began
     taken = int(model.num_timesteps) // view.rows
-    settled = {**used, "worlds": count, "reward": reward}
-    actor = actor_of(view, network_of(model))
-    return Training(problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, settled, model)
+    helped = str(before["help"]) if before is not None else "" if shown is None else CLONED
+    return Training(
+        problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, used.to_dict(), model, helped
+    )
 
 
-def _check(algorithm: str, seed: int, **counts: int | None) -> None:
+def certificate_of(problem: Problem, given: Any) -> Certificate | ProductCertificate:
+    """Return a certificate of the problem: the one given, or for "certificate" that of ``synthesize``.
+
+    Raises
+    ------
+    ValueError
+        If it is about other agents than those of the problem.
+    """
+    if isinstance(given, str) and given == "certificate":
+        return synthesize(problem).certificate
+    certificate = as_certificate(given)
+    if certificate.fingerprint != problem.fingerprint:
+        raise ValueError(
+            f"`warm_start`: expected a certificate of {problem.name!r}, got one about another problem "
+            f"({certificate.problem.name!r})"
+        )
+    return certificate
+
+
+def score(problem: Problem, actor: Actor, seed: int, episodes: int = JUDGED) -> float:
+    """Return the share of successes in episodes that decide which actor is kept (an estimate, and biased by that)."""
+    return rollout(problem, actor, episodes, seed=seed).successes / episodes
+
+
+def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, start_counts: bool) -> Actor:
+    """Send a learner through its phases; return the best of its actors, the later of two that are as good.
+
+    The learner itself ends with the numbers of this actor.
+    """
+    judge = np.random.SeedSequence([seed, 1]).generate_state(1)[0].item()
+    best, best_score, numbers = actor_now(model, view), -1.0, numbers_of(model)
+    if start_counts:  # a clone may be best of all; an untrained network is none
+        best_score = score(view.problem, best, judge)
+    for number, phase in enumerate(settings.phases):
+        enter(model, view, settings, phase, seed + number)
+        for steps, rates in _pieces(phase, settings):
+            learn(model, view, steps, rates, watcher)
+            actor = actor_now(model, view)
+            now = score(view.problem, actor, judge)
+            if now >= best_score:
+                best, best_score, numbers = actor, now, numbers_of(model)
+    model.policy.load_state_dict(numbers)
+    return best
+
+
+def _pieces(phase: Phase, settings: Settings) -> list[tuple[int, tuple[float, float]]]:
+    """Return the parts of a phase: world steps, and learning rate at their beginning and end."""
+    total = max(1, round(phase.share * settings.steps))
+    # A learner always finishes its round, so parts shorter than a round would add up to more than was asked for.
+    count = max(1, min(round(phase.share * PIECES), total // settings.round))
+    # The rate falls to a tenth over the phase.
+    rates = phase.learning_rate * np.linspace(1.0, 0.1, count + 1)
+    edges = np.linspace(0, total, count + 1).round().astype(int)
+    parts = zip(np.diff(edges).tolist(), rates[:-1].tolist(), rates[1:].tolist(), strict=True)
+    return [(length, (first, last)) for length, first, last in parts]
+
+
+def _record(folder: Path, problem: Problem, algorithm: str) -> dict[str, Any]:
+    """Return the record of the training that is to be continued; raise ValueError if it does not fit."""
+    if not (folder / "training.json").is_file() or not (folder / "model.zip").is_file():
+        raise ValueError(f"`resume`: expected a folder with training.json and model.zip, got {str(folder)!r}")
+    record: dict[str, Any] = json.loads((folder / "training.json").read_text(encoding="utf-8"))
+    # Another horizon or start is welcome (a curriculum), other agents or tasks are another network.
+    if record["problem"] != problem.name or record["algorithm"] != algorithm:
+        found = f"{record['algorithm']!r} on {record['problem']!r}"
+        raise ValueError(f"`resume`: expected {algorithm!r} on {problem.name!r}, got {found}")
+    return record
+
+
+def _check(algorithm: str, seed: int, warm_start: Any, resume: Any, **counts: int | None) -> None:
     """Raise ValueError unless the algorithm exists and all numbers that are given are whole and large enough."""
     if algorithm not in ALGORITHMS:
         raise ValueError(f"`algorithm`: expected {', '.join(map(repr, ALGORITHMS))}, got {algorithm!r}")
+    if warm_start is not None and algorithm == "sac":
+        raise ValueError("`warm_start`: expected only with 'ppo' or 'central-ppo'; SAC has no actor that clones fit")
+    if warm_start is not None and resume is not None:
+        raise ValueError("`resume`: expected without `warm_start`; a learner that goes on is not cloned again")
     checked_count(seed, "seed", least=0)
     for name, value in counts.items():
         if value is not None:
             checked_count(value, name)
-
-
-def _learner(algorithm: str, view: View, worlds: int, reward: str, seed: int, used: dict[str, Any]) -> BaseAlgorithm:
-    """Return the untrained learner of Stable-Baselines3 on its worlds, on one thread of the processor."""
-    try:
-        import torch
-        from stable_baselines3 import PPO, SAC
-
-        from .learners import WorldsVecEnv
-    except ImportError as error:
-        raise ValueError('training needs Stable-Baselines3: install "certigym[rl]"') from error
-    torch.set_num_threads(1)  # small networks gain little from threads, which would change the order of sums
-    env = WorldsVecEnv(view, worlds, reward=reward, discount=float(used["gamma"]), horizon_ends="terminated")
-    arguments = {name: value for name, value in used.items() if name not in ("hidden", "log_std_init")}
-    arguments |= {"learning_rate": _falling(float(used["learning_rate"])), "policy_kwargs": _networks(used)}
-    learner: Any = SAC if algorithm == "sac" else PPO
-    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, device="cpu", **arguments)
-    return model
-
-
-def network_of(model: BaseAlgorithm) -> Network:
-    """Return the deterministic actor of a PPO or SAC learner with an ``MlpPolicy`` as numbers."""
-    import torch
-
-    policy: Any = model.policy
-    # SAC squashes its actions by tanh; PPO's are clipped.
-    squashed = hasattr(policy, "actor") and hasattr(policy.actor, "mu")
-    if squashed:
-        hidden, last = policy.actor.latent_pi, policy.actor.mu
-    else:
-        hidden, last = policy.mlp_extractor.policy_net, policy.action_net
-    # Linear layers become arrays; between them only one kind of activation is allowed.
-    layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
-    kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
-    if kinds not in ({"Tanh"}, {"ReLU"}):
-        raise ValueError(f"`model`: expected an MLP with tanh or relu between its layers, got {sorted(kinds)}")
-    weights = tuple(layer.weight.detach().numpy().copy() for layer in layers)
-    biases = tuple(layer.bias.detach().numpy().copy() for layer in layers)
-    return Network(weights, biases, kinds.pop().lower(), squashed)
-
-
-def _defaults(algorithm: str, problem: Problem, view: View, worlds: int) -> dict[str, Any]:
-    """Return settings that learn the small problems of the suite in minutes."""
-    if algorithm == "sac":
-        return {
-            "learning_rate": 1e-3,
-            "gamma": 1.0,
-            "buffer_size": 200_000,
-            "batch_size": 256,
-            "train_freq": 1,
-            "gradient_steps": 8,
-            "learning_starts": 1000,
-            "ent_coef": "auto_0.1",
-            "target_entropy": -2.0 * view.n_actions,
-            "hidden": [64, 64],
-        }
-    # A round of PPO holds about two episodes of every world, and is split into eight batches.
-    rounds = int(np.clip(2 * problem.horizon, 16, 64))
-    batch = max(64, worlds * rounds * view.rows // 8)
-    return {
-        "learning_rate": 2e-3,
-        "gamma": 1.0,
-        "gae_lambda": 0.95,
-        "n_steps": rounds,
-        "batch_size": batch,
-        "n_epochs": 8,
-        "ent_coef": 0.0,
-        "clip_range": 0.2,
-        "hidden": [64, 64],
-        "log_std_init": -1.0,
-    }
-
-
-def _networks(used: dict[str, Any]) -> dict[str, Any]:
-    """Return the hidden layers, and for PPO the logarithm of the first deviation (1 is half of the input box)."""
-    first = {"log_std_init": float(used["log_std_init"])} if "log_std_init" in used else {}
-    return {"net_arch": list(used["hidden"]), **first}
-
-
-def _falling(first: float) -> Callable[[float], float]:
-    """Return a learning rate that falls linearly to a tenth, as a function of the share of training left."""
-    return lambda left: first * (0.1 + 0.9 * left)
-
-
-def _watcher(rows: int, every: int, progress: Callable[[int, float], None] | None) -> Any:
-    """Return a callback that records the training curve, one point about every ``every`` world steps."""
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    class Watcher(BaseCallback):
-        """A callback that counts episodes by the infos of the first row of each world."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.curve: list[dict[str, float]] = []
-            self.ended: list[tuple[bool, float]] = []
-            self.began, self.last = time.perf_counter(), 0
-
-        def _on_step(self) -> bool:
-            # All rows of a world end together, so the first one stands for the world.
-            infos = self.locals["infos"][::rows]
-            self.ended += [(i["is_success"], i["episode"]["r"]) for i in infos if "is_success" in i]
-            steps = self.num_timesteps // rows
-            if steps - self.last >= every and self.ended:
-                success, gained = np.mean(np.array(self.ended, dtype=float), axis=0)
-                point = {"steps": steps, "success": float(success), "episodes": len(self.ended)}
-                point |= {"return": float(gained), "seconds": time.perf_counter() - self.began}
-                self.curve.append(point)
-                if progress is not None:
-                    progress(steps - self.last, float(success))
-                self.ended, self.last = [], steps
-            return True
-
-    return Watcher()

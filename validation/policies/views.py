@@ -73,6 +73,18 @@ class SharedView:
         rows = np.asarray(actions).reshape(-1, self.rows, self.n_actions)
         return np.concatenate([rows[:, i, : agent.n_inputs] for i, agent in enumerate(self.problem.agents)], axis=1)
 
+    def row_actions(self, joint_actions: Array) -> Array:
+        """Return rows (M * agents, n_actions) for joint actions (M, sum of m_i), filled up with zeros."""
+        rows = np.zeros((len(joint_actions), self.rows, self.n_actions))
+        for i, (agent, columns) in enumerate(zip(self.problem.agents, self.problem.input_columns, strict=True)):
+            rows[:, i, : agent.n_inputs] = joint_actions[:, columns]
+        return rows.reshape(-1, self.n_actions)
+
+    @property
+    def used_actions(self) -> NDArray[np.bool_]:
+        """Which components of its action each agent has: bool (agents, n_actions)."""
+        return np.array([np.arange(self.n_actions) < agent.n_inputs for agent in self.problem.agents])
+
 
 @dataclass(frozen=True, eq=False)
 class CentralView:
@@ -104,6 +116,15 @@ class CentralView:
     def joint_actions(self, actions: Array) -> Array:
         """Return the actions, which are joint already."""
         return np.asarray(actions)
+
+    def row_actions(self, joint_actions: Array) -> Array:
+        """Return the joint actions: a world has one row."""
+        return np.asarray(joint_actions)
+
+    @property
+    def used_actions(self) -> NDArray[np.bool_]:
+        """All components of the one row of a world: bool (1, n_actions)."""
+        return np.ones((1, self.n_actions), dtype=bool)
 
 
 View = SharedView | CentralView

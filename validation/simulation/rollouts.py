@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import counted, tree_text
-from ...envs.problem import Problem, checked_problem
+from ...envs.suite import as_problem
 from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
 from .mismatch import Mismatch
@@ -72,7 +72,7 @@ class Rollouts:
 
 
 def rollout(
-    problem: Problem,
+    problem: Any,
     controller: Any,
     plan: TrialPlan | int | None = None,
     *,
@@ -84,7 +84,7 @@ def rollout(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     controller : Synthesis, certificate, or object with ``batch(dynamics)``
     plan, **trial
         Episodes (default 10,000), seed, chunk, executor, progress; see ``TrialPlan``.
@@ -100,7 +100,7 @@ def rollout(
     KeyboardInterrupt
         On Ctrl-C. Policies can be compared only over the same episodes, so a part of them is of no use.
     """
-    checked_problem(problem)
+    problem = as_problem(problem)
     controller = getattr(controller, "controller", controller)  # syntheses and certificates have one
     if not hasattr(controller, "batch"):
         raise ValueError(

@@ -9,6 +9,7 @@ from .binomial import (
     holm,
     p_at_least,
     p_at_most,
+    paired_difference,
     verdict,
 )
 from .sequential import SequentialState, confidence_sequence
@@ -24,5 +25,6 @@ __all__ = [
     "holm",
     "p_at_least",
     "p_at_most",
+    "paired_difference",
     "verdict",
 ]

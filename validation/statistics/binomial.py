@@ -57,6 +57,36 @@ def clopper_pearson(successes: int, episodes: int, confidence: float) -> tuple[f
     return low, high
 
 
+def paired_difference(only_first: int, only_second: int, episodes: int, confidence: float) -> tuple[float, float]:
+    """Return exact two-sided limits on P1 - P2, the difference of two success probabilities in paired episodes.
+
+    P1 - P2 is the probability that only the first succeeds less the probability that only the second does. Each of the
+    four limits on these two is Clopper-Pearson's at a quarter of the error, so both limits of the difference hold
+    together with the confidence, no matter how the outcomes of a pair depend on each other. They are wider than
+    approximate ones.
+
+    Parameters
+    ----------
+    only_first, only_second : int
+        Episodes in which exactly this one succeeds.
+    episodes : int
+        All episodes.
+    confidence : float
+        Of both limits together, strictly between 0 and 1.
+
+    Examples
+    --------
+    >>> low, high = paired_difference(30, 10, 1000, 0.99)
+    >>> round(low, 4), round(high, 4)
+    (-0.0055, 0.0451)
+    """
+    if only_first + only_second > episodes:
+        raise ValueError(f"`episodes`: expected at least {only_first + only_second}, got {episodes}")
+    halved = 0.5 * (1.0 + confidence)  # half of the error for each of the two probabilities
+    first, second = (clopper_pearson(count, episodes, halved) for count in (only_first, only_second))
+    return first[0] - second[1], first[1] - second[0]
+
+
 def check_confidence(confidence: float) -> None:
     """Raise ValueError unless ``0 < confidence < 1``."""
     if not 0 < confidence < 1:

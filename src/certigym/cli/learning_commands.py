@@ -7,35 +7,79 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from ..envs.problem import Problem
 from ..synthesis.certificates import load_certificate, save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
 from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
-from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
+from ..validation.policies import (
+    ALGORITHMS,
+    IdleController,
+    NotAnActor,
+    RandomController,
+    certificate_of,
+    load_actor,
+)
 from ..validation.policies import compare as compare_policies
+from ..validation.policies import probe as probe_certificate
 from .given import cells_of, problem_of, relation_of, show
 from .work import trained, trials
 
 
 def train(options: Namespace) -> int:
-    """Train a baseline, save it, and print how it went."""
+    """Train a baseline with one seed or several, save it, and print how it went."""
     if options.steps is not None and options.steps < 1:
         raise ValueError(f"`--steps`: expected a positive whole number, got {options.steps}")
-    problem = problem_of(options)
-    training = trained(problem, options.algo, options.steps, options.seed, options.worlds, options.reward)
-    path = training.save(options.out)
+    problem, seeds = problem_of(options), options.seeds or [options.seed]
+    chosen = {name: getattr(options, name) for name in ("worlds", "reward", "warm_start", "resume")}
+    if options.warm_start is not None:  # one certificate for all seeds
+        chosen["warm_start"] = certificate_of(problem, options.warm_start)
+    trainings, texts = [], []
+    for seed in seeds:
+        training = trained(problem, options.algo, options.steps, seed, **chosen)
+        folder = Path(options.out) if len(seeds) == 1 else Path(options.out) / f"seed-{seed}"
+        training.save(folder)
+        trainings.append(training)
+        last = training.curve[-1]["success"] if training.curve else float("nan")
+        texts.append(
+            f"{problem.name}: {options.algo}, seed {seed}, {training.steps} world steps in {training.seconds:.1f} s; "
+            f"success while exploring {last:.3f}; saved to {folder}"
+        )
     if options.plot:
-        draw_curves([training], options.plot)
-    last = training.curve[-1]["success"] if training.curve else float("nan")
-    show(
-        options,
-        f"{problem.name}: {options.algo}, seed {options.seed}, {training.steps} world steps in "
-        f"{training.seconds:.1f} s; success while exploring {last:.3f}\n"
-        f"agents see: {training.information}\nsaved to {path.parent}",
-        training.to_dict(),
-    )
+        draw_curves(trainings, options.plot)
+    texts += [f"agents see: {trainings[0].information}", f"settings: {trainings[0].settings}"]
+    data: Any = trainings[0].to_dict()
+    if len(seeds) > 1:
+        result = compare_policies(problem, {options.algo: trainings})
+        texts.append(str(result))
+        data = {"trainings": [training.to_dict() for training in trainings], "comparison": result.to_dict()}
+    show(options, "\n".join(texts), data)
+    return 0
+
+
+def probe(options: Namespace) -> int:
+    """Let a learner try to beat the certified controllers, and print by how much it did."""
+    with tqdm(desc="probe", unit=" steps", disable=None, leave=False) as bar:
+
+        def learned(count: int, success: float) -> None:
+            bar.set_postfix_str(f"success {success:.3f}")
+            bar.update(count)
+
+        with trials(options, 2 * options.episodes) as plan:
+            found = probe_certificate(
+                problem_of(options),
+                options.certificate,
+                plan,
+                seconds=options.seconds,
+                steps=options.steps,
+                learned=learned,
+            )
+    if options.out:
+        found.save_actor(options.out)
+    show(options, found, found.to_dict())
     return 0
 
 
@@ -75,7 +119,7 @@ def _policy(problem: Problem, name: str, options: Namespace) -> Any:
     if name == "certified":
         return synthesize(problem, cells_of(options), **relation_of(options))
     if name in ALGORITHMS:
-        return [trained(problem, name, options.steps, seed, None, "shaped") for seed in options.train_seeds]
+        return [trained(problem, name, options.steps, seed) for seed in options.train_seeds]
     if name in ("random", "idle"):
         return RandomController() if name == "random" else IdleController()
     return _policy_of_file(problem, name)

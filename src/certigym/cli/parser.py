@@ -32,6 +32,7 @@ MODULES = {
     "stress": "validation_commands",
     "report": "validation_commands",
     "train": "learning_commands",
+    "probe": "learning_commands",
     "compare": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
@@ -64,6 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_synthesis(commands)
     _add_validation(commands)
     _add_learning(commands)
+    _add_comparing(commands)
     _add_pictures(commands)
     for command in commands.choices.values():
         add_json(command)
@@ -142,7 +144,7 @@ def _add_validation(commands: Any) -> None:
 
 
 def _add_learning(commands: Any) -> None:
-    """Add the commands about learned and given policies."""
+    """Add the commands that train learners."""
     train = commands.add_parser("train", help="train a baseline of Stable-Baselines3 and save it")
     add_problem(train)
     train.add_argument(
@@ -153,11 +155,39 @@ def _add_learning(commands: Any) -> None:
     )
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
     train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
+    train.add_argument(
+        "--seeds", nargs="+", type=int, metavar="S", help="several trainings, compared at the end; folders DIR/seed-S"
+    )
+    train.add_argument("--resume", metavar="DIR", help="go on with the learner that is saved in this folder")
     train.add_argument("--worlds", type=int, metavar="M", help="worlds side by side (default: by algorithm)")
-    train.add_argument("--reward", choices=["shaped", "sparse"], default="shaped", help="default: shaped")
-    train.add_argument("--out", metavar="DIR", required=True, help="folder for actor.npz, training.json, model.zip")
+    train.add_argument(
+        "--reward",
+        choices=["sparse", "shaped", "progress"],
+        help="one reward for all of the training (default: progress first, then sparse)",
+    )
+    train.add_argument(
+        "--warm-start",
+        metavar="certificate|CERT",
+        help="clone certified controllers first: those of the file CERT, or of the certificate made with the defaults",
+    )
+    train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
     add_picture(train, "the training curve")
 
+    probe = commands.add_parser(
+        "probe", help="let a learner that starts from the certified controllers try to beat them"
+    )
+    add_problem(probe)
+    probe.add_argument(
+        "--certificate", metavar="CERT", default="certificate", help="certificate file (default: one is made)"
+    )
+    probe.add_argument("--seconds", type=float, default=120.0, metavar="S", help="budget of the learner (default: 120)")
+    probe.add_argument("--steps", type=int, metavar="N", help="world steps per attempt, instead of --seconds")
+    probe.add_argument("--out", metavar="ACTOR", help="also save the best actor (.npz)")
+    add_trials(probe, 20_000, " that judge")
+
+
+def _add_comparing(commands: Any) -> None:
+    """Add the commands that compare and certify policies."""
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
     compare.add_argument(

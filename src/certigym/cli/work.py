@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from tqdm import tqdm
 
@@ -51,14 +52,12 @@ def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
         yield TrialPlan(*numbers, executor=executor, progress=progress)
 
 
-def trained(
-    problem: Problem, algorithm: str, steps: int | None, seed: int, worlds: int | None, reward: str
-) -> Training:
-    """Train a baseline with a progress bar."""
+def trained(problem: Problem, algorithm: str, steps: int | None, seed: int, **arguments: Any) -> Training:
+    """Train a baseline with a progress bar; the arguments are those of ``train``."""
     with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
 
         def progress(count: int, success: float) -> None:
             bar.set_postfix_str(f"success {success:.3f}")
             bar.update(count)
 
-        return train_baseline(problem, algorithm, steps, seed, worlds=worlds, reward=reward, progress=progress)
+        return train_baseline(problem, algorithm, steps, seed, progress=progress, **arguments)

@@ -1,0 +1,151 @@
+"""Libraries that nobody here wrote find what they expect: numbers in infos, Python's own error for an unknown argument,
+actions without their axis of length 1, the same names in both registries, and refusals in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pettingzoo
+import pytest
+
+import certigym as cg
+from certigym.envs.agents import UnknownArgument
+from certigym.envs.suite.ids import gymnasium_id
+
+FORMS = ("parallel", "aec", "central", "vector")
+
+
+def infos_of(id: str, form: str, **options: Any) -> list[dict[str, Any]]:
+    """Infos of a reset and a few steps with random actions, one dictionary per agent and time."""
+    if form == "central":
+        env: Any = cg.central_env(id, **options)
+        env.action_space.seed(0)
+        return [env.reset(seed=0)[1], env.step(env.action_space.sample())[-1]]
+    if form == "vector":
+        env = cg.vector_env(id, 3, **options)
+        env.action_space.seed(0)
+        return [env.reset(seed=0)[1], env.step(env.action_space.sample())[-1]]
+    if form == "aec":
+        env = cg.aec_env(id, **options)
+        env.reset(seed=0)
+        return list(env.infos.values())
+    env = cg.parallel_env(id, **options)
+    infos = list(env.reset(seed=0)[1].values())
+    while env.agents:
+        infos += list(env.step({name: env.action_space(name).sample() for name in env.agents})[-1].values())
+    return infos
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("id", cg.problem_ids())
+def test_infos_hold_numbers_and_arrays_of_fixed_shape(id: str, form: str) -> None:
+    infos = infos_of(id, form)
+    shapes: dict[str, set[tuple[int, ...]]] = {}
+    for info in infos:
+        assert {"automaton_state", "satisfied", "time", "state"} <= info.keys()
+        for name, value in info.items():
+            array = np.asarray(value)
+            assert array.dtype.kind in "bif", f"{name}: {value!r}"
+            if name not in ("state", "_state"):  # agents of one problem may have states of different sizes
+                shapes.setdefault(name, set()).add(array.shape)
+    assert all(len(found) == 1 for found in shapes.values()), shapes
+
+
+@pytest.mark.parametrize("form", ["parallel", "aec", "central"])
+def test_words_come_on_request(form: str) -> None:
+    problem: Any = cg.make_problem("reach-avoid-v0", initial_state=[0.0, -4.0])
+    assert infos_of(problem, form, infos="words")[0]["letter"] == ("p1",)
+    with pytest.raises(ValueError, match="`infos`: expected 'numbers' or 'words', got 'letters'"):
+        infos_of(problem, form, infos="letters")
+
+
+@pytest.mark.parametrize("make", [cg.parallel_env, cg.aec_env, cg.central_env, cg.vector_env, cg.make_problem])
+def test_an_unknown_argument_is_a_mistake_of_both_kinds(make: Any) -> None:
+    with pytest.raises(UnknownArgument) as caught:
+        make("meeting-v0", frameskip=4)
+    assert isinstance(caught.value, ValueError) and isinstance(caught.value, TypeError)
+    assert "unexpected keyword argument 'frameskip'" in str(caught.value)
+    assert "horizon" in str(caught.value)
+    assert ("reward" in str(caught.value)) == (make is not cg.make_problem)  # options of environments alone
+    if make is not cg.make_problem:
+        with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+            make(cg.make_problem("meeting-v0"), frameskip=4)
+
+
+def test_a_probe_through_gymnasium_sees_the_same_error() -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        gymnasium.make("certigym/Meeting-v0", frameskip=1)
+    with pytest.raises(ValueError, match="did you mean `render_mode`"):
+        cg.parallel_env("meeting-v0", render_mod="ansi")
+
+
+@pytest.mark.parametrize("id", cg.problem_ids())
+def test_both_libraries_know_both_names(id: str) -> None:
+    for name in (f"certigym/{id}", gymnasium_id(id)):
+        assert gymnasium.spec(name).kwargs == {"problem": id}
+        assert cg.make_problem(name).fingerprint == cg.make_problem(id).fingerprint
+    made: Any = gymnasium.make(f"certigym/{id}").unwrapped
+    other: Any = pettingzoo.make("parallel", gymnasium_id(id))
+    assert made.problem.fingerprint == other.problem.fingerprint == cg.make_problem(id).fingerprint
+
+
+def test_an_action_may_come_without_its_axis() -> None:
+    single = cg.make_problem("invariance-v0", n_agents=1)
+    for bare, whole in ((0.5, [0.5]), (np.float32(0.25), np.array([0.25])), (np.array(-1.0), np.array([-1.0]))):
+        parallel, central, vector = cg.parallel_env(single), cg.central_env(single), cg.vector_env(single, 2)
+        states = []
+        for action in (bare, whole):
+            parallel.reset(seed=0), central.reset(seed=0), vector.reset(seed=0)
+            states.append(
+                [
+                    parallel.step({"agent_0": action})[-1]["agent_0"]["state"].tolist(),
+                    central.step(action)[-1]["state"].tolist(),
+                    vector.step(np.stack([action, action]))[-1]["state"].tolist(),
+                ]
+            )
+        assert states[0] == states[1]
+    planar = cg.parallel_env("meeting-v0")
+    planar.reset(seed=0)
+    with pytest.raises(ValueError, match=r"expected finite numbers of shape \(2,\)"):
+        planar.step({"robot_0": 0.5, "robot_1": np.zeros(2)})
+    with pytest.raises(ValueError, match=r"expected finite numbers of shape \(1,\)"):
+        parallel.step({"agent_0": np.nan})
+
+
+@pytest.mark.parametrize("form", ["parallel", "central", "vector"])
+def test_unknown_keys_of_reset_are_refused(form: str) -> None:
+    env: Any = getattr(cg, f"{form}_env")("reach-avoid-v0")
+    with pytest.raises(ValueError, match=r"`options`: expected the keys 'initial_state'.*, got 'initial_sate'"):
+        env.reset(seed=0, options={"initial_sate": [-7.0, -3.0]})
+    env.reset(seed=0, options={"initial_state": [-7.0, -3.0]})
+    env.reset(seed=0, options={"options": 1})  # PettingZoo's conformance tests pass this to every environment
+
+
+def test_verbs_take_an_id() -> None:
+    name = "reach-avoid-v0"
+    controller = cg.as_controller(name, lambda x, q, t: -0.5 * x)
+    assert cg.rollout(name, controller, 50).successes == cg.rollout(cg.make_problem(name), controller, 50).successes
+    assert cg.compare(name, {"mine": controller}, 50).problem == name
+
+
+def test_the_vec_envs_of_stable_baselines_are_public_and_can_be_filmed() -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    from certigym import baselines
+
+    assert {"WorldsVecEnv", "shared_vec_env", "central_vec_env"} <= set(dir(baselines))
+    env = baselines.shared_vec_env(cg.make_problem("reach-avoid-v0"), worlds=2, render_mode="rgb_array")
+    env.reset()
+    frame = env.render()
+    assert env.render_mode == "rgb_array" and frame.ndim == 3 and frame.dtype == np.uint8
+    env.step(np.zeros((4, 1)))
+    assert not np.array_equal(frame, env.render())
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        baselines.nothing  # noqa: B018
+
+
+def test_training_takes_an_id_and_a_device() -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    training = cg.train("reach-avoid-v0", steps=64, worlds=2, device="cpu", n_steps=16, batch_size=64)
+    assert training.problem.name == "reach-avoid-v0" and training.settings["device"] == "cpu"

@@ -1,0 +1,183 @@
+"""Episodes may begin anywhere, where the task is open; the reward "progress" tells a good failure from a bad one."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.interfaces.shaping import Potential
+
+IDS = ["reach-avoid-v0", "patrol-recharge-v0", "package-delivery-v0", "meeting-v0", "building-automation-v0"]
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_starts_anywhere_are_open_and_everywhere(id: str) -> None:
+    envs = cg.vector_env(id, 4000, spread=1.0)
+    observations, infos = envs.reset(seed=0)
+    problem = envs.problem
+    assert infos["scattered"].all() and envs.observation_space.contains(observations)
+    q, time, states = infos["automaton_state"], infos["time"], infos["state"]
+    # A world for which no draw was open stays at the start of the problem.
+    home = cg.vector_env(id, 1).reset(seed=0)[1]["state"][0]
+    drawn = (states != home).any(axis=1)
+    assert drawn.mean() > 0.4
+    assert not problem.automaton.absorbing[q[drawn]].any()
+    assert time.min() == 0 and time.max() == problem.horizon - 1
+    low = np.concatenate([agent.state_low for agent in problem.agents])
+    high = np.concatenate([agent.state_high for agent in problem.agents])
+    assert ((low <= states) & (states <= high)).all()
+    spans = (states.max(axis=0) - states.min(axis=0)) / (high - low)
+    assert spans.max() > 0.9, "in at least one axis the starts reach from edge to edge"
+
+
+def test_the_share_is_that_of_the_episodes() -> None:
+    """Of 20,000 episodes 30 % are drawn; five standard deviations are a false alarm of less than 1e-6."""
+    envs = cg.vector_env("meeting-v0", 20_000, spread=0.3)
+    _, infos = envs.reset(seed=1)
+    assert abs(infos["scattered"].mean() - 0.3) < 5.0 * np.sqrt(0.21 / 20_000)
+    home = infos["state"][~infos["scattered"]]
+    assert (home == home[0]).all() and (infos["time"][~infos["scattered"]] == 0).all()
+
+
+def test_without_a_share_nothing_changes() -> None:
+    plain, zero = cg.vector_env("meeting-v0", 5), cg.vector_env("meeting-v0", 5, spread=0.0)
+    assert np.array_equal(plain.reset(seed=3)[0], zero.reset(seed=3)[0])
+    assert "scattered" not in zero.reset(seed=3)[1]
+    for wrong in (-0.1, 1.5, True, "half"):
+        with pytest.raises(ValueError, match="`spread`: expected a number from 0 to 1"):
+            cg.vector_env("meeting-v0", 5, spread=wrong)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_episodes_that_begin_anywhere_run_to_their_ends(mode: str) -> None:
+    envs = cg.vector_env("reach-avoid-v0", 50, spread=0.5, autoreset_mode=mode, reward="progress")
+    envs.reset(seed=0)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(60):
+        _, rewards, terminated, truncated, infos = envs.step(rng.uniform(-1.0, 1.0, (50, 2)))
+        assert np.isfinite(rewards).all() and (infos["time"] <= 7).all()
+        ends += int((terminated | truncated).sum())
+    assert ends > 100
+
+
+def returns(envs: Any, policy: Any, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Undiscounted returns of one episode per world, whether each was satisfied, and the last joint states."""
+    observations, infos = envs.reset(seed=seed)
+    total, over = np.zeros(envs.num_envs), np.zeros(envs.num_envs, dtype=bool)
+    satisfied, last = np.zeros(envs.num_envs, dtype=bool), infos["state"].copy()
+    while not over.all():
+        observations, rewards, terminated, truncated, infos = envs.step(policy(observations))
+        total += np.where(over, 0.0, rewards)
+        ended = (terminated | truncated) & ~over
+        satisfied[ended], last[~over] = infos["satisfied"][ended], infos["state"][~over]
+        over |= ended
+    return total, satisfied, last
+
+
+def test_progress_tells_a_good_failure_from_a_bad_one() -> None:
+    """One step towards the goal and one away from it: "shaped" pays the same for both, "progress" does not."""
+    problem = cg.make_problem("reach-avoid-v0", initial_state=[-10.0, -4.0], horizon=1)
+    paid: dict[str, list[float]] = {}
+    for reward in ("shaped", "progress"):
+        envs = cg.vector_env(problem, 200, reward=reward)
+        for action in (-1.0, 1.0):
+            total, satisfied, _ = returns(envs, lambda o, a=action: np.tile([a, 0.0], (200, 1)), 0)
+            assert not satisfied.any()
+            paid.setdefault(reward, []).append(float(total.mean()))
+    assert paid["shaped"][0] == pytest.approx(paid["shaped"][1])
+    assert paid["progress"][1] > paid["progress"][0] + 0.05
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_progress_pays_satisfaction_and_a_bounded_rest(id: str) -> None:
+    envs = cg.vector_env(id, 400, reward="progress")
+    rng = np.random.default_rng(0)
+    shape = envs.action_space.shape
+    total, satisfied, _ = returns(envs, lambda _: rng.uniform(-1.0, 1.0, shape), 0)
+    rest = total - satisfied
+    assert (rest > -1.0 - 1e-9).all() and (rest < 1.0 + 1e-9).all()
+
+
+def test_a_lost_task_keeps_its_level() -> None:
+    """Survival counts for tasks that are judged at the horizon: whoever fails later has the larger return."""
+    problem = cg.make_problem("invariance-v0", n_agents=1)
+    envs = cg.vector_env(problem, 300, reward="progress")
+    assert not problem.automaton.is_co_safe
+    envs.reset(seed=0)
+    total, over, times = np.zeros(300), np.zeros(300, dtype=bool), np.zeros(300)
+    while not over.all():
+        _, rewards, terminated, truncated, infos = envs.step(np.ones((300, 1)))
+        total += np.where(over, 0.0, rewards)
+        times[~over] = infos["time"][~over]
+        over |= terminated | truncated
+    lost = ~infos["satisfied"]
+    assert lost.any()
+    # Every step survived pays half of a share of the horizon; the step that loses pays nothing.
+    assert total[lost] == pytest.approx(0.5 * (times[lost] - 1) / problem.horizon)
+
+
+def potential(id: str) -> Potential:
+    return Potential.of(core.Dynamics.of(cg.make_problem(id)))
+
+
+def test_letters_that_nobody_can_have_are_no_short_cuts() -> None:
+    """A robot cannot be in the cafe and at its desk at once, though the formula does not say so."""
+    found = potential("meeting-v0")
+    names = cg.make_problem("meeting-v0").automaton.propositions
+    assert found.steps[0] == 2.0
+    assert {names[p] for p in found.route[0]} in ({"cafe_0", "cafe_1"}, {"lab_0", "lab_1"})
+    assert {names[p] for p in found.route[2]} == {"desk_0", "desk_1"}
+
+
+@pytest.mark.parametrize("id", ["patrol-recharge-v0", "building-automation-v0"])
+def test_ease_is_the_chance_under_letters_at_random(id: str) -> None:
+    """Against the sum over all letters, two steps before the horizon and earlier."""
+    problem = cg.make_problem(id)
+    automaton, found = problem.automaton, potential(id).ease
+    count, last = len(automaton.propositions), problem.horizon
+    letters = np.array(list(product([False, True], repeat=count))).T
+    chance = automaton.accepting.astype(float)
+    for time in range(last, last - 4, -1):
+        alive = chance > 0.0
+        logs = np.log(chance[alive])
+        span = logs.max() - logs.min()
+        assert found[time, alive] == pytest.approx((logs - logs.min()) / span if span else np.ones_like(logs))
+        assert not found[time, ~alive].any()
+        following = [automaton.next_state(np.full(letters.shape[1], q), letters) for q in range(automaton.n_states)]
+        chance = np.array([chance[states].mean() for states in following])
+
+
+def test_a_charged_battery_is_worth_more_than_an_empty_one() -> None:
+    """Two robots at the post pay less than one that visits its dock, and dying pays nothing more."""
+    problem = cg.make_problem("patrol-recharge-v0")
+    totals = {}
+    for action in (0.0, -1.0):  # stay, or send the first robot to its dock, 4 away
+        envs = cg.vector_env(problem, 300, reward="progress")
+        envs.reset(seed=0)
+        totals[action] = float(envs.step(np.tile([action, 0.0], (300, 1)))[1].mean())
+    assert totals[-1.0] > totals[0.0] > 0.0
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_all_forms_pay_progress_alike(id: str) -> None:
+    options: dict[str, Any] = {"reward": "progress", "horizon": 5}
+    envs, central = cg.vector_env(id, 1, **options), cg.central_env(id, **options)
+    parallel = cg.parallel_env(id, actions="unit", **options)
+    envs.reset(seed=2), central.reset(seed=2), parallel.reset(seed=2)
+    slices = np.cumsum([agent.n_inputs for agent in central.problem.agents])[:-1]
+    rng, ends = np.random.default_rng(0), 0
+    while ends < 4:
+        action = rng.uniform(-1.0, 1.0, central.action_space.shape)
+        _, rewards, terminated, truncated, _ = envs.step(action[None])
+        _, reward, *_ = central.step(action)
+        split = dict(zip(parallel.possible_agents, np.split(action, slices)))
+        assert rewards[0] == reward and set(parallel.step(split)[1].values()) == {reward}
+        if terminated[0] or truncated[0]:
+            ends += 1
+            central.reset(), parallel.reset()
+            assert envs.step(action[None])[1][0] == 0.0

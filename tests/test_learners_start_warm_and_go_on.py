@@ -1,0 +1,114 @@
+"""Learners start from a clone and say so, go on where they stopped, keep their best actor, and follow their file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.validation.policies import imitation
+from certigym.validation.policies.settings import settings_for
+from certigym.validation.policies.views import SharedView
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+
+pytestmark = pytest.mark.slow
+
+RA2 = cg.make_problem("reach-avoid-v0")
+SMALL: dict[str, Any] = {"worlds": 8, "n_steps": 16, "batch_size": 128}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_cloning() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imitation, "ROUNDS", 400)
+        yield
+
+
+@pytest.fixture(scope="module")
+def certificate() -> Any:
+    return cg.synthesize(RA2, 60, relation="exact").certificate
+
+
+@pytest.fixture(scope="module")
+def helped(certificate: Any) -> Any:
+    return cg.train(RA2, "ppo", 256, 1, warm_start=certificate, **SMALL)
+
+
+def test_a_warm_start_is_good_at_once_and_says_that_it_was_helped(helped: Any, certificate: Any) -> None:
+    """2,000 episodes at a success of .97 or more fall below .9 with a probability of less than 1e-6."""
+    assert cg.rollout(RA2, helped.actor, 2000, seed=9).successes > 1800
+    assert helped.help and helped.help in helped.information and helped.to_dict()["help"] == helped.help
+    entry = cg.compare(RA2, {"helped": helped}, 100).entries[0]
+    assert helped.help in entry.information
+    assert [phase["reward"] for phase in helped.settings["phases"]] == ["sparse"]
+    cold = cg.train(RA2, "ppo", 256, 1, **SMALL)
+    assert cold.help == "" and cg.rollout(RA2, cold.actor, 2000, seed=9).successes < 1800
+
+
+def test_the_central_learner_clones_too(certificate: Any) -> None:
+    training = cg.train(RA2, "central-ppo", 256, 1, warm_start=certificate, **SMALL)
+    assert cg.rollout(RA2, training.actor, 2000, seed=9).successes > 1800
+
+
+def test_a_learner_goes_on_where_it_stopped(helped: Any, tmp_path: Path) -> None:
+    helped.save(tmp_path / "first")
+    again = cg.train(RA2, "ppo", 128, 2, resume=tmp_path / "first", **SMALL)
+    assert again.help == helped.help and again.settings["hidden"] == helped.settings["hidden"]
+    assert cg.rollout(RA2, again.actor, 2000, seed=9).successes > 1800
+    header, *lines = (tmp_path / "first" / "curve.csv").read_text().splitlines()
+    assert header == "steps,seconds,episodes,success,return" and len(lines) == len(helped.curve) > 0
+    for name, message in (("nowhere", "training.json and model.zip"), ("first", "'ppo' on 'reach-avoid-v0'")):
+        with pytest.raises(ValueError, match=message):
+            cg.train("reach-avoid-v0", "central-ppo", 64, resume=tmp_path / name)
+
+
+def test_sac_goes_on_too(tmp_path: Path) -> None:
+    cg.train(RA2, "sac", 64, worlds=4, hidden=[8]).save(tmp_path / "sac")
+    again = cg.train(RA2, "sac", 32, worlds=4, resume=tmp_path / "sac")
+    assert again.settings["hidden"] == [8] and again.help == ""
+
+
+def test_the_learner_ends_with_the_numbers_of_its_best_actor(helped: Any) -> None:
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (20, SharedView(RA2).size)).astype(np.float32)
+    expected, _ = helped.model.predict(rows, deterministic=True)
+    assert helped.actor.network.actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
+
+
+def test_settings_come_from_the_file_and_can_be_changed_by_name() -> None:
+    view = SharedView(RA2)
+    plain, changed = settings_for("ppo", view), settings_for("ppo", view, learning_rate=1e-2, spread=0.1, steps=2000)
+    assert [phase.reward for phase in plain.phases] == ["progress", "sparse"] and plain.phases[0].spread > 0.0
+    assert {phase.learning_rate for phase in changed.phases} == {1e-2} and {p.spread for p in changed.phases} == {0.1}
+    assert changed.worlds < plain.worlds, "short trainings get by with fewer worlds"
+    single = settings_for("ppo", view, reward="shaped")
+    assert [(p.reward, p.share, p.spread) for p in single.phases] == [("shaped", 1.0, 0.0)]
+    assert json.loads(json.dumps(plain.to_dict()))["steps"] == plain.steps
+    assert [phase.fixed for phase in settings_for("ppo", view, warm=True).phases] == [True]
+
+
+def test_several_seeds_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train", "reach-avoid-v0", "--steps", "300", "--worlds", "4", "--seeds", "0", "1"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "over 2 training seeds" in printed and "settings: " in printed
+    assert (tmp_path / "out" / "seed-1" / "actor.npz").is_file()
+    record = json.loads((tmp_path / "all.json").read_text())
+    assert len(record["trainings"]) == len(record["comparison"]["entries"]) == 2
+
+
+def test_mistakes_are_answered(certificate: Any, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="`warm_start`: expected only with 'ppo' or 'central-ppo'"):
+        cg.train(RA2, "sac", warm_start=certificate)
+    with pytest.raises(ValueError, match="`deviation`: expected only with"):
+        cg.train(RA2, "sac", 100, deviation=0.1)
+    with pytest.raises(ValueError, match="`resume`: expected without `warm_start`"):
+        cg.train(RA2, "ppo", warm_start=certificate, resume=tmp_path)
+    with pytest.raises(ValueError, match="certificate of 'meeting-v0', got one about another problem"):
+        cg.train("meeting-v0", warm_start=certificate)

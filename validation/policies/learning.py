@@ -1,0 +1,150 @@
+"""Learners of Stable-Baselines3 on the worlds of a problem: made, sent through phases, watched, read out as numbers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .actors import Actor, Network, actor_of
+from .settings import Phase, Settings
+from .views import View
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+Progress = Callable[[int, float], None]
+
+
+def new_learner(algorithm: str, view: View, settings: Settings, seed: int) -> BaseAlgorithm:
+    """Return an untrained learner on the worlds of its first phase, on one thread of the processor.
+
+    Raises
+    ------
+    ValueError
+        If Stable-Baselines3 is not installed, or a setting is wrong.
+    """
+    try:
+        import torch
+        from stable_baselines3 import PPO, SAC
+    except ImportError as error:
+        raise ValueError('training needs Stable-Baselines3: install "certigym[rl]"') from error
+    torch.set_num_threads(1)  # small networks gain little from threads, which would change the order of sums
+    phase = settings.phases[0]
+    networks: dict[str, Any] = {"net_arch": list(settings.hidden)}
+    if phase.deviation is not None:
+        networks["log_std_init"] = float(np.log(phase.deviation))
+    learner: Any = SAC if algorithm == "sac" else PPO
+    env = _worlds(view, settings, phase)
+    arguments = {**settings.learner, "learning_rate": phase.learning_rate, "policy_kwargs": networks}
+    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, **arguments)
+    return model
+
+
+def enter(model: BaseAlgorithm, view: View, settings: Settings, phase: Phase, seed: int) -> None:
+    """Send a learner into a phase: its worlds, its deviation. The seed decides the worlds from here on."""
+    import torch
+
+    env = _worlds(view, settings, phase)
+    env.seed(seed)
+    model.set_env(env)
+    if phase.deviation is not None:
+        log_std: Any = model.policy.log_std
+        with torch.no_grad():
+            log_std.fill_(float(np.log(phase.deviation)))
+        # A learner that may choose makes small deviations smaller until it learns no more.
+        log_std.requires_grad_(not phase.fixed)
+
+
+def learn(model: BaseAlgorithm, view: View, steps: int, rates: tuple[float, float], watcher: Any) -> None:
+    """Let a learner take (at least) so many more world steps, while its learning rate falls linearly."""
+    total = steps * view.rows
+    # The learner tells the share of all its steps that is left: 1 minus those before, at the beginning of this part.
+    at_begin = total / (int(model.num_timesteps) + total)
+    first, last = rates
+    model.lr_schedule = lambda left: last + (first - last) * min(1.0, left / at_begin)
+    model.learn(total, callback=watcher, reset_num_timesteps=False)
+    model.lr_schedule = lambda _: last  # the schedule of this part means nothing to later ones
+
+
+def actor_now(model: BaseAlgorithm, view: View) -> Actor:
+    """Return the deterministic actor of a learner, a copy."""
+    return actor_of(view, network_of(model))
+
+
+def numbers_of(model: Any) -> dict[str, Any]:
+    """Return a copy of all numbers of a learner's networks."""
+    return {name: value.detach().clone() for name, value in model.policy.state_dict().items()}
+
+
+def network_of(model: BaseAlgorithm) -> Network:
+    """Return the deterministic actor of a PPO or SAC learner with an ``MlpPolicy`` as numbers."""
+    import torch
+
+    policy: Any = model.policy
+    # SAC squashes its actions by tanh; PPO's are clipped.
+    squashed = hasattr(policy, "actor") and hasattr(policy.actor, "mu")
+    if squashed:
+        hidden, last = policy.actor.latent_pi, policy.actor.mu
+    else:
+        hidden, last = policy.mlp_extractor.policy_net, policy.action_net
+    # Linear layers become arrays; between them only one kind of activation is allowed.
+    layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
+    kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
+    if kinds not in ({"Tanh"}, {"ReLU"}):
+        raise ValueError(f"`model`: expected an MLP with tanh or relu between its layers, got {sorted(kinds)}")
+    weights = tuple(layer.weight.detach().cpu().numpy().copy() for layer in layers)
+    biases = tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers)
+    return Network(weights, biases, kinds.pop().lower(), squashed)
+
+
+def new_watcher(rows: int, every: int, progress: Progress | None = None, deadline: float = float("inf")) -> Any:
+    """Return a callback that records the training curve, one point about every ``every`` world steps.
+
+    It stops the learner when ``time.perf_counter()`` passes the deadline.
+    """
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Watcher(BaseCallback):
+        """A callback that counts episodes by the infos of the first row of each world."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.curve: list[dict[str, float]] = []
+            self.ended: list[tuple[bool, float]] = []
+            self.began, self.last = time.perf_counter(), 0
+
+        def _on_step(self) -> bool:
+            # All rows of a world end together, so the first one stands for the world. Episodes that began anywhere say
+            # nothing about the problem.
+            infos = self.locals["infos"][::rows]
+            ended = (i for i in infos if "is_success" in i and not i["scattered"])
+            self.ended += [(i["is_success"], i["episode"]["r"]) for i in ended]
+            steps = self.num_timesteps // rows
+            if steps - self.last >= every and self.ended:
+                success, gained = np.mean(np.array(self.ended, dtype=float), axis=0)
+                point = {"steps": steps, "success": float(success), "episodes": len(self.ended)}
+                point |= {"return": float(gained), "seconds": time.perf_counter() - self.began}
+                self.curve.append(point)
+                if progress is not None:
+                    progress(steps - self.last, float(success))
+                self.ended, self.last = [], steps
+            return time.perf_counter() < deadline
+
+    return Watcher()
+
+
+def _worlds(view: View, settings: Settings, phase: Phase) -> Any:
+    """Return the worlds of a phase; the horizon counts as an end, since agents see the time left."""
+    from .learners import WorldsVecEnv
+
+    return WorldsVecEnv(
+        view,
+        settings.worlds,
+        reward=phase.reward,
+        discount=settings.gamma,
+        horizon_ends="terminated",
+        spread=phase.spread,
+    )
