@@ -16,6 +16,8 @@ from .abstraction import (
 )
 from .affine_choices import AffineChoices, Choices
 from .agent_models import SNAPPED_POINTS
+from .box_choices import BoxChoices
+from .box_kernel import BoxKernel
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel, gaussian_table
@@ -26,6 +28,8 @@ __all__ = [
     "AffineChoices",
     "AgentModel",
     "BAND_BYTES",
+    "BoxChoices",
+    "BoxKernel",
     "Choices",
     "InputMenu",
     "JointModel",
