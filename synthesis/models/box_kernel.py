@@ -38,6 +38,9 @@ POINTS_PER_DEVIATION = 6.0
 POINTS_PER_CELL = {1: 16, 2: 4, 3: 2}
 """Lattice points per cell and axis, at least, by dimension (2 beyond): choices are told apart by them."""
 
+MOST_PER_CELL = {1: 256, 2: 24, 3: 8}
+"""The same, at most: where cells are wider than several deviations, boxes are, and a finer lattice gains nothing."""
+
 MOST_POINTS = 4_000_000
 """Lattice points from which fewer are taken for each cell."""
 
@@ -113,8 +116,10 @@ def points_per_cell(grid: Grid, deviations: FloatArray) -> tuple[int, ...]:
     """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
     d = len(grid.shape)
     widths = np.array([(axis[-1] - axis[0]) / n for axis, n in zip(grid.edges, grid.shape, strict=True)])
-    fewest = POINTS_PER_CELL.get(d, 2)
-    wanted = [max(fewest, math.ceil(POINTS_PER_DEVIATION * w / s)) for w, s in zip(widths, deviations, strict=True)]
+    fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
+    # Cells may be very wide: the smaller number is taken before it is rounded to a whole one.
+    needed = np.minimum(POINTS_PER_DEVIATION * widths / deviations, most)
+    wanted = [max(fewest, math.ceil(count)) for count in needed.tolist()]
     size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))
     share = min(1.0, (MOST_POINTS / size) ** (1.0 / d))
     return tuple(max(2, math.floor(count * share)) for count in wanted)
