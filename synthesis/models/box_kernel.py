@@ -93,7 +93,7 @@ def take_charge(table: NDArray, slack: float) -> None:
     charge = np.full(table.shape, slack)
     for k in range(d):
         along = np.moveaxis(table, k, 0)
-        second = np.zeros(along.shape)
+        second = np.zeros_like(along)
         np.maximum(along[2:] - 2.0 * along[1:-1] + along[:-2], 0.0, out=second[1:-1])
         second = np.moveaxis(second, 0, k)
         # Every point answers for all small boxes of which it is a corner: the largest of its neighbours counts.
@@ -106,7 +106,7 @@ def take_charge(table: NDArray, slack: float) -> None:
 def largest_of_neighbours(table: NDArray, axis: int) -> NDArray:
     """Return the largest of every entry and its two neighbours along an axis."""
     along = np.moveaxis(table, axis, 0)
-    result = along.copy()
+    result = along.copy(order="K")  # in the order of memory, whichever axis is the first one now
     np.maximum(result[1:], along[:-1], out=result[1:])
     np.maximum(result[:-1], along[1:], out=result[:-1])
     return np.moveaxis(result, 0, axis)

@@ -121,7 +121,7 @@ def window_minima(table: FloatArray, sides: NDArray[np.int64]) -> FloatArray:
         width = 1
         while width < side:
             along = np.moveaxis(minima, axis, 0)
-            longer = along.copy()
+            longer = along.copy(order="K")  # in the order of memory, whichever axis is the first one now
             np.minimum(longer[:-width], along[width:], out=longer[:-width])
             minima = np.moveaxis(longer, 0, axis)
             width *= 2
