@@ -162,8 +162,9 @@ def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution
 def _boxed(s: _Setting, relation: BoxRelation) -> Execution:
     """Inputs of a menu, and what is fed back inside a cell; what means are off by goes into their boxes."""
     fed = np.abs(relation.gains).max(axis=0)
-    inputs = fed @ (s.read + s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
-    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + np.abs(s.B) @ inputs
+    # Grid coordinates are read by the controller, and once more where its means are compared.
+    inputs = 2.0 * fed @ (s.read + s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
+    off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + np.abs(s.B) @ inputs + s.read
     off += s.unit * (np.abs(s.A) @ s.x + np.abs(s.B) @ s.u + np.abs(s.c))
     return Execution(off, np.zeros(len(s.x)), inputs, _misread(s, s.read) + s.law)
 
