@@ -17,7 +17,7 @@ from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.models import box_choices
 from certigym.synthesis.models.box_kernel import BoxKernel
 from certigym.synthesis.models.kernel import Kernel
-from certigym.synthesis.relations import BoxRelation, MeanBoxes
+from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
 from certigym.synthesis.values import Terms
 from certigym.validation import figures
 from certigym.validation.audits import claimed_values
@@ -257,4 +257,4 @@ def test_reports_and_figures_of_boxes_are_drawn(tmp_path: Path) -> None:
 def test_inputs_that_mean_boxes_need_are_asked_for_in_words() -> None:
     agent = scalar_agent("one")
     with pytest.raises(ValueError, match="inputs inside their box"):
-        cg.synthesis.relations.box_relation(agent, np.eye(1), np.array([[3.0]]))
+        box_relation(agent, np.eye(1), np.array([[3.0]]))

@@ -247,10 +247,10 @@ def test_two_agents_stay_below_dense_programming_with_joint_minima() -> None:
                     boxes.append((float(mean.min()), float(mean.max())))
                 before[q, s[0] * n[1] + s[1]] = least_over(arriving, edges, stds, boxes)
         value = before
-    for q in range(automaton.n_states):
+    for state in range(automaton.n_states):
         tree = sum(
-            (np.multiply.outer(terms.factors[0][a], terms.factors[1][b]) for a, b in terms.index[q]), np.zeros(n)
+            (np.multiply.outer(terms.factors[0][a], terms.factors[1][b]) for a, b in terms.index[state]), np.zeros(n)
         )
-        assert np.all(tree.ravel() <= value[q] + 1e-9)
-        if not automaton.dead[q]:
-            assert tree.max() > 0.5 * value[q].max()
+        assert np.all(tree.ravel() <= value[state] + 1e-9)
+        if not automaton.dead[state]:
+            assert tree.max() > 0.5 * value[state].max()
