@@ -34,6 +34,9 @@ than for the search, since what is left after unions from below depends on it in
 OUTWARD = 1.0 + 1e-13
 """Widening of half widths, far above their rounding."""
 
+MOST_POINTS = 100_000
+"""Most points of a box, as they are tried one by one; larger boxes are worth nothing."""
+
 CHUNK = 2_000_000
 """Numbers that are formed at once."""
 
@@ -85,6 +88,7 @@ def box_values(
     last = np.array([len(axis) - 1 for axis in part.lattice])
     # Second differences are not known at the border of the lattice: what comes nearer is worth nothing.
     inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=1)
+    inside &= np.prod(high - low + 3.0, axis=1) <= MOST_POINTS
     cells, low, high = cells[inside], low[inside], high[inside]
     for row, factor in zip(values, factors, strict=True):
         table = below(smooth(factor[None], tables.masses)[0].reshape(last + 1), tables.slack * factor.max(initial=0.0))

@@ -19,6 +19,9 @@ from ..relations import Enclosing, MeanBoxes
 from .box_minima import least_over_boxes, window_minima
 from .choices import StepPolicy
 
+MOST_IN_BOX = 100_000.0
+"""Most points of a box: the check tries them one by one."""
+
 CELLS_AT_ONCE = 4096
 """Cells whose boxes are made at once."""
 
@@ -195,6 +198,11 @@ def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -
             index = begin + np.array(side) * spare
             corners[block, :, k] = np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape)
         exponents[block] = np.where(boxes.admissible[..., None], power, -1)
+    if np.max(np.prod(high - low + 3.0, axis=2)) > MOST_IN_BOX:
+        raise RelationRefused(
+            f"mean boxes need at most {MOST_IN_BOX:.0f} lattice points in a box; ask for more `cells` or fewer "
+            "`targets_per_cell`"
+        )
     distinct, size = np.unique(exponents.reshape(-1, d), axis=0, return_inverse=True)
     # Those without an admissible choice, if there are any, come first in this order.
     n_refused = int(np.any(distinct < 0, axis=1).sum())
