@@ -11,16 +11,10 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.cells import Grid
-from certigym.synthesis.checking import linear_check
-from certigym.synthesis.models.kernel import Kernel
-from certigym.synthesis.models.linear_kernel import (
-    LinearKernel,
-    _fourth,
-    hat_masses,
-    hat_tables,
-    rounding_of_bends,
-    uniform_axis,
-)
+from certigym.synthesis.checking import linear_tables
+from certigym.synthesis.models import bends
+from certigym.synthesis.models.bends import _fourth
+from certigym.synthesis.models.linear_kernel import LinearKernel, hat_masses, hat_table, uniform_axis
 from certigym.synthesis.models.linear_model import linear_model
 
 mpmath.mp.dps = 50
@@ -35,9 +29,9 @@ def true_hats(mean: float, low: float, high: float, std: float) -> tuple[mpmath.
     return mass - rising, rising
 
 
-def hats_of(code: str, means: NDArray, edges: NDArray, std: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Masses and derivatives by the code of the search, or by that of the check."""
-    return hat_masses(means, edges, std)[:3] if code == "search" else linear_check._hats(means, edges, std)
+def hats_of(code: str, means: NDArray, edges: NDArray, std: float) -> NDArray:
+    """Masses by the code of the search, or by that of the check."""
+    return hat_masses(means, edges, std)[0] if code == "search" else linear_tables._hats(means, edges, std)[0]
 
 
 @pytest.mark.parametrize("code", ["search", "check"])
@@ -47,7 +41,7 @@ def test_hats_are_below_50_digits(code: str, width: float, offset: float) -> Non
     std = 0.7
     edges = offset + width * std * np.arange(-3, 4)
     means = offset + std * np.array([-35.0, -8.5, -2.2, -0.3, 0.0, 1e-3, 0.9, 4.1, 9.0, 26.0])
-    masses, _, _ = hats_of(code, means, edges, std)
+    masses = hats_of(code, means, edges, std)
     for z, row in zip(means, masses, strict=True):
         for s in range(len(edges) - 1):
             for entry, truth in zip(row[2 * s : 2 * s + 2], true_hats(z, edges[s], edges[s + 1], std), strict=True):
@@ -59,46 +53,33 @@ def test_hats_are_below_50_digits(code: str, width: float, offset: float) -> Non
 
 def test_what_rows_miss_is_bounded() -> None:
     edges, means = np.linspace(-4.0, 4.0, 33), np.linspace(-5.0, 5.0, 9)
-    masses, _, _, loss = hat_masses(means, edges, 0.4)
+    masses, loss = hat_masses(means, edges, 0.4)
     for z, row in zip(means, masses, strict=True):
         truth = sum(sum(true_hats(z, a, b, 0.4)) for a, b in zip(edges[:-1], edges[1:], strict=True))
         assert truth - mpmath.fsum(map(float, row)) <= loss < 1e-10
 
 
-@pytest.mark.parametrize("code", ["search", "check"])
-def test_derivatives_are_those_of_the_masses(code: str) -> None:
-    edges, means, h = np.linspace(-1.0, 1.0, 6), np.linspace(-2.0, 2.0, 7), mpmath.mpf("1e-12")
-    _, slopes, bends = hats_of(code, means, edges, 0.6)
-    for k, z in enumerate(means):
-        for s in range(5):
-            with mpmath.workdps(60):
-                at = [hats_exact(mpmath.mpf(float(z)) + d * h, edges[s], edges[s + 1], 0.6) for d in (-1, 0, 1)]
-            for side in (0, 1):
-                slope = (at[2][side] - at[0][side]) / (2 * h)
-                bend = (at[2][side] - 2 * at[1][side] + at[0][side]) / h**2
-                assert abs(float(slope) - slopes[k, 2 * s + side]) < 1e-12
-                assert abs(float(bend) - bends[k, 2 * s + side]) < 1e-12
-
-
-def hats_exact(m: mpmath.mpf, low: float, high: float, std: float) -> tuple[mpmath.mpf, mpmath.mpf]:
-    """The same as ``true_hats`` at a mean that has more digits than a double."""
-    a, b, s = (mpmath.mpf(float(number)) for number in (low, high, std))
-    x, y = (a - m) / s, (b - m) / s
-    mass = mpmath.ncdf(y) - mpmath.ncdf(x)
-    rising = (mpmath.npdf(x) - mpmath.npdf(y) - x * mass) * s / (b - a)
-    return mass - rising, rising
-
-
 def test_the_norms_are_those_of_the_normal_density() -> None:
-    """Half the L1 norms of derivatives of the density in one and two dimensions, by quadrature on [-12, 12]."""
+    """Half the L1 norms of derivatives of the density in up to three dimensions, by quadrature on [-12, 12]."""
     x = np.linspace(-12.0, 12.0, 2_400_001)
     phi, step = np.exp(-0.5 * x * x) / np.sqrt(2 * np.pi), x[1] - x[0]
-    norms = [float(np.abs(p).sum()) * step for p in (-x * phi, (x * x - 1) * phi, (3 * x - x**3) * phi)]
-    fourth = float(np.abs((x**4 - 6 * x * x + 3) * phi).sum()) * step
-    first, second, third = norms
-    largest = (0.5 * fourth, 0.5 * third * first, 0.5 * second * second)
-    for given, true in zip(linear_check.HALF_NORMS, largest, strict=True):
+    hermite = {n: np.polynomial.hermite_e.hermeval(x, [0] * n + [1]) for n in range(1, 7)}
+    norm = {n: float(np.abs(values * phi).sum()) * step for n, values in hermite.items()}
+    beyond = {n: float(np.abs(values * phi)[np.abs(x) > bends.WINDOW].sum()) * step for n, values in hermite.items()}
+    largest = (0.5 * norm[4], 0.5 * norm[3] * norm[1], 0.5 * norm[2] ** 2)
+    sixth = (0.5 * norm[6], 0.5 * norm[4] * norm[2], 0.5 * norm[2] ** 3)
+    for given, true in zip(linear_tables.HALF_NORMS, largest, strict=True):
         assert true <= given <= true * (1 + 5e-5)
+    for given, true in zip(linear_tables.HALF_SIXTH, sixth, strict=True):
+        assert true <= given <= true * (1 + 5e-5)
+    assert 0.5 * norm[2] <= linear_tables.SECOND_HALF == bends.SECOND <= 0.5 * norm[2] * (1 + 5e-5)
+    assert (bends.FOURTH, bends.MIXED, bends.SQUARED) == linear_tables.HALF_NORMS
+    assert tuple(bends.SIXTH.values()) == linear_tables.HALF_SIXTH
+    # Beyond the window the straight derivatives have the largest norms of all that sum to the order.
+    assert beyond[4] <= bends.FOURTH_BEYOND == linear_tables.FAR <= 1.01 * beyond[4]
+    assert beyond[6] <= bends.SIXTH_BEYOND == linear_tables.FAR_SIXTH <= 1.01 * beyond[6]
+    for order in (4, 6):
+        assert all(norm.get(order - n, 1.0) * beyond[n] <= beyond[order] for n in range(1, order))
 
 
 def test_both_codes_bound_fourth_derivatives_alike() -> None:
@@ -107,25 +88,26 @@ def test_both_codes_bound_fourth_derivatives_alike() -> None:
         d = int(rng.integers(1, 4))
         u, e = rng.normal(size=d), rng.normal(size=d)
         e = 2.5 * u if rng.random() < 0.3 else e
-        assert _fourth(u, e) == pytest.approx(linear_check._fourth(u, e), rel=1e-13)
+        assert _fourth(u, e) == pytest.approx(linear_tables._fourth(u, e), rel=1e-13)
 
 
 @pytest.mark.parametrize("d", [1, 2])
 @pytest.mark.parametrize("width", [0.2, 0.7, 2.0])
-def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float) -> None:
-    """Steps of two lattice points along each axis and, in two dimensions, a skew one."""
+@pytest.mark.parametrize("skew", [False, True])
+def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, skew: bool) -> None:
+    """Steps of two lattice points along the first axis and, in two dimensions, a straight or a skew one."""
     rng, deviations, n, per_cell = np.random.default_rng(int(10 * width) + d), np.array([1.0, 0.5])[:d], 7, 4
-    edges = [np.linspace(0.0, n * width * s, n + 1) for s in deviations]
-    lattice = [uniform_axis(0.0, e[-1], n, per_cell, -2.0 * s, e[-1] + 2.0 * s) for e, s in zip(edges, deviations)]
+    edges = tuple(np.linspace(0.0, n * width * s, n + 1) for s in deviations)
+    lattice = tuple(uniform_axis(0.0, e[-1], n, per_cell, -2.0 * s, e[-1] + 2.0 * s) for e, s in zip(edges, deviations))
     pitch = np.array([axis[1] - axis[0] for axis in lattice])
-    moves = np.array([[2, 0], [1, 2]])[:, :d] if d == 2 else np.array([[2]])
-    tables, losses = zip(*(hat_tables(a, e, float(s)) for a, e, s in zip(lattice, edges, deviations)), strict=True)
-    masses, slopes, curvatures = zip(*tables, strict=True)
-    steps, rounding = moves * pitch, rounding_of_bends(pitch / deviations)
-    kernel = LinearKernel(masses, sum(losses), slopes, curvatures, deviations, steps, np.zeros((0, d)), rounding)
+    moves = np.array([[2, 0], [int(skew), 2]])[:, :d] if d == 2 else np.array([[2]])
+    tables, losses = zip(*(hat_table(a, e, float(s)) for a, e, s in zip(lattice, edges, deviations)), strict=True)
+    bends_of = bends.Bends(moves * pitch, lattice, edges, deviations, sum(losses))
+    assert bends_of.is_aligned == (d == 1 or not skew)
+    kernel = LinearKernel(tables, sum(losses), bends=bends_of)
     # Some factors are 0 in most places: these bend most.
     factors = rng.random((6, (2 * n) ** d)) * (rng.random((6, (2 * n) ** d)) < [[0.1], [0.2], [0.5], [1], [1], [0.05]])
-    values, bends = np.split(kernel.smooth(factors), 2, axis=1)
+    values, bent = np.split(kernel.smooth(factors), 2, axis=1)
     shape, worst = np.array(kernel.lattice_shape), 0.0
     for _ in range(300):
         base = rng.integers(0, shape - moves.sum(axis=0), size=d)
@@ -139,11 +121,19 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float) -> 
             row = hat_masses(point[axis : axis + 1], edges[axis], float(deviations[axis]))[0][0]
             truth = truth @ row
         gap = np.asarray(weights) @ values[:, flat].T - truth
-        allowed = bends[:, flat].max(axis=1)
+        allowed = bent[:, flat].max(axis=1)
         assert np.all(gap <= allowed + 1e-12)
         worst = max(worst, float(np.max(gap[1:5] / allowed[1:5])))
     # The bound is not idle.
     assert worst > 0.1
+
+
+def true_second_derivatives(axis: NDArray, edges: NDArray, std: float) -> NDArray:
+    """Second derivatives (Z, 2 S) of hat masses by the mean."""
+    t = (edges - axis[:, None]) / std
+    phi, width = np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi), np.diff(edges) / std
+    a, b, rise = t[:, :-1] * phi[:, :-1], t[:, 1:] * phi[:, 1:], np.diff(phi, axis=1) / width
+    return np.stack([a + rise, -b - rise], axis=-1).reshape(len(axis), -1) / std**2
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -155,17 +145,22 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
     grid = Grid(tuple(np.linspace(a, b, 13) for a, b in zip(agent.state_low, agent.state_high, strict=True)))
     relation, lattice, kernel, _ = linear_model(agent, grid, np.eye(2), 4)
     factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
-    bends = kernel.smooth(factors)[:, kernel.n_points :]
+    bent = kernel.smooth(factors)[:, kernel.n_points :]
+    # The second derivatives themselves, in closed form.
+    masses = [table.toarray() for table in kernel.tables]
     each = []
     for axis in range(2):
-        tables = [(kernel.tables, kernel.curvatures)[axis == k][k] for k in range(2)]
-        square = float(np.sum(kernel.steps[:, axis] ** 2))
-        each.append(0.125 * square * np.maximum(Kernel(tuple(tables)).smooth(factors), 0.0))
+        deviation = float(kernel.bends.deviations[axis])
+        hats = true_second_derivatives(lattice[axis], grid.edges[axis], deviation)
+        chosen = [hats if k == axis else masses[k] for k in range(2)]
+        square = float(np.sum(kernel.bends.steps[:, axis] ** 2))
+        second = np.einsum("nab,ya,zb->nyz", factors.reshape(4, *(len(e) * 2 - 2 for e in grid.edges)), *chosen)
+        each.append(0.125 * square * np.maximum(second, 0.0).reshape(4, -1))
     for factor in range(4):
         # Any window of lattice points may be the image of a cell.
         for _ in range(200):
             window = tuple(slice(k, k + 5) for k in rng.integers(0, np.array(kernel.lattice_shape) - 5))
-            seen = bends[factor].reshape(kernel.lattice_shape)[window].max()
+            seen = bent[factor].reshape(kernel.lattice_shape)[window].max()
             suprema = sum(s[factor].reshape(kernel.lattice_shape)[window].max() for s in each)
             assert seen >= suprema
     assert relation.kind == "linear" and len(lattice) == 2
@@ -176,5 +171,34 @@ def test_shares_of_directions_sum_to_one_in_the_check() -> None:
     for name, cells in (("car-park-planar-v0", 12), ("integrator-chain-v0", 30)):
         problem = cg.make_problem(name, horizon=1)
         part = cg.synthesize(problem, cells, relation="linear").certificate.agents[0]
-        shares = linear_check.linear_tables(problem.agents[0], part).shares
+        shares = linear_tables.linear_tables(problem.agents[0], part).shares
         assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [0.4, 0.7, 1.1])
+@pytest.mark.parametrize("step", [1, 2])
+def test_bends_hold_for_factors_that_bend_most_between_lattice_points(pitch: float, step: int) -> None:
+    """Factors of 0 and 1 by the sign of a derivative of the density are the worst ones for that derivative."""
+    edges = np.linspace(-16.0, 16.0, 641)
+    centres = np.repeat(0.5 * (edges[1:] + edges[:-1]), 2)
+    shares, ratios = np.linspace(0.0, 1.0, 21)[1:-1], []
+    for offset in np.linspace(0.0, 1.0, 9) * pitch:
+        lattice = offset + pitch * np.arange(-24, 25)
+        lattice = lattice[np.abs(lattice) <= 12.0]
+        table, loss = hat_table(lattice, edges, 1.0)
+        bends_of = bends.Bends(np.array([[step * pitch]]), (lattice,), (edges,), np.ones(1), loss)
+        kernel = LinearKernel((table,), loss, bends=bends_of)
+        signs = [np.polynomial.hermite_e.hermeval(centres, [0] * n + [1]) > 0 for n in (2, 4, 6)]
+        factors = np.array([*signs, *(~sign for sign in signs)], dtype=float)
+        values, bent = np.split(kernel.smooth(factors), 2, axis=1)
+        for first in range(3, len(lattice) - step - 3):
+            last = first + step
+            points = lattice[first] + shares * step * pitch
+            truth = factors @ hat_masses(points, edges, 1.0)[0].T
+            between = values[:, first, None] * (1.0 - shares) + values[:, last, None] * shares
+            allowed = np.maximum(bent[:, first], bent[:, last])
+            gap = (between - truth).max(axis=1)
+            assert np.all(gap <= allowed + 1e-12)
+            ratios.append(gap / allowed)
+    # The bound is not idle, also where second differences alone would say too little.
+    assert np.max(ratios) > 0.15

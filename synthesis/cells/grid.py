@@ -132,6 +132,14 @@ def start_share(grid: Grid, coordinates: FloatArray, low: FloatArray, high: Floa
     return share
 
 
+DIGITS = 14
+"""Digits of edges: fewer than a double has, so that two ways to the same edge agree, and enough for images of cells to
+lie on the lattice of a relation where they should."""
+
+SAME_EDGE = 1e-9
+"""Share of a cell by which edges may be off those of a uniform grid and count as the same."""
+
+
 def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[float] = ()) -> FloatArray:
     """Return the edges of about ``cells`` intervals of ``[low, high]``; every boundary inside is one of them.
 
@@ -160,8 +168,12 @@ def aligned_edges(low: float, high: float, cells: int, boundaries: Iterable[floa
         counts[np.argmin(np.where(counts > 1, share - counts, np.inf))] -= 1
     segments = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(points[:-1], points[1:], counts, strict=True)]
     edges = np.concatenate([*segments, points[-1:]])
+    even = np.linspace(low, high, cells + 1)
+    if np.abs(even - edges).max() <= SAME_EDGE * (high - low) / cells:
+        # A uniform grid: its edges are evenly spaced to the last digit, whatever its boundaries are.
+        return np.where(np.isin(edges, points), edges, even)
     # Round all other edges, so that grids which differ in their boundaries alone share edges, and with them a kernel.
-    decimals = 12 - max(0, math.ceil(math.log10(max(abs(low), abs(high), 1e-12))))
+    decimals = DIGITS - max(0, math.ceil(math.log10(max(abs(low), abs(high), 1e-12))))
     rounded = np.round(edges, decimals)
     return np.where(np.isin(edges, points) | (np.abs(rounded - edges) > 1e-6 * lengths.min() / cells), edges, rounded)
 

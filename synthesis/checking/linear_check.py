@@ -1,145 +1,28 @@
-"""The relation ``linear``, once more: hat masses, second derivatives and losses by code of the check's own.
+"""The relation ``linear``, once more: losses, choices and stored factors by code of the check's own.
 
 With f(x) = E l(m(x) + w) for a choice ``m(x) = z + G (x - c)`` of a cell, and the values of f at the points of a
 lattice inside the cell's image, the certificate's factor is a multilinear function below f. What f may lack between
-points is at most ``sum_k |u_k|^2/8 sup (d^2 f)^+`` over the steps u_k between them. Second derivatives are those of
-the normal law under the hats; between points they grow by no more than the fourth derivatives let them
-(docs/theory/linear.md). Nothing of the kernels, tables and choices of the search is used.
+points is at most ``sum_k |u_k|^2/8 sup (d^2 f)^+`` over the steps u_k between them (see ``linear_tables``).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, grid_noise
-
-HALF_NORMS = (1.40031, 0.60241, 0.46840)
-"""Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
-
-ROUNDING = 9.9e-12
-"""Share of the largest value that is taken off for rounding: second derivatives are right to some 1e-13, and points
-that count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
-
-ON_LATTICE = 1.05e-11
-"""Lattice steps within which a point counts as one of the lattice: a little more than for the search, so that no point
-is read here with the bends of more neighbours."""
-
-UNIT = 2.0**-53
-
-FAINT = 1e-280
-"""What is taken off every mass: numbers near the smallest double have few digits, and relative errors miss that."""
+from ..certificates import AgentPart
+from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
 
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
 
 CHUNK = 3_000_000
 """Numbers that are formed at once."""
-
-EVEN = 6e-12
-"""Lattice steps by which widths may differ for cells to count as equal, so that images lie on the lattice."""
-
-
-@dataclass(frozen=True, eq=False)
-class LinearTables:
-    """Hat masses (Z, 2 S) of every axis, from below, their derivatives, and the steps between points of images.
-
-    ``shares`` are those of the steps in what an image bends; ``between`` says whether points between those of the
-    lattice are read, and paid for.
-    """
-
-    masses: list[FloatArray]
-    slopes: list[FloatArray]
-    curvatures: list[FloatArray]
-    steps: FloatArray
-    shares: FloatArray
-    parts: int
-    slack: float
-    between: bool
-
-
-def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
-    """Compute the tables of one agent anew."""
-    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-    tables: tuple[list[FloatArray], ...] = ([], [], [])
-    for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
-        for stack, table in zip(tables, _hats(axis, edges, float(deviation)), strict=True):
-            stack.append(table)
-    targets = not len(part.relation["menu"])
-    widths = [np.diff(edges) for edges in part.grid.edges]
-    widest = np.array([float(w.max()) for w in widths])
-    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-    per_cell = np.rint(widest / pitch)
-    even = all(float(np.ptp(w)) <= EVEN * step for w, step in zip(widths, pitch.tolist(), strict=True))
-    parts = int(part.relation["parts"])
-    aligned = bool(targets and even and np.all((per_cell % 2 == 0) & (per_cell % parts == 0)))
-    gain = np.eye(len(widest)) if targets else _grid_matrix(agent, part)
-    steps = (gain * widest).T / parts
-    if not aligned:
-        steps = np.concatenate([steps, np.diag(pitch)])
-    slack = float(sum(_fourth(u / deviations, e / deviations) for u in steps for e in steps)) / 64.0
-    slack += ROUNDING * (2.0 + float(np.sum(pitch / deviations)))
-    masses, slopes, curvatures = tables
-    lengths = np.array([float(np.dot(u / deviations, u / deviations)) for u in steps])
-    return LinearTables(masses, slopes, curvatures, steps, lengths / lengths.sum(), parts, slack, not aligned)
-
-
-def _grid_matrix(agent: LinearAgent, part: AgentPart) -> FloatArray:
-    """``A`` in grid coordinates."""
-    return np.asarray(np.linalg.solve(part.coordinates, agent.A @ part.coordinates))
-
-
-def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Masses of both hats of every cell around every lattice point, from below, and their derivatives by the mean."""
-    t = (edges - axis[:, None]) / sigma
-    width = np.diff(edges) / sigma
-    phi = np.exp(-0.5 * t**2) * (1.0 / math.sqrt(2.0 * math.pi))
-    above = 0.5 * erfc(t / math.sqrt(2.0))  # P(y > edge)
-    below = 0.5 * erfc(-t / math.sqrt(2.0))
-    a, b = t[:, :-1], t[:, 1:]
-    far = a + b > 0
-    mass = np.where(far, above[:, :-1] - above[:, 1:], below[:, 1:] - below[:, :-1])
-    first = phi[:, :-1] - phi[:, 1:] - a * mass  # E (y - left end)^+ inside the cell, in deviations
-    # Errors of densities and tails at both edges, each on the side where it is small; then of what is made of them.
-    density, tail = (40.0 + 6.0 * t**2) * phi, (30.0 + 8.0 * t**2) * np.minimum(above, below)
-    of_mass = tail[:, :-1] + tail[:, 1:] + 4.0 * mass
-    of_first = density[:, :-1] + density[:, 1:] + (1.0 + np.abs(a)) * of_mass
-    right = np.maximum(first / width - UNIT * (of_first / width + 4.0 * mass) - FAINT, 0.0)
-    left = np.maximum(mass - first / width - UNIT * (of_first / width + of_mass + 8.0 * mass) - FAINT, 0.0)
-    slope = (phi[:, :-1] - mass / width, mass / width - phi[:, 1:])
-    rise = (phi[:, 1:] - phi[:, :-1]) / width
-    bend = (a * phi[:, :-1] + rise, -b * phi[:, 1:] - rise)
-    pairs = ((left, right), slope, bend)
-    masses, slopes, bends = (np.stack(pair, axis=-1).reshape(len(axis), -1) for pair in pairs)
-    return masses, slopes / sigma, bends / sigma**2
-
-
-def _fourth(u: FloatArray, e: FloatArray) -> float:
-    """Bound on ``|e|^2 |u|^2 d_e^2 d_u^2`` of a smoothed factor of at most 1, in deviations."""
-    size = math.hypot(*e.tolist())
-    if size == 0.0:
-        return 0.0
-    along = abs(float(np.dot(u, e))) / size
-    # The areas that u and e span in each plane; nothing large is subtracted. Rounded up.
-    areas = [u[i] * e[j] - u[j] * e[i] for i, j in itertools.combinations(range(len(u)), 2)]
-    across = math.hypot(*areas) / size + 1e-14 * math.hypot(*u.tolist())
-    straight, mixed, square = HALF_NORMS
-    return size * size * (straight * along * along + 2.0 * mixed * along * across + square * across * across)
-
-
-def _applied(factors: FloatArray, tables: list[FloatArray]) -> FloatArray:
-    """Factors (n, places) summed against one table per axis: (n, Z)."""
-    tensor = factors.reshape(len(factors), *(table.shape[1] for table in tables))
-    for k, table in enumerate(tables):
-        tensor = np.moveaxis(np.tensordot(tensor, table, axes=(k + 1, 1)), -1, k + 1)
-    return tensor.reshape(len(factors), -1)
 
 
 def linear_values(
@@ -157,20 +40,8 @@ def linear_values(
     """
     if not len(factors):
         return np.zeros((0, places_of(part))), np.ones(0, dtype=bool)
-    values, bends = _applied(factors, tables.masses), np.zeros((len(factors), 1))
+    values, bends = values_and_bends(tables, factors)
     d = len(tables.masses)
-    seconds: dict[tuple[int, int], FloatArray] = {}
-    for i, j in itertools.combinations_with_replacement(range(d), 2):
-        if np.any(tables.steps[:, i] * tables.steps[:, j] != 0.0):
-            chosen = [(tables.masses, tables.slopes, tables.curvatures)[(k == i) + (k == j)][k] for k in range(d)]
-            seconds[i, j] = _applied(factors, chosen)
-    # Each direction bends most at a point of its own: with shares that sum to 1, the largest s_k / share_k over points
-    # and directions is at least the sum of the largest s_k.
-    for u, share in zip(tables.steps, tables.shares, strict=True):
-        if share > 0.0:
-            along = sum((1.0 + (i != j)) * u[i] * u[j] * second for (i, j), second in seconds.items())
-            bends = np.maximum(bends, along / (8.0 * share))
-    bends = bends + tables.slack * factors.max(axis=1, initial=0.0)[:, None]
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))
     chosen_cells = np.flatnonzero(policy >= 0)
@@ -224,7 +95,7 @@ def _corner_values(
     high = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if len(part.relation["menu"]):
-        A = _grid_matrix(agent, part)
+        A = grid_matrix(agent, part)
         inputs = np.array(part.relation["menu"], dtype=float)[choices]
         offset = np.linalg.solve(part.coordinates, (agent.offset + inputs @ agent.B.T).T).T
         z, gains = middle @ A.T + offset, np.broadcast_to(A, (len(cells), d, d))

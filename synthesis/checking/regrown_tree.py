@@ -18,7 +18,8 @@ from ..values import Merges, Terms
 from .boxes_check import box_tables, box_values
 from .execution import execution_of
 from .forward_mass import mass_at_start
-from .linear_check import linear_tables, linear_values, masks_of, places_of
+from .linear_check import linear_values, masks_of, places_of
+from .linear_tables import linear_tables
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of

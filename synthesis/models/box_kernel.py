@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid
+from .bends import FOURTH, SQUARED
 from .kernel import Kernel, gaussian_table
-from .linear_kernel import FOURTH, SQUARED
 
 ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may

@@ -11,8 +11,9 @@ from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid, in_grid_coordinates
 from ..relations import LinearRelation, linear_relation
 from .affine_choices import AffineChoices
+from .bends import Bends
 from .choices import target_windows
-from .linear_kernel import LinearKernel, hat_tables, rounding_of_bends, slack_of, uniform_axis
+from .linear_kernel import LinearKernel, hat_table, uniform_axis
 
 POINTS_PER_CELL = 4
 """Lattice points per cell and axis: at four, rounding a target costs a hundredth of what cells cost."""
@@ -26,8 +27,11 @@ BEYOND_GRID = 3.0
 EVEN = 5e-12
 """Lattice steps by which the widths of an axis may differ for images to count as lying on the lattice."""
 
-LEAST_SLACK = 1e-5
-"""Largest slack per step, for want of fourth derivatives, with which an image is read in few parts."""
+LEAST_SLACK, LEAST_BEND = 1e-5, 1e-3
+"""Largest slack per step, for want of high derivatives, and largest bend with which an image is read in few parts."""
+
+BESIDE = 1e-13
+"""Share of a step that may lie beside an axis without it being one in another direction: matrices have rounding."""
 
 MOST_PARTS = 8
 """Most parts that each side of an image is read in."""
@@ -53,25 +57,20 @@ def linear_model(
     widest = np.array([np.max(np.diff(edges)) for edges in grid.edges])
     gain = np.eye(len(widest)) if relation.steers else relation.A
     lattice_steps = np.zeros((0, len(pitch))) if on_lattice else np.diag(pitch)
+    axes = zip(lattice, grid.edges, deviations.tolist(), strict=True)
+    tables, losses = zip(*(hat_table(*axis) for axis in axes), strict=True)
     # As few parts as will do; those of images on the lattice are whole lattice steps.
     possible = [n for n in range(2, per_cell + 1) if per_cell % n == 0] if on_lattice else [2, 4, MOST_PARTS]
     parts = possible[-1]
     for parts in possible:
         steps = (gain * widest).T / parts
-        if slack_of(steps, lattice_steps, deviations) <= LEAST_SLACK:
+        sizes = np.abs(steps / deviations)
+        steps[sizes <= BESIDE * sizes.max(axis=1, keepdims=True)] = 0.0
+        bends = Bends(np.concatenate([steps, lattice_steps]), lattice, grid.edges, deviations, sum(losses))
+        if bends.slack[0] <= LEAST_SLACK and bends.largest <= LEAST_BEND:
             break
     relation = replace(relation, parts=parts)
-    masses, slopes, curvatures, loss = [], [], [], 0.0
-    for axis, edges, deviation in zip(lattice, grid.edges, deviations, strict=True):
-        (mass, slope, curvature), missing = hat_tables(axis, edges, float(deviation))
-        masses.append(mass)
-        slopes.append(slope)
-        curvatures.append(curvature)
-        loss += missing
-    rounding = rounding_of_bends(pitch / deviations)
-    kernel = LinearKernel(
-        tuple(masses), loss, tuple(slopes), tuple(curvatures), deviations, steps, lattice_steps, rounding
-    )
+    kernel = LinearKernel(tables, sum(losses), bends=bends)
     windows = tuple(target_windows(steer, grid, lattice) for steer in relation.steers)
     return relation, lattice, kernel, AffineChoices(grid, lattice, relation, per_cell, windows)
 

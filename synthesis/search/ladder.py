@@ -24,6 +24,9 @@ from ..values import IndexArray, Merges
 NEGLIGIBLE = 1e-5
 """Share of the weight of all terms below which a term neither starts a ladder nor joins one."""
 
+MOST_LOST = 1e-6
+"""Share of the weight of all terms that uniting two of them may lose."""
+
 MOST_LADDERS = 12
 """Ladders per automaton state and time: the first few hold nearly all of the weight."""
 
@@ -90,11 +93,17 @@ def _climb(
         tried = [_joined(terms, masses, i, head, others) for i in range(n_agents)]
         best = max(range(n_agents), key=lambda i: tried[i][0])
         for k in tried[best][1]:
+            pair = [head, k]
+            before, weight = [term[pair] for term in terms], float(shares[:, pair].prod(axis=0).sum())
             rest = _unite(terms, masses, best, head, k)
+            after = np.stack([term[pair] @ mass for term, mass in zip(terms, masses, strict=True)])
+            if weight - float(after.prod(axis=0).sum()) > MOST_LOST * weights.sum():
+                # What is lost here is certain, what bends less is small: leave the two as they were.
+                for term, factors_before in zip(terms, before, strict=True):
+                    term[pair] = factors_before
+                continue
             history.append((int(here[head]), int(here[k]), best, rest))
-            for row in (head, k):
-                changed[row] = True
-                shares[:, row] = [term[row] @ mass for term, mass in zip(terms, masses, strict=True)]
+            shares[:, pair], changed[pair] = after, True
     for i in range(n_agents):
         moved = np.flatnonzero(changed[:, i])
         rows[here[moved], i] = len(factors[i]) + np.arange(len(moved))
