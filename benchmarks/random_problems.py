@@ -38,8 +38,10 @@ def random_spec(seed: int, relation: str | None = None) -> Spec:
     options = _options(rng, agents)
     if relation is not None:
         others = {name: value for name, value in options.items() if name != "delta"}
-        # Linear agents have no tensor trains.
-        options = {name: value for name, value in others.items() if (name, relation) != ("value", "linear")}
+        # Agents whose steps are not additive have no tensor trains.
+        options = {
+            name: value for name, value in others.items() if name != "value" or relation not in ("boxes", "linear")
+        }
         options["relation"] = relation
     return {
         "agents": agents,

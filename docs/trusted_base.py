@@ -34,14 +34,13 @@ TRUSTED = {
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
         "synthesis.controllers.controller synthesis.controllers.product_controller synthesis.controllers.steering "
         "synthesis.relations.coupled synthesis.relations.description synthesis.relations.ellipsoid_facts "
-        "synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows"
+        "synthesis.relations.boxes synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows"
     ),
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.checking.certificate_check synthesis.checking.execution "
         "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.guard_check "
-        "synthesis.checking.linear_check synthesis.checking.linear_tables synthesis.checking.regrown_tree "
-        "synthesis.checking.relation_check "
-        "synthesis.checking.train_check "
+        "synthesis.checking.boxes_check synthesis.checking.linear_check synthesis.checking.linear_tables "
+        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
         "synthesis.checking.upper_end"
     ),
 }

@@ -121,7 +121,7 @@ def certificate_of(
 
 
 def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
-    """Return the value function to be stored: factors of linear agents a little lower, which a lower bound may be.
+    """Return the value function to be stored: factors of steps that are not additive a little lower: they are bounds.
 
     What remains after unions from below, and how much an image bends, depend on rounding in both directions; so do
     means, by what an execution may lose. A check that computes all of them anew must find no factor too large.
@@ -131,7 +131,7 @@ def _stored(problem: Problem, joint: JointModel, terms: Terms) -> Terms:
         lost = joint.horizon * model.relation.execution_loss(agent, model.grid.edges)
         loss = STORED_MARGIN * rows.max(axis=1, initial=0.0)[:, None] + STORED_LOSS + lost
         lower = np.maximum(rows - loss, 0.0)
-        factors.append(lower if model.is_linear else rows)
+        factors.append(rows if model.is_additive else lower)
     return Terms(tuple(factors), terms.index)
 
 
@@ -162,7 +162,7 @@ def bounds_from_above(
     """Return upper bounds for all policies, of the same finite models and of the continuous system (None: unknown)."""
     start = start_of(problem, joint)
     anywhere = continuous_upper_bound(problem, joint, start)
-    if any(model.is_linear for model in joint.models):
+    if not all(model.is_additive for model in joint.models):
         # Their values are lower bounds cell by cell, so the best of them bounds nothing from above.
         return {"abstract_upper_bound": None, "continuous_upper_bound": anywhere}
     most = abstract_bound(problem, joint, start, relaxations, certificate.lower_bound)

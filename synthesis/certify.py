@@ -34,6 +34,7 @@ from .models import (
     Abstraction,
     AffineChoices,
     AgentModel,
+    BoxChoices,
     InputMenu,
     JointModel,
     Policies,
@@ -182,6 +183,8 @@ def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
     Means are in grid coordinates.
     """
     scale, choices = _cell_widths(model), model.choices
+    if isinstance(choices, BoxChoices):
+        return _nearest_boxes(choices, means, scale)
     if isinstance(choices, TargetWindows):
         return _nearest_targets(choices, means, scale)
     assert isinstance(choices, InputMenu)
@@ -191,6 +194,16 @@ def nearest_choices(model: AgentModel, means: FloatArray) -> NDArray[np.int32]:
     gaps = (((points[np.maximum(offered, 0)] - means.T[:, None]) / scale) ** 2).sum(axis=-1)
     gaps = np.where(offered < 0, np.inf, gaps)
     return np.where((offered >= 0).any(axis=1), gaps.argmin(axis=1), -1).astype(np.int32)
+
+
+def _nearest_boxes(choices: BoxChoices, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:
+    """Return the admissible choice (S,) of each cell whose box has its middle nearest to means (d, S)."""
+    nearest, best = np.full(choices.grid.n_cells, np.inf), np.full(choices.grid.n_cells, -1)
+    for a in range(choices.size.shape[1]):
+        gaps = (((choices.middles(a) - means.T) / scale) ** 2).sum(axis=1)
+        closer = (choices.size[:, a] >= 0) & (gaps < nearest)
+        nearest, best = np.where(closer, gaps, nearest), np.where(closer, a, best)
+    return best.astype(np.int32)
 
 
 def _nearest_maps(

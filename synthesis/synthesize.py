@@ -108,11 +108,11 @@ def synthesize(
         ``abstract``); it is doubled where relations are compared and none applies.
     relation : str, or mapping from agent name to str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents). ``"auto"``, which also holds for agents that a mapping leaves out, takes
-        ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``, ``tube`` and
-        ``ellipsoid`` that apply and keeps the largest bound (see ``relation_choice``). ``"best"`` tries all of them
-        without any shortcut, ``paper`` included. ``"quick"`` takes ``exact`` or ``tube`` without comparing (see
-        ``abstract``).
+        choice), ``"paper"`` (scalar agents), ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also
+        holds for agents that a mapping leaves out, takes ``exact`` where it leaves most of the inputs to the policy;
+        elsewhere it tries those of ``exact``, ``tube`` and ``ellipsoid`` that apply and keeps the largest bound (see
+        ``relation_choice``). ``"best"`` tries all of these without any shortcut, and ``paper``. ``"quick"`` takes
+        ``exact`` or ``tube`` without comparing (see ``abstract``).
     max_sweeps : int
         Largest number of improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional

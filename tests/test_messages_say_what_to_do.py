@@ -114,7 +114,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.synthesize(PROBLEM, cells=0), "cells", "positive whole number"),
     (lambda: cg.synthesize(PROBLEM, cells={"agent0": 10}), "cells", "correct the name"),
     (lambda: cg.synthesize(PROBLEM, cell=10), "cell", "did you mean `cells`?"),
-    (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, exact"),
+    (lambda: cg.synthesize(PROBLEM, relation="exakt"), "relation", "one of auto, boxes"),
     (lambda: cg.synthesize(PROBLEM, cells=20, relation="paper"), "epsilon", "more `cells`"),
     (lambda: cg.translate("F a", ["a"], "co-safe", backend="ltl2ba"), "backend", "one of builtin, mona"),
     (lambda: cg.automaton_from_hoa("hello", ["a"]), "hoa", "HOA: v1 at the beginning"),

@@ -150,7 +150,7 @@ def test_relations_can_be_named_per_agent(tmp_path: Path, capsys: pytest.Capture
     assert [m.relation.kind for m in abstract(problem, cells, relation={"car": "tube"}).models] == ["tube", "tube"]
     with pytest.raises(ValueError, match="`relation`: expected names of agents among car, cart_0, got 'bus'"):
         cg.synthesize(problem, cells, relation={"bus": "tube"})
-    with pytest.raises(ValueError, match="`relation`: expected one of auto, exact"):
+    with pytest.raises(ValueError, match="`relation`: expected one of auto, boxes"):
         cg.synthesize(problem, cells, relation={"car": "exakt"})
     out = str(tmp_path / "c.npz")
     scalar = ["synthesize", "reach-avoid-v0", "--horizon", "2", "--cells", "40", "--out", out]

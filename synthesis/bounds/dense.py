@@ -33,7 +33,7 @@ def dense_value(problem: Problem, models: Sequence[AgentModel], policies: Polici
     ValueError
         If a joint array would have more than ``MAX_ENTRIES`` entries.
     """
-    _refuse_linear(models)
+    _refuse_bounds(models)
     outcome = joint_outcomes(problem, models)
     value = _terminal(problem, outcome, models)
     transitions = [_full_table(model) for model in models]
@@ -57,7 +57,7 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     Agents choose from a menu of inputs, or targets whose admissible ones are products of intervals (scaled permutation
     inputs).
     """
-    _refuse_linear(models)
+    _refuse_bounds(models)
     if any(isinstance(m.choices, TargetWindows) and not m.choices.relation.is_box for m in models):
         raise ValueError("`models`: expected agents whose admissible targets are boxes in grid coordinates")
     outcome = joint_outcomes(problem, models)
@@ -76,10 +76,14 @@ def dense_optimum(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.
     return value
 
 
-def _refuse_linear(models: Sequence[AgentModel]) -> None:
-    """Raise ValueError if a model has values at corners of cells: dense programming knows one value per cell."""
-    if any(model.is_linear for model in models):
-        raise ValueError("`models`: expected one value per cell, got the relation `linear`; use another relation")
+def _refuse_bounds(models: Sequence[AgentModel]) -> None:
+    """Raise ValueError if a model has values at corners, or boxes of means: dense programming knows neither."""
+    for model in models:
+        if not model.is_additive:
+            raise ValueError(
+                f"`models`: expected one value per cell and one mean per choice, got the relation "
+                f"`{model.relation.kind}`; use another relation"
+            )
 
 
 def joint_outcomes(problem: Problem, models: Sequence[AgentModel]) -> NDArray[np.int64]:

@@ -121,14 +121,16 @@ class CertificateReader:
         menu = None if entry["menu"] is None else self._integers(entry["menu"], (grid.n_cells, None), points)
         check_description(entry["relation"], self.problem.agents[self._position])
         kind = entry["relation"]["kind"]
-        if (kind not in ("exact", "linear")) != (menu is not None):
+        if (kind not in ("boxes", "exact", "linear")) != (menu is not None):
             raise ValueError("a relation and its choices do not belong together")
         choices = points if menu is None else menu.shape[1]
         if kind == "linear":
             # Inputs, or lattice points with one of two gains.
             choices = len(entry["relation"]["menu"]) or 2 * points
-            if any(len(axis) < 2 for axis in lattice):
-                raise ValueError("the lattice of a linear agent has axes of a single point")
+        elif kind == "boxes":
+            choices = len(entry["relation"]["menu"])
+        if kind in ("boxes", "linear") and any(len(axis) < 2 for axis in lattice):
+            raise ValueError(f"the lattice of an agent under the relation {kind} has axes of a single point")
         return AgentPart(
             grid=grid,
             coordinates=self._array(entry["coordinates"], "f", (d, d)),

@@ -73,6 +73,11 @@ class AgentPart:
         return bool(self.relation["kind"] == "linear")
 
     @property
+    def is_additive(self) -> bool:
+        """Whether a step takes a sum of factors to the sum of what it takes each to (see ``AgentModel``)."""
+        return self.relation["kind"] not in ("boxes", "linear")
+
+    @property
     def n_places(self) -> int:
         """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
         return self.grid.n_cells * (2 ** len(self.lattice) if self.is_linear else 1)

@@ -169,12 +169,14 @@ def _check_form(certificate: Certificate) -> list[str]:
     point = all(np.array_equal(agent.initial.low, agent.initial.high) for agent in certificate.problem.agents)
     if certificate.start != ("point" if point else "mean"):
         failures.append(f"its start is called {certificate.start!r}, which it is not")
-    if any((part.relation["kind"] in ("exact", "linear")) != (part.menu is None) for part in certificate.agents):
+    if any(
+        (part.relation["kind"] in ("boxes", "exact", "linear")) != (part.menu is None) for part in certificate.agents
+    ):
         failures.append("a relation and its choices do not belong together")
     tree = certificate.rounding is None
-    if any(part.relation["kind"] == "linear" for part in certificate.agents):
+    if not all(part.is_additive for part in certificate.agents):
         if not tree or certificate.bound != "nominal" or certificate.gap is not None:
-            failures.append("its linear agents have a value or a bound that is not for them")
+            failures.append("agents whose steps are not additive have a value or a bound that is not for them")
         failures += _uneven_lattices(certificate)
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
@@ -186,10 +188,10 @@ def _check_form(certificate: Certificate) -> list[str]:
 
 
 def _uneven_lattices(certificate: Certificate) -> list[str]:
-    """Lattices of linear agents are evenly spaced, so that positions in steps are right."""
+    """Lattices on which values are interpolated are evenly spaced, so that positions in steps are right."""
     failures = []
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        if part.relation["kind"] == "linear":
+        if not part.is_additive:
             for axis in part.lattice:
                 even = axis[0] + (axis[-1] - axis[0]) * np.linspace(0.0, 1.0, len(axis))
                 step = (axis[-1] - axis[0]) / max(1, len(axis) - 1)

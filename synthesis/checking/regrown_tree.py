@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, axis_tables, smooth
+from ..certificates import Certificate, axis_tables, smooth
 from ..values import Merges, Terms
+from .boxes_check import box_tables, box_values
+from .execution import execution_of
 from .forward_mass import mass_at_start
 from .linear_check import linear_values, masks_of, places_of
 from .linear_tables import linear_tables
 
 KEPT = 1.0 - 1e-9
-"""Share of a factor of a linear agent that a remainder is taken from, as in the search: how a difference of nearly
-equal factors bends is decided by digits that rounding has lost, and a larger remainder may bend more."""
+"""Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of
+nearly equal factors bends is decided by digits that rounding has lost, and a larger remainder may bend more."""
 
 
 class BrokenTreeError(ValueError):
@@ -37,8 +39,12 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     n_agents = len(certificate.agents)
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
-    kernels = [[] if _is_linear(p) else axis_tables(a.noise_covariance, p, tables) for a, p in pairs]
-    linear = [linear_tables(a, p) if _is_linear(p) else None for a, p in pairs]
+    kernels = [axis_tables(a.noise_covariance, p, tables) if p.is_additive else [] for a, p in pairs]
+    linear = [linear_tables(a, p) if p.is_linear else None for a, p in pairs]
+    boxes = [
+        box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
+        for a, p in pairs
+    ]
     masks = [masks_of(part, part.masks) for part in certificate.agents]
     ones = [np.ones((1, places_of(part))) for part in certificate.agents]
     deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
@@ -59,9 +65,9 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
             _check_merges(merges, kept)
             for i, part in enumerate(certificate.agents):
                 keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
-                vertex = _unite(masks[i], factors[i], keys, merges, i, KEPT if linear[i] is not None else 1.0)
+                vertex = _unite(masks[i], factors[i], keys, merges, i, 1.0 if part.is_additive else KEPT)
                 distinct, where = _distinct(vertex, kept)
-                tables_of_agent = linear[i]
+                tables_of_agent, tables_of_boxes = linear[i], boxes[i]
                 if tables_of_agent is not None:
                     stored = None
                     if t == 0 and certificate.terms is not None and len(certificate.terms.index[q]) == len(kept):
@@ -74,6 +80,8 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                         raise BrokenTreeError(
                             f"a stored factor of agent `{agent.name}` is not proved to be a lower bound"
                         )
+                elif tables_of_boxes is not None:
+                    values = box_values(certificate.problem.agents[i], part, tables_of_boxes, distinct, t, q)
                 else:
                     points = part.points(t, q)
                     values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
@@ -86,11 +94,6 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
-
-
-def _is_linear(part: AgentPart) -> bool:
-    """Whether factors of an agent are multilinear in its cells."""
-    return bool(part.relation["kind"] == "linear")
 
 
 def tree_start_value(certificate: Certificate, terms: Terms) -> float:

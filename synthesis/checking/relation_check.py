@@ -19,6 +19,7 @@ from ...envs.agents import LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..relations import (
+    BoxRelation,
     CoupledRelation,
     ExactRelation,
     LinearRelation,
@@ -60,6 +61,8 @@ def verify_relation(agent: LinearAgent, part: AgentPart, relation: Relation, exe
         return _verify_targets(agent, part, relation, part.policy, execution)
     if isinstance(relation, LinearRelation):
         return _verify_affine(agent, part, relation, execution)
+    if isinstance(relation, BoxRelation):
+        return _verify_boxes(agent, part, execution)
     return _verify_coupled(agent, part, relation, execution)
 
 
@@ -93,6 +96,19 @@ def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation
         policy = np.where((part.policy >= 0) & chosen, part.policy % n_points, -1)
         failures += _verify_targets(agent, part, steer, policy, execution)
     return failures
+
+
+def _verify_boxes(agent: LinearAgent, part: AgentPart, execution: Execution) -> list[str]:
+    """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
+    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    low, high = cell_boxes(part)
+    rows = part.policy.reshape(-1, part.policy.shape[-1])
+    for choice in np.unique(rows[rows >= 0]):
+        widest = 0.5 * np.max((high - low)[np.any(rows == choice, axis=0)], axis=0) * OUTWARD
+        fed = np.abs(gains[choice]) @ widest + execution.inputs * np.any(gains[choice], axis=1)
+        if np.any((menu[choice] - fed < agent.input_box.low) | (menu[choice] + fed > agent.input_box.high)):
+            return ["its menu holds inputs beyond its input box"]
+    return []
 
 
 def _verify_targets(

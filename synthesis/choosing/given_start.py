@@ -61,7 +61,7 @@ def _choices_fit(part: AgentPart, model: AgentModel) -> bool:
         return False
     if part.is_linear != model.is_linear:
         return False
-    if model.is_linear:
+    if not model.is_additive or part.relation["kind"] == "boxes":
         return describe_relation(model.relation) == part.relation
     if isinstance(model.choices, InputMenu):
         return part.menu is not None and np.array_equal(part.menu, model.choices.leads_to)

@@ -4,6 +4,7 @@ Each agent sees its own state, the shared automaton state and the time (docs/the
 
 ``exact``   the cell of its state decides the target mean, and the input puts the mean of the next state on it.
 ``linear``  the cell of its state decides an affine map, and the input puts the mean of the next state where it says.
+``boxes``   the cell of its state decides an input, and what is fed back of the state inside the cell.
 coupled     (``paper``, ``tube``, ``ellipsoid``) the agent remembers an abstract state xhat (``abstract_state``), whose
             cell decides the input uhat; the interface adds ``K (x - xhat)``.
 
@@ -23,9 +24,9 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, Grid, cell_finder, shape_text
-from ..relations import CoupledRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation
 from .abstract_state import Memory, Tracker, moved_into
-from .steering import AffineSteering, MenuSteering, PolicyTable, TargetSteering
+from .steering import AffineSteering, BoxSteering, MenuSteering, PolicyTable, TargetSteering
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,9 +110,11 @@ class AgentController:
         return PolicyTable(self.policy if self.policy.ndim == 4 else self.policy[None])
 
     @cached_property
-    def _target_steering(self) -> TargetSteering | AffineSteering:
+    def _target_steering(self) -> TargetSteering | AffineSteering | BoxSteering:
         if isinstance(self.relation, LinearRelation):
             return AffineSteering(self._table, self.grid, self.lattice, self.relation)
+        if isinstance(self.relation, BoxRelation):
+            return BoxSteering(self._table, self.grid, self.relation)
         assert not isinstance(self.relation, CoupledRelation)
         return TargetSteering(self._table, self.lattice, self.relation)
 

@@ -2,6 +2,7 @@
 
 ``TargetSteering``  the choice is a target mean (``exact`` relation): the input puts the mean of the next state on it.
 ``AffineSteering``  the choice is an affine map of the state to its mean (``linear``).
+``BoxSteering``     the choice is an input, and what is fed back of the state inside its cell (``boxes``).
 ``MenuSteering``    the choice is an abstract input uhat (coupled agents): the interface adds ``K e``.
 
 All work on n agents that share grid and relation and on M worlds at once, with the same bits for any number of worlds.
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid
-from ..relations import CoupledRelation, ExactRelation, LinearRelation, Row, product, rows_of
+from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Row, product, rows_of
 from .abstract_state import Memory
 
 MOST_AIMS = 1 << 22
@@ -154,6 +155,37 @@ class AffineSteering:
         """Inputs (m, A + 1)."""
         menu = self.relation.menu
         return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSteering:
+    """Inputs that keep the mean of the next state in the box of a choice (relation ``boxes``).
+
+    Parameters
+    ----------
+    table : PolicyTable
+    grid : Grid
+    relation : BoxRelation
+    """
+
+    table: PolicyTable
+    grid: Grid
+    relation: BoxRelation
+
+    def inputs(self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
+        choices = self.table.choices(self.table.places(cells, q, time))
+        offsets = points - looked_up(self._centres, cells)
+        inputs = self.relation.inputs(np.maximum(choices, 0).astype(np.intp), offsets)
+        # Cells without a choice get the mean of all inputs.
+        if self.table.has_idle_cells(time):
+            inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]
+        return inputs
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        """Centres (d, S) of the cells."""
+        return np.ascontiguousarray(self.grid.centres.T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,8 @@ from .abstraction import (
 from .affine_choices import AffineChoices, Choices
 from .agent_models import SNAPPED_POINTS
 from .bends import Bends
+from .box_choices import BoxChoices
+from .box_kernel import BoxKernel
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
@@ -28,6 +30,8 @@ __all__ = [
     "AgentModel",
     "BAND_BYTES",
     "Bends",
+    "BoxChoices",
+    "BoxKernel",
     "Choices",
     "InputMenu",
     "JointModel",

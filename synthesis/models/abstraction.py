@@ -39,17 +39,18 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import CoupledRelation, ExactRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation
 from ..values import Residents
 from .affine_choices import Choices
 from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
+from .box_model import box_model
 from .kernel import Kernel
 from .linear_model import linear_model
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
 
-RELATIONS = ("auto", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
+RELATIONS = ("auto", "boxes", "exact", "ellipsoid", "linear", "paper", "quick", "tube")
 """Relations that can be asked for."""
 
 KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
@@ -108,6 +109,15 @@ class AgentModel:
     def is_linear(self) -> bool:
         """Whether factors are multilinear in every cell, with values at its corners."""
         return isinstance(self.relation, LinearRelation)
+
+    @property
+    def is_additive(self) -> bool:
+        """Whether a step takes a sum of factors to the sum of what it takes each to.
+
+        Where it takes least values (``boxes``) or what bends (``linear``), a sum is worth more than its terms: these
+        are lower bounds one by one, for nonnegative factors alone.
+        """
+        return not isinstance(self.relation, BoxRelation | LinearRelation)
 
     def spread(self, numbers: NDArray[Any]) -> NDArray[Any]:
         """Return numbers of cells (.., S) at all places of factors."""
@@ -172,7 +182,8 @@ class Settings:
     ----------
     targets_per_cell : int, optional
         ``exact``: lattice points per cell and axis; with more of them rounding wastes fewer of the admissible inputs.
-        Default: 2 for scalar agents, 1 for others.
+        Default: 2 for scalar agents, 1 for others. ``linear``, ``boxes``: points at which values are read; by default
+        4, and as many as noise and cells ask for.
     epsilon, feedback, inputs
         ``paper``: half width of the relation, K of the interface, number of abstract inputs.
     delta : float, optional
@@ -237,9 +248,10 @@ def abstract(
     relation : str, or mapping from agent name to str
         ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"ellipsoid"``: any
         agent for which an ellipsoid is found, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents, delta
-        >= 0 in closed form. ``"quick"``: for each agent ``exact`` where it applies and the inputs are strong enough for
-        the cells, else ``tube``; agents that a mapping leaves out get this, too. ``"auto"`` is the same here: only a
-        synthesis can tell which relation certifies most (see ``synthesize``).
+        >= 0 in closed form. ``"linear"``: any agent, delta = 0, losses of second order. ``"boxes"``: any agent, delta =
+        0, nothing but boxes around means is used. ``"quick"``: for each agent ``exact`` where it applies and the inputs
+        are strong enough for the cells, else ``tube``; agents that a mapping leaves out get this, too. ``"auto"`` is
+        the same here: only a synthesis can tell which relation certifies most (see ``synthesize``).
     **settings
         Settings of the relations, see ``Settings``.
 
@@ -263,10 +275,11 @@ def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], se
     models = models_of(problem, cells, dict(enumerate(kinds)), settings)
     ordered = tuple(models[i] for i in range(problem.n_agents))
     lossy = sorted({model.relation.kind for model in ordered if model.delta > 0})
-    if lossy and any(model.is_linear for model in ordered):
+    beside = sorted({model.relation.kind for model in ordered if not model.is_additive})
+    if lossy and beside:
         raise ValueError(
-            f"`relation`: expected relations that are never lost beside `linear`, got `{lossy[0]}`; ask for `exact` or "
-            "`tube`, or for `ellipsoid` with `delta=0`"
+            f"`relation`: expected relations that are never lost beside `{beside[0]}`, got `{lossy[0]}`; ask for "
+            "`exact` or `tube`, or for `ellipsoid` with `delta=0`"
         )
     return Abstraction(ordered, settings.used_by(ordered))
 
@@ -331,6 +344,8 @@ def _shared_model(
         return exact_model(agent, grid, coordinates, per_cell)
     if kind == "linear":
         return linear_model(agent, grid, coordinates, settings.targets_per_cell)
+    if kind == "boxes":
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
         return tube_model(agent, grid, coordinates, room)
     if kind == "ellipsoid":

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_places
 from ..relations import LinearRelation
+from .box_choices import BoxChoices
 from .choices import InputMenu, StepPolicy, TargetWindows, target_windows
 
 ON_LATTICE = 1e-9
@@ -404,7 +405,7 @@ class AffineChoices:
         return np.where(fixed >= 0, fixed, np.where(follows >= 0, follows + self.n_points, -1)).astype(np.int32)
 
 
-Choices = TargetWindows | InputMenu | AffineChoices
+Choices = TargetWindows | InputMenu | AffineChoices | BoxChoices
 """What can be chosen in each cell."""
 
 

@@ -1,5 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
+from .boxes import BoxRelation, Enclosing, MeanBoxes, box_relation
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -11,13 +12,17 @@ from .scalar import paper_relation
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 
 __all__ = [
+    "BoxRelation",
     "CoupledRelation",
     "Ellipsoid",
+    "Enclosing",
     "ExactRelation",
     "LinearRelation",
+    "MeanBoxes",
     "Relation",
     "Row",
     "best_feedback",
+    "box_relation",
     "check_description",
     "couple",
     "coupling_failure",

@@ -1,9 +1,9 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs",
-"delta"}``, ``{"kind": "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon",
-"feedback", "coupling", "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from
-files, and nothing in them is trusted.
+``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}``, ``{"kind": "linear", "menu", "parts"}``,
+``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind": "tube", "feedback", "inputs", "snap"}`` and
+``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling", "inputs", "snap", "delta"}``; matrices are
+nested lists in grid coordinates. They come from files, and nothing in them is trusted.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, Grid
+from .boxes import BoxRelation, box_relation
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, exact_relation
@@ -21,10 +22,11 @@ from .linear import LinearRelation, linear_relation
 from .scalar import paper_relation
 from .tube import tube_relation
 
-Relation = ExactRelation | LinearRelation | CoupledRelation
+Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {
+    "boxes": (),
     "exact": (),
     "linear": ("parts",),
     "paper": ("epsilon", "feedback", "inputs", "delta"),
@@ -37,6 +39,7 @@ LARGEST = 1e60
 """Largest number of a description: products of a few such numbers are still numbers."""
 
 ARRAY_ENTRIES = {
+    "boxes": ("menu", "gains"),
     "exact": (),
     "linear": ("menu",),
     "paper": (),
@@ -54,6 +57,8 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
     if isinstance(relation, ExactRelation):
         return {"kind": "exact"}
+    if isinstance(relation, BoxRelation):
+        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist()}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
     if relation.kind == "paper":
@@ -80,6 +85,9 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
     kind = description["kind"]
     if kind == "exact":
         return exact_relation(agent, coordinates)
+    if kind == "boxes":
+        menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
+        return box_relation(agent, coordinates, menu, gains)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
         return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
@@ -114,10 +122,10 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
-    shapes["menu"] = (-1, m)
+    shapes |= {"menu": (-1, m), "gains": (-1, m, d)}
     for name in ARRAY_ENTRIES[description["kind"]]:
         array = np.array(description[name], dtype=float)
-        if name == "menu" and array.shape == (0,):
+        if name == "menu" and description["kind"] == "linear" and array.shape == (0,):
             continue
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):

@@ -216,8 +216,8 @@ def sweep(
 
 
 def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: int) -> Arrivals | None:
-    """Return what weighs ladders at time t: where the mass of each agent arrives; None if no agent is linear."""
-    if not any(model.is_linear for model in joint.models):
+    """Return what weighs ladders at time t: where the mass of each agent arrives; None if all steps are additive."""
+    if all(model.is_additive for model in joint.models):
         return None
 
     def arriving(q: int) -> list[NDArray[Any]]:

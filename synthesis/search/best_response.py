@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AffineChoices, Choices, InputMenu, StepPolicy, TargetWindows
+from ..models import AffineChoices, BoxChoices, Choices, InputMenu, StepPolicy, TargetWindows
 from ..values import beside, namespace, take, to_host
 
 CELLS_PER_BLOCK = 64
@@ -48,6 +48,9 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     """
     if isinstance(choices, AffineChoices):
         weights = np.broadcast_to(weights, (weights.shape[0] if len(weights) > 1 else choices.n_places, len(table)))
+        return choices.best(to_host(weights), to_host(table), incumbent)
+    if isinstance(choices, BoxChoices):
+        weights = np.broadcast_to(weights, (len(incumbent), len(table)))
         return choices.best(to_host(weights), to_host(table), incumbent)
     n_cells, points = len(incumbent), choices.points(incumbent)
     # The same weights everywhere make one objective of all.

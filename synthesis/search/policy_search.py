@@ -208,11 +208,11 @@ def find_policies(
         Relaxations of all agents, if they were solved before.
     """
     # Lower bounds that are no linear maps of their factors hold for nonnegative factors alone: no tensor trains.
-    linear = any(model.is_linear for model in joint.models)
-    may_use_trains = search.value == "auto" and not linear
-    if linear:
+    lossy = sorted({model.relation.kind for model in joint.models if not model.is_additive})
+    may_use_trains = search.value == "auto" and not lossy
+    if lossy:
         if search.value == "train":
-            raise ValueError("`value`: expected 'auto' or 'tree' with the relation `linear`, got 'train'")
+            raise ValueError(f"`value`: expected 'auto' or 'tree' with the relation `{lossy[0]}`, got 'train'")
         search = replace(search, limits=_coarser(search.limits, LINEAR_LIMITS))
     start = start_of(problem, joint)
     relaxations = relax(problem, joint) if relaxations is None else relaxations
@@ -236,7 +236,7 @@ def find_policies(
         best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
-    if linear:
+    if lossy:
         evaluated = sweep(joint, policies, start, LINEAR_FINAL, improve=False)
         if max(trees.values, default=0.0) > evaluated.value + HOPE:
             # Far below what sweeps see: unions from below may lose more than they save.
@@ -285,7 +285,7 @@ class _TreeAscent:
 
     def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
         self.joint, self.start, self.how, self.most = joint, start, search, most
-        self.progress = LINEAR_PROGRESS if any(model.is_linear for model in joint.models) else LEAST_PROGRESS
+        self.progress = LEAST_PROGRESS if all(model.is_additive for model in joint.models) else LINEAR_PROGRESS
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
         self.best: Sweep | None = None

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AffineChoices, AgentModel, Choices, LinearKernel, StepPolicy
+from ..models import AffineChoices, AgentModel, BoxChoices, Choices, LinearKernel, StepPolicy
 from ..values import (
     Guards,
     IndexArray,
@@ -208,6 +208,8 @@ def read(choices: Choices, smoothed: NDArray, policy: StepPolicy, rough: bool = 
     """
     if isinstance(choices, AffineChoices):
         return beside(choices.read(to_host(smoothed), policy, rough), smoothed)
+    if isinstance(choices, BoxChoices):
+        return choices.read(to_host(smoothed), policy)
     return gather(smoothed, choices.points(policy))
 
 

@@ -214,7 +214,7 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
     wealth = _wealth(step, 1.0 - level)
     _add(q, wealth, step, ledger.wealth[time], ledger.worlds[time], ledger.increments[time])
     # Split the step among the agents where the value is the certificate's tree, read at the cells of the states. What
-    # is united at corners is not united at points between them: linear agents are left out.
+    # is united at corners is not united at points between them, and boxes hide the mean: such agents are left out.
     levels, certificate, now = None, setup.certificate, setup.values[time]
     following = setup.values[time + 1] if time + 1 < problem.horizon else terminal_values(certificate)
     if (
@@ -222,7 +222,7 @@ def _enter(setup: _Setup, ledger: Ledger, dynamics: Dynamics, before: _Moment, a
         and isinstance(following, Terms)
         and not remembers(before.frame.memory)
         and setup.charge is None
-        and not any(part.is_linear for part in certificate.agents)
+        and all(part.is_additive for part in certificate.agents)
         and tree_fits(certificate, time, now, following)
     ):
         outside = agents_outside(dynamics, after.frame.worlds)[rows]

@@ -45,8 +45,8 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
         nargs="+",
         metavar="NAME",
         default=["auto"],
-        help=f"auto (default: {automatic}), quick (no comparison), best (no shortcut), exact, tube, ellipsoid or "
-        "paper; AGENT=NAME for single agents",
+        help=f"auto (default: {automatic}), quick (no comparison), best (no shortcut), exact, linear, "
+        "boxes, tube, ellipsoid or paper; AGENT=NAME for single agents",
     )
     parser.add_argument(
         "--delta", type=float, metavar="P", help="failure probability per step and agent of `ellipsoid` or `paper`"

@@ -1,0 +1,167 @@
+"""The relation ``boxes``, once more: enclosures of means, the charge of the lattice and least values over boxes.
+
+From every x of a closed cell the mean is ``A x + B (u_a + K_a (x - c)) + c_0``, affine in x; its box is the mean from
+the centre, give or take ``|A + B K_a| h`` and what is rounded. On a lattice of steps eta, with ``g(z) = E v(z + w)``, a
+multilinear interpolant of g is above g by at most ``sum_k eta_k^2 / 8 sup (d_k^2 g)^+``, and the supremum over a small
+box is found from second differences at its corners, up to fourth derivatives (docs/theory/boxes.md, "The charge").
+Taking both off at lattice points leaves an interpolant below g. It is least over a box at a point each of whose
+coordinates is an end of the box or a lattice point between the ends; here all of them are tried.
+
+Nothing of the kernels, choices and minima of the search is used.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray
+from ..certificates import AgentPart, axis_tables, grid_noise, lost_to_rounding, smooth
+
+STRAIGHT, CROSSED = 1.40031, 0.46840
+"""Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
+in the fifth digit."""
+
+ROUNDING = 2.999e-9
+"""Share of the largest value that is taken off for rounding and lattices that are uneven by 1e-9 of a step: hardly less
+than for the search, since what is left after unions from below depends on it in both directions."""
+
+OUTWARD = 1.0 + 1e-13
+"""Widening of half widths, far above their rounding."""
+
+MOST_POINTS = 100_000
+"""Most points of a box, as they are tried one by one; larger boxes are worth nothing."""
+
+CHUNK = 2_000_000
+"""Numbers that are formed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTables:
+    """What a step needs of one agent.
+
+    Parameters
+    ----------
+    masses : list of (Z_k, S_k) arrays
+        Cell masses around every lattice point, from below.
+    slack : float
+        What is taken off besides second differences, per unit of the largest value.
+    off : (d,) array
+        What means are off by in floating point, at most.
+    """
+
+    masses: list[FloatArray]
+    slack: float
+    off: FloatArray
+
+
+def box_tables(
+    agent: LinearAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
+) -> BoxTables:
+    """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
+    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    r = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice]) / deviations
+    slack = 0.0
+    for k, own in enumerate(r.tolist()):
+        # Of eta^2/8: second differences are off by a twelfth of fourth ones, and more between the corners.
+        slack += STRAIGHT * own**4 / 96.0
+        slack += sum((STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist()))
+    slack += ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent.noise_covariance, part)
+    return BoxTables(axis_tables(agent.noise_covariance, part, known), slack, off)
+
+
+def box_values(
+    agent: LinearAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int
+) -> FloatArray:
+    """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0."""
+    values = np.zeros((len(factors), part.grid.n_cells))
+    if not len(factors):
+        return values
+    policy = part.policy[min(t, len(part.policy) - 1), q]
+    cells = np.flatnonzero(policy >= 0)
+    low, high = mean_positions(agent, part, tables.off, cells, policy[cells])
+    last = np.array([len(axis) - 1 for axis in part.lattice])
+    # Second differences are not known at the border of the lattice: what comes nearer is worth nothing.
+    inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=1)
+    inside &= np.prod(high - low + 3.0, axis=1) <= MOST_POINTS
+    cells, low, high = cells[inside], low[inside], high[inside]
+    for row, factor in zip(values, factors, strict=True):
+        table = below(smooth(factor[None], tables.masses)[0].reshape(last + 1), tables.slack * factor.max(initial=0.0))
+        for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
+            row[cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
+    return values
+
+
+def mean_positions(
+    agent: LinearAgent, part: AgentPart, off: FloatArray, cells: NDArray[np.int64], choices: NDArray[np.integer]
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d), in lattice steps, of boxes that hold the means from all points of cells under choices."""
+    inverse = np.linalg.inv(part.coordinates)
+    plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
+    A, B, offset = agent.A, agent.B, agent.offset
+    if not plain:
+        A, B, offset = inverse @ A @ part.coordinates, inverse @ B, inverse @ offset
+    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    index = np.unravel_index(cells, part.grid.shape)
+    left = np.stack([edges[k] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
+    right = np.stack([edges[k + 1] for edges, k in zip(part.grid.edges, index, strict=True)], axis=1)
+    centre, half = 0.5 * (left + right), 0.5 * (right - left) * OUTWARD
+    mean = centre @ A.T + (menu @ B.T)[choices] + offset
+    reach = np.zeros(mean.shape)
+    for a in np.unique(choices):
+        reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
+    first = np.array([axis[0] for axis in part.lattice])
+    step = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    return (mean - reach - off - first) / step, (mean + reach + off - first) / step
+
+
+def below(table: FloatArray, slack: float) -> FloatArray:
+    """Values on a lattice, less what an interpolant of them may be above the truth around each point."""
+    charge = np.full(table.shape, slack)
+    for k in range(table.ndim):
+        bend = np.zeros(table.shape)
+        middle = tuple(slice(1, -1) if j == k else slice(None) for j in range(table.ndim))
+        bend[middle] = np.diff(table, 2, axis=k)
+        padded = np.pad(np.maximum(bend, 0.0), 1)
+        # The small boxes around a point have their corners among its neighbours.
+        shifts = itertools.product((0, 1, 2), repeat=table.ndim)
+        views = [padded[tuple(slice(s, s + n) for s, n in zip(shift, table.shape, strict=True))] for shift in shifts]
+        largest = views[0]
+        for view in views[1:]:
+            largest = np.maximum(largest, view)
+        charge += largest / 8.0
+    return np.asarray(table - charge)
+
+
+def least(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Least value (C,) of the multilinear interpolant of a table over boxes between positions (C, d)."""
+    d, flat = table.ndim, np.ascontiguousarray(table).ravel()
+    strides = [math.prod(table.shape[k + 1 :]) for k in range(d)]
+    first, count = np.ceil(low).astype(np.int64), (np.floor(high) - np.ceil(low)).astype(np.int64) + 1
+    lower_end, upper_end = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
+    result = np.full(len(low), np.inf)
+    # Along each axis: both ends (-2, -1), then the lattice points between them, the first of them being 0.
+    for point in itertools.product(*(range(-2, int(count[:, k].max(initial=0))) for k in range(d))):
+        here = np.flatnonzero(np.all(count > np.array(point), axis=1))
+        ends = [k for k in range(d) if point[k] < 0]
+        place, share = np.zeros(len(here), dtype=np.int64), []
+        for k in range(d):
+            if point[k] >= 0:
+                place += strides[k] * (first[here, k] + point[k])
+            else:
+                base = lower_end if point[k] == -2 else upper_end
+                place += strides[k] * base[here, k]
+                share.append((low if point[k] == -2 else high)[here, k] - base[here, k])
+        value = np.zeros(len(here))
+        for corner in itertools.product((0, 1), repeat=len(ends)):
+            weight = np.ones(len(here))
+            for side, part_of_step in zip(corner, share, strict=True):
+                weight = weight * (part_of_step if side else 1.0 - part_of_step)
+            value += weight * flat[place + sum(strides[k] * side for k, side in zip(ends, corner, strict=True))]
+        result[here] = np.minimum(result[here], value)
+    return result

@@ -1,0 +1,225 @@
+"""Choices of agents whose means are known to lie in boxes.
+
+The value of a cell under a choice is the least value over the box of its means (``box_minima``). To choose, boxes are
+rounded to the nearest lattice points: about right, and 2^d readings for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import FloatArray, Grid, RelationRefused, shape_text
+from ..relations import Enclosing, MeanBoxes
+from .box_minima import least_over_boxes, window_minima
+from .choices import StepPolicy
+
+MOST_IN_BOX = 100_000.0
+"""Most points of a box: the check tries them one by one."""
+
+CELLS_AT_ONCE = 4096
+"""Cells whose boxes are made at once."""
+
+READINGS_AT_ONCE = 2_000_000
+"""Boxes that are read at once: 16 MB for each of a few arrays."""
+
+TIE = 1e-12
+"""Relative improvement below which the incumbent stays: more than rounding, less than any policy is worth."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BoxChoices:
+    """What can be chosen in each cell: inputs with the boxes of lattice points that hold their means.
+
+    Parameters
+    ----------
+    grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Evenly spaced lattice axes; a point is numbered in C order.
+    low, high : (S, A, d) arrays
+        Corners of boxes in lattice steps; -1 for boxes that leave the lattice, where the value is 0.
+    sizes : (W, d) int array
+        Sides of windows, powers of two.
+    size : (S, A) int16 array
+        Which of the sizes is used for the box of each cell and choice; -1 where the choice is not admissible.
+    corners : (S, A, 2^d) int32 array
+        Lattice points at which the windows begin that cover the box, rounded to the nearest lattice points.
+    """
+
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    low: FloatArray
+    high: FloatArray
+    sizes: NDArray[np.int64]
+    size: NDArray[np.int16]
+    corners: NDArray[np.int32]
+
+    def __repr__(self) -> str:
+        cells, n_choices = self.size.shape
+        widest = shape_text(tuple(int(n) for n in self.sizes.max(axis=0)))
+        return f"BoxChoices({cells} cells, {n_choices} choices, windows of up to {widest} lattice points)"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)
+
+    def points(self, policy: StepPolicy) -> NDArray[np.int64]:
+        """Return the lattice point (S,) nearest to the middle of each choice's box; -1 where nothing is known.
+
+        Masses are pushed to these points: a heuristic, as means may be anywhere in their boxes.
+        """
+        cells, chosen = np.arange(len(policy)), np.maximum(policy, 0)
+        middle = 0.5 * (self.low[cells, chosen] + self.high[cells, chosen])
+        known = (policy >= 0) & (middle[:, 0] > 0)
+        index = np.where(known[:, None], np.rint(middle), 0).astype(np.int64)
+        return np.where(known, np.ravel_multi_index(tuple(index.T), self.shape), -1)
+
+    def middles(self, choice: int) -> FloatArray:
+        """Return the middles (S, d) of one choice's boxes in grid coordinates, infinite off the lattice."""
+        middle = 0.5 * (self.low[:, choice] + self.high[:, choice])
+        return np.where(middle > 0, self._origin + self._pitch * middle, np.inf)
+
+    def read(self, table: FloatArray, policy: StepPolicy) -> FloatArray:
+        """Return the least values (n, S), over the boxes of a policy, of the interpolants of numbers (n, Z).
+
+        They are 0 where there is no choice, or a box leaves the lattice.
+        """
+        values = np.zeros((len(table), len(policy)))
+        chosen = np.maximum(policy, 0)
+        cells = np.flatnonzero((policy >= 0) & (self.low[np.arange(len(policy)), chosen, 0] >= 0))
+        low, high = (side[cells, chosen[cells]] for side in (self.low, self.high))
+        values[:, cells] = np.maximum(least_over_boxes(table, self.shape, low, high), 0.0)
+        return values
+
+    def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
+        """Return the choices (S,) of the largest weighted value; the incumbent stays among equals.
+
+        Parameters
+        ----------
+        weights : (S, n) array
+            Weights of the objectives in the cells.
+        table : (n, Z) array
+            Numbers of every lattice point under each objective.
+        incumbent : (S,) int32 array
+        """
+        score = np.where(self.size >= 0, 0.0, -np.inf)
+        inside = (self.low[..., 0] >= 0).reshape(-1)
+        flat, n_choices = score.reshape(-1), self.size.shape[1]
+        corners = self.corners.reshape(-1, self.corners.shape[-1])
+        for heavy, numbers in zip(weights.T, table, strict=True):
+            if not heavy.any():
+                continue
+            for number in range(len(self.sizes)):
+                minima = self._window_minima(numbers, number)
+                for boxes in self._boxes_of(number):
+                    least = np.maximum(self._least(minima, corners[boxes]), 0.0) * inside[boxes]
+                    flat[boxes] += heavy[boxes // n_choices] * least
+        best = score.argmax(axis=1)
+        cells = np.arange(len(best))
+        top, current = score[cells, best], score[cells, np.maximum(incumbent, 0)]
+        better = (top > -np.inf) & ((incumbent < 0) | (top > current * (1.0 + TIE)))
+        return np.where(better, best, incumbent).astype(np.int32)
+
+    def _window_minima(self, numbers: FloatArray, number: int) -> FloatArray:
+        """Return the least number (Z,) of each window of one size, by the lattice point at which it begins."""
+        return window_minima(numbers.reshape(self.shape), self.sizes[number]).ravel()
+
+    def _least(self, minima: FloatArray, corners: NDArray[np.int32]) -> FloatArray:
+        """Return the least number (N,) over the boxes that windows at ``corners`` (N, 2^d) cover."""
+        least = minima.take(corners[:, 0])
+        for column in range(1, corners.shape[1]):
+            np.minimum(least, minima.take(corners[:, column]), out=least)
+        return least
+
+    def _boxes_of(self, number: int) -> Iterator[NDArray[np.int64]]:
+        """Return the boxes of one size, as flat numbers (cell, choice), in parts."""
+        boxes = self._by_size[number]
+        yield from np.array_split(boxes, len(boxes) // READINGS_AT_ONCE + 1)
+
+    @cached_property
+    def _by_size(self) -> list[NDArray[np.int64]]:
+        flat = self.size.reshape(-1)
+        return [np.flatnonzero(flat == number) for number in range(len(self.sizes))]
+
+    @cached_property
+    def _origin(self) -> FloatArray:
+        return np.array([axis[0] for axis in self.lattice])
+
+    @cached_property
+    def _pitch(self) -> FloatArray:
+        return steps_of(self.lattice)
+
+    @cached_property
+    def resting_choice(self) -> StepPolicy:
+        """(S,) admissible choice whose box is nearest to the cell itself; -1 where there is none."""
+        nearest, choice = np.full(self.grid.n_cells, np.inf), np.full(self.grid.n_cells, -1, dtype=np.int32)
+        for a in range(self.size.shape[1]):
+            distance = np.sum(((self.middles(a) - self.grid.centres) / self._pitch) ** 2, axis=1)
+            # Boxes that leave the lattice come last.
+            distance = np.minimum(distance, np.finfo(float).max)
+            closer = (self.size[:, a] >= 0) & (distance < nearest)
+            nearest, choice = np.where(closer, distance, nearest), np.where(closer, a, choice).astype(np.int32)
+        return choice
+
+
+def steps_of(lattice: tuple[FloatArray, ...]) -> FloatArray:
+    """Return the lattice steps (d,)."""
+    return np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
+
+
+def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -> BoxChoices:
+    """Return the choices of an agent on a lattice.
+
+    Raises
+    ------
+    ValueError
+        If no choice is admissible in any cell.
+    """
+    n_cells, n_choices, d = grid.n_cells, agent.n_choices, len(lattice)
+    low, high = (np.empty((n_cells, n_choices, d)) for _ in range(2))
+    exponents = np.empty((n_cells, n_choices, d), dtype=np.int8)
+    corners = np.empty((n_cells, n_choices, 2**d), dtype=np.int32)
+    shape = tuple(len(axis) for axis in lattice)
+    for first in range(0, n_cells, CELLS_AT_ONCE):
+        block = slice(first, first + CELLS_AT_ONCE)
+        boxes = agent.mean_boxes(grid.low[block], grid.high[block])
+        low[block], high[block] = positions(lattice, boxes)
+        # The largest power of two that is no wider than the rounded box; two such windows cover it.
+        begin, end = (np.rint(np.maximum(side[block], 0)).astype(np.int64) for side in (low, high))
+        power = np.frexp((end - begin + 1).astype(float))[1] - 1
+        spare = end - begin + 1 - 2**power
+        for k, side in enumerate(product((0, 1), repeat=d)):
+            index = begin + np.array(side) * spare
+            corners[block, :, k] = np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape)
+        exponents[block] = np.where(boxes.admissible[..., None], power, -1)
+    if np.max(np.prod(high - low + 3.0, axis=2)) > MOST_IN_BOX:
+        raise RelationRefused(
+            f"mean boxes need at most {MOST_IN_BOX:.0f} lattice points in a box; ask for more `cells` or fewer "
+            "`targets_per_cell`"
+        )
+    distinct, size = np.unique(exponents.reshape(-1, d), axis=0, return_inverse=True)
+    # Those without an admissible choice, if there are any, come first in this order.
+    n_refused = int(np.any(distinct < 0, axis=1).sum())
+    if len(distinct) == n_refused:
+        raise RelationRefused("no choice is admissible in a whole cell; ask for more `cells`")
+    numbers = (size.reshape(n_cells, n_choices) - n_refused).astype(np.int16)
+    return BoxChoices(grid, lattice, low, high, 2 ** distinct[n_refused:].astype(np.int64), numbers, corners)
+
+
+def positions(lattice: tuple[FloatArray, ...], boxes: MeanBoxes) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (.., d) of boxes in lattice steps; -1 for boxes that leave the lattice.
+
+    The outermost points count as outside, since second differences are not known there. What positions are off by in
+    floating point is part of what kernels take off (``ROUNDING``).
+    """
+    origin, steps = np.array([axis[0] for axis in lattice]), steps_of(lattice)
+    last = np.array([len(axis) - 1 for axis in lattice])
+    low, high = ((side - origin) / steps for side in (boxes.low, boxes.high))
+    inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=-1)[..., None]
+    return np.where(inside, low, -1.0), np.where(inside, high, -1.0)

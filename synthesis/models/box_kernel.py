@@ -1,0 +1,154 @@
+"""Expected values on a lattice so fine that their least value over a box can be read from its points.
+
+With ``g(m) = E v(m + w)`` at the points of a lattice, and m between lattice points, multilinear interpolation I along
+one axis after the other gives
+
+    g(m)  >=  I(m)  -  sum_k eta_k^2 / 8 * sup (d^2 g / dm_k^2)^+ .
+
+The supremum is over the small box between the corners around m. Second derivatives at lattice points are read from
+second differences of g itself, ``D_k = g(z + eta_k) - 2 g(z) + g(z - eta_k)``. With ``r_k = eta_k / sigma_k`` and
+0 <= v <= M,
+
+    eta_k^2 sup d^2 g / dm_k^2  <=  max over corners of D_k  +  M (c_4 r_k^4 / 12 + sum_e c_ke r_k^2 r_e^2 / 8) ,
+
+where c_4 = c_kk and c_ke are half the L1 norms of phi'''' and of phi'' phi'' (docs/theory/boxes.md, "The charge"). What
+is stored at a point takes off the largest D_k of all its neighbours. So the interpolant of the stored numbers is below
+g everywhere, and so is its least value over a box.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import FloatArray, Grid
+from .bends import FOURTH, SQUARED
+from .kernel import Kernel, gaussian_table
+
+ROUNDING = 3e-9
+"""Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
+be uneven by 1e-9 of a step, and positions be off by as much."""
+
+POINTS_PER_DEVIATION = 6.0
+"""Lattice points per deviation, at least: the slack is then 3e-5 per axis and step."""
+
+POINTS_PER_CELL = {1: 16, 2: 4, 3: 2}
+"""Lattice points per cell and axis, at least, by dimension (2 beyond): choices are told apart by them."""
+
+MOST_PER_CELL = {1: 256, 2: 24, 3: 8}
+"""The same, at most: where cells are wider than several deviations, boxes are, and a finer lattice gains nothing."""
+
+MOST_POINTS = 4_000_000
+"""Lattice points from which fewer are taken for each cell."""
+
+BEYOND_GRID = 3.0
+"""Standard deviations by which the lattice goes beyond the grid: a box that reaches farther is worth .0014 at most."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BoxKernel(Kernel):
+    """Kernel whose smoothed factors have the charge of the lattice taken off.
+
+    Parameters
+    ----------
+    tables, loss
+        See ``Kernel``.
+    ratios : (d,) array
+        Lattice steps in standard deviations of the noise.
+    """
+
+    ratios: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def smooth(self, factors: NDArray) -> NDArray:
+        """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
+
+        ``factors`` (n, S) are nonnegative; the numbers need not be.
+        """
+        values = super().smooth(factors)
+        largest = factors.max(axis=1, initial=0.0)
+        for row, most in zip(values, largest.tolist(), strict=True):
+            take_charge(row.reshape(self.lattice_shape), most * self.slack)
+        return values
+
+    @property
+    def slack(self) -> float:
+        """What is taken off besides second differences, for factors of at most 1."""
+        return slack_of(self.ratios) + self.loss
+
+
+def slack_of(ratios: FloatArray) -> float:
+    """Return an upper bound on what second differences miss, for factors of at most 1; see the module's text."""
+    squares = np.asarray(ratios) ** 2
+    constants = np.where(np.eye(len(squares), dtype=bool), FOURTH, SQUARED)
+    per_axis = FOURTH * squares**2 / 12.0 + squares * (constants @ squares) / 8.0
+    return float(np.sum(per_axis) / 8.0) * (1.0 + 1e-9) + ROUNDING * (1.0 + float(np.sum(ratios)))
+
+
+def take_charge(table: NDArray, slack: float) -> None:
+    """Take off second differences and slack from values (Z_1, .., Z_d) on a lattice, in place."""
+    d = table.ndim
+    charge = np.full(table.shape, slack)
+    for k in range(d):
+        along = np.moveaxis(table, k, 0)
+        second = np.zeros_like(along)
+        np.maximum(along[2:] - 2.0 * along[1:-1] + along[:-2], 0.0, out=second[1:-1])
+        second = np.moveaxis(second, 0, k)
+        # Every point answers for all small boxes of which it is a corner: the largest of its neighbours counts.
+        for axis in range(d):
+            second = largest_of_neighbours(second, axis)
+        charge += 0.125 * second
+    table -= charge
+
+
+def largest_of_neighbours(table: NDArray, axis: int) -> NDArray:
+    """Return the largest of every entry and its two neighbours along an axis."""
+    along = np.moveaxis(table, axis, 0)
+    result = along.copy(order="K")  # in the order of memory, whichever axis is the first one now
+    np.maximum(result[1:], along[:-1], out=result[1:])
+    np.maximum(result[:-1], along[1:], out=result[:-1])
+    return np.moveaxis(result, 0, axis)
+
+
+def points_per_cell(grid: Grid, deviations: FloatArray) -> tuple[int, ...]:
+    """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
+    d = len(grid.shape)
+    widths = np.array([(axis[-1] - axis[0]) / n for axis, n in zip(grid.edges, grid.shape, strict=True)])
+    fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
+    # Cells may be very wide: the smaller number is taken before it is rounded to a whole one.
+    needed = np.minimum(POINTS_PER_DEVIATION * widths / deviations, most)
+    wanted = [max(fewest, math.ceil(count)) for count in needed.tolist()]
+    size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))
+    share = min(1.0, (MOST_POINTS / size) ** (1.0 / d))
+    return tuple(max(2, math.floor(count * share)) for count in wanted)
+
+
+def box_lattice(
+    grid: Grid, deviations: FloatArray, per_cell: tuple[int, ...], low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return evenly spaced axes that hold the means between ``low`` and ``high`` (d,), as far as they matter.
+
+    Points lie on the edges of equal cells, so that images of cells have their sides on lattice points where they can.
+    """
+    axes = []
+    for k, edges in enumerate(grid.edges):
+        first, last, beyond = float(edges[0]), float(edges[-1]), BEYOND_GRID * float(deviations[k])
+        pitch = (last - first) / (grid.shape[k] * per_cell[k])
+        # The outermost points are not used; one more inside of them on either side is for rounding outward.
+        below = math.ceil((first - max(first - beyond, min(first, float(low[k])))) / pitch) + 2
+        above = math.ceil((min(last + beyond, max(last, float(high[k]))) - last) / pitch) + 2
+        axes.append(first + pitch * np.arange(-below, grid.shape[k] * per_cell[k] + above + 1))
+    return tuple(axes)
+
+
+def box_kernel(grid: Grid, lattice: tuple[FloatArray, ...], deviations: FloatArray) -> BoxKernel:
+    """Return the kernel on a lattice."""
+    tables, loss, ratios = [], 0.0, []
+    for axis, edges, deviation in zip(lattice, grid.edges, deviations, strict=True):
+        table, missing = gaussian_table(axis, edges, float(deviation))
+        tables.append(table)
+        loss += missing
+        ratios.append((axis[-1] - axis[0]) / (len(axis) - 1) / float(deviation))
+    return BoxKernel(tuple(tables), loss, np.array(ratios))

@@ -1,0 +1,98 @@
+"""Relation, lattice, kernel and choices of a linear agent under the relation ``boxes``."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+from scipy.linalg import qr
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
+from ..relations import BoxRelation, box_relation
+from .box_choices import BoxChoices, box_choices
+from .box_kernel import BoxKernel, box_kernel, box_lattice, points_per_cell
+
+INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
+"""Levels of each input, by the number of inputs; 3 beyond."""
+
+LEAST_RANGE = 0.05
+"""Share of the input box that feedback must leave to the choice, for every component, to be offered."""
+
+RANK = 1e-9
+"""Relative size, after scaling, of pivots that count as 0."""
+
+MOST_BOXES = 20_000_000
+"""Most boxes of an agent, cells times choices: 1 GB in two dimensions."""
+
+MOST_LATTICE = 50_000_000
+"""Most lattice points of an agent: 400 MB for each factor."""
+
+
+def box_model(
+    agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
+    """Return relation, lattice, kernel and choices under the relation ``boxes``."""
+    menu, gains = input_menu(agent, grid, coordinates)
+    relation = box_relation(agent, coordinates, menu, gains)
+    deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
+    points = points_per_cell(grid, deviations) if per_cell is None else (per_cell,) * agent.n_states
+    # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
+    constant = ~np.any(gains, axis=(1, 2))
+    whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
+    low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
+    count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
+    if grid.n_cells * len(menu) > MOST_BOXES or count > MOST_LATTICE:
+        raise RelationRefused(
+            f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
+            f"{grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
+        )
+    lattice = box_lattice(grid, deviations, points, low, high)
+    return relation, lattice, box_kernel(grid, lattice, deviations), box_choices(grid, lattice, relation)
+
+
+def input_menu(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return inputs (A, m) and feedbacks (A, m, d) to choose from.
+
+    First inputs that do not depend on the state; then those with the feedback that makes the mean the same for the
+    whole cell on as many axes as inputs can command, where it leaves enough of the inputs.
+    """
+    box, moves = agent.input_box, in_grid_coordinates(agent, coordinates)
+    menu = _levels(box.low, box.high)
+    gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
+    feedback = cancelling(moves.A, moves.B, agent, grid)
+    if feedback is not None:
+        widest = np.array([0.5 * np.max(np.diff(edges)) for edges in grid.edges])
+        need = np.abs(feedback) @ widest * (1.0 + 1e-9) + 1e-9 * (np.abs(box.low) + np.abs(box.high))
+        low, high = box.low + need, box.high - need
+        if np.all(high - low >= LEAST_RANGE * (box.high - box.low)) and np.all(high > low):
+            more = _levels(low, high)
+            menu = np.concatenate([menu, more])
+            gains = np.concatenate([gains, np.broadcast_to(feedback, (len(more), *feedback.shape))])
+    return menu, gains
+
+
+def cancelling(A: FloatArray, B: FloatArray, agent: LinearAgent, grid: Grid) -> FloatArray | None:
+    """Return the feedback (m, d) that cancels the state on the axes that inputs command best; None if there is none.
+
+    With ``B_R`` the rows of these axes, ``K = -B_R^+ A_R`` makes the rows R of ``A + B K`` zero.
+    """
+    # Units do not matter: axes are measured by cells, inputs by their box.
+    cell = np.array([(edges[-1] - edges[0]) / (len(edges) - 1) for edges in grid.edges])
+    unit = np.maximum(agent.input_box.half_width, np.finfo(float).tiny)
+    scaled = B * unit / cell[:, None]
+    if not scaled.any():
+        return None
+    # Pivoting takes the axis that inputs move most, then the one they move most besides, and so on.
+    _, R, pivots = qr(scaled.T, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(R))
+    rows = pivots[: int(np.sum(sizes > RANK * sizes[0]))]
+    return np.asarray(-(np.linalg.pinv(scaled[rows]) * unit[:, None] / cell[rows]) @ A[rows])
+
+
+def _levels(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return evenly spaced inputs (A, m) of a box, its corners among them."""
+    levels = INPUT_LEVELS.get(len(low), 3)
+    axes = [np.linspace(a, b, levels) if b > a else np.array([a]) for a, b in zip(low, high, strict=True)]
+    return np.clip(np.array(list(product(*axes))), low, high)

@@ -1,0 +1,217 @@
+"""The relation of mean boxes: from all points of a cell the mean of the next state lies in a known box.
+
+The controller reads the cell of the true state, the automaton state and the time, and has no memory. From state x of
+cell s with centre c, choice a applies the input
+
+    u = u_a + K_a (x - c),
+
+which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
+``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
+made, and an agent needs no more than ``Enclosing``: boxes for all points of a cell, and inputs. Here they are made for
+linear agents; a nonlinear, disturbed or learned agent has other enclosures and the same kernel, search and tree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent, counted
+from ..cells import FloatArray, RelationRefused
+from .exact import INPUT_MARGIN
+from .rounding import missed_cells, sizes_of
+
+ROUNDED_TWICE = 2.0
+"""Factor on the rounding of a mean: it is computed here, and by the agent itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeanBoxes:
+    """Boxes around the means of the next state, for n cells and A choices (outer bounds).
+
+    Parameters
+    ----------
+    low, high : (n, A, d) arrays
+        Corners, in grid coordinates: the mean from every point of the closed cell lies between them.
+    admissible : (n, A) bool array
+        Whether the input of the choice is admissible at every point of the closed cell.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    admissible: NDArray[np.bool_]
+
+
+class Enclosing(Protocol):
+    """What mean boxes need to know of an agent."""
+
+    @property
+    def n_choices(self) -> int:
+        """Number of choices A of every cell."""
+
+    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
+        """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds)."""
+
+    def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
+        """Return the inputs (m, ...) of choices (...) at states ``offsets`` (d, ...) from the centres of cells."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BoxRelation:
+    """Mean boxes of a linear agent (delta = 0, no memory); it is ``Enclosing``. Matrices are in grid coordinates.
+
+    Parameters
+    ----------
+    A, B : (d, d), (d, m) arrays
+        Dynamics.
+    offset : (d,) array
+        Mean from the origin under the input 0.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    menu : (A, m) array
+        Inputs u_a at the centres of cells.
+    gains : (A, m, d) array
+        Feedback K_a of each choice inside its cell.
+    input_low, input_high : (m,) arrays
+        Input box.
+    rounding : (d,) array
+        Upper bounds on what means are off by in floating point, the controller's input included.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    offset: FloatArray
+    coordinates: FloatArray
+    menu: FloatArray
+    gains: FloatArray
+    input_low: FloatArray
+    input_high: FloatArray
+    rounding: FloatArray
+
+    kind = "boxes"
+    delta = 0.0
+
+    def __repr__(self) -> str:
+        d, m = self.B.shape
+        return (
+            f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}, delta 0)"
+        )
+
+    @property
+    def n_choices(self) -> int:
+        """Number of choices A."""
+        return len(self.menu)
+
+    def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
+        """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds).
+
+        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + (A + B K_a) e``: it is off its centre by
+        ``|A + B K_a| h`` at most, and by what is rounded.
+        """
+        centre = 0.5 * (low + high)
+        half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
+        closed = np.abs(self.A + self.B @ self.gains)  # (A, d, d)
+        middle = (centre @ self.A.T + self.offset)[:, None] + (self.menu @ self.B.T)[None]
+        extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
+        # Inputs: u_a is a number of the menu; what feedback adds to it is rounded.
+        need = np.einsum("aij,nj->nai", np.abs(self.gains), half)
+        moves = np.any(self.gains, axis=2)
+        scale = np.maximum(np.abs(self.input_low), np.abs(self.input_high))
+        need = need + moves * (INPUT_MARGIN * (scale + need))
+        inside = (self.input_low <= self.menu - need) & (self.menu + need <= self.input_high)
+        return MeanBoxes(middle - extent, middle + extent, np.all(inside, axis=2))
+
+    def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
+        """Return the inputs ``u_a + K_a e`` (m, ...) of choices (...) at states e (d, ...) from centres of cells.
+
+        Summed in a fixed order, so that the bits are the same for any number of worlds.
+        """
+        inputs = np.empty((len(self.input_low), *choices.shape))
+        for j, component in enumerate(inputs):
+            self._columns[j].take(choices, out=component, mode="clip")
+            for k, offset in enumerate(offsets):
+                if self._moves[j, k]:
+                    component += self._gain_columns[j, k].take(choices, mode="clip") * offset
+        return inputs
+
+    @cached_property
+    def _columns(self) -> FloatArray:
+        """Inputs (m, A) of the choices, each component on its own."""
+        return np.ascontiguousarray(self.menu.T)
+
+    @cached_property
+    def _gain_columns(self) -> FloatArray:
+        """Gains (m, d, A) of the choices."""
+        return np.ascontiguousarray(np.moveaxis(self.gains, 0, 2))
+
+    @cached_property
+    def _moves(self) -> NDArray[np.bool_]:
+        """Whether any choice feeds state k back to input j, (m, d)."""
+        return np.asarray(np.any(self.gains, axis=0))
+
+    def to_grid(self, states: FloatArray) -> FloatArray:
+        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
+        if self.has_state_coordinates:
+            return np.array(states, dtype=float)
+        return np.tensordot(np.linalg.inv(self.coordinates), states, axes=(1, 0))
+
+    @cached_property
+    def has_state_coordinates(self) -> bool:
+        """Whether grid coordinates are the state itself."""
+        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All matrices, for comparing relations."""
+        return (self.A, self.B, self.offset, self.coordinates, self.menu, self.gains, self.input_low, self.input_high)
+
+    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+        """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
+
+        What means are off by is in the boxes; there remain cells that are misread where coordinates are not the state.
+        """
+        sizes = sizes_of(agent, self.coordinates)
+        return missed_cells(sizes, sizes.read, edges)
+
+
+def box_relation(
+    agent: LinearAgent, coordinates: FloatArray, menu: FloatArray, gains: FloatArray | None = None
+) -> BoxRelation:
+    """Return the relation of mean boxes of an agent in the given grid coordinates.
+
+    Parameters
+    ----------
+    agent : LinearAgent
+    coordinates : (d, d) array
+    menu : (A, m) array
+        Inputs to choose from, at the centres of cells.
+    gains : (A, m, d) array, optional
+        Feedback of each choice inside its cell; none by default.
+
+    Raises
+    ------
+    ValueError
+        If an input is outside its box, or there is not one gain for each input.
+    """
+    box, d, m = agent.input_box, agent.n_states, agent.n_inputs
+    gains = np.zeros((len(menu), m, d)) if gains is None else gains
+    if gains.shape != (len(menu), m, d):
+        raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
+    if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
+        raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
+    sizes = sizes_of(agent, coordinates)
+    # Of the input: the centre of a cell, the difference to it, and a product for each state.
+    largest = np.abs(gains).max(axis=0)
+    input_off = largest @ (sizes.read + 2.0 * sizes.unit * sizes.states) + sizes.unit * np.any(largest, axis=1) * (
+        sizes.inputs + largest @ sizes.states
+    )
+    # Of the mean: the products here and those of the agent, in its own coordinates.
+    mean_off = ROUNDED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
+    moves = sizes.moves
+    rounding = mean_off + sizes.spread @ np.abs(moves.B) @ input_off
+    return BoxRelation(moves.A, moves.B, moves.offset, coordinates, menu, gains, box.low, box.high, rounding)

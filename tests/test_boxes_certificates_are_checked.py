@@ -1,0 +1,262 @@
+"""Certificates of mean boxes survive files, rollouts and audits; forged ones, and those of wrong searches, do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import certigym as cg
+from certigym.synthesis.bounds.dense import dense_optimum
+from certigym.synthesis.models import box_choices
+from certigym.synthesis.models.box_kernel import BoxKernel
+from certigym.synthesis.models.kernel import Kernel
+from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
+from certigym.synthesis.values import Terms
+from certigym.validation import figures
+from certigym.validation.audits import claimed_values
+from problems import cart, cart_reach, scalar_agent, two_agents
+
+FALSE_ALARM = 1e-6
+"""Probability that rollouts refute a true certificate."""
+
+
+@cache
+def of_cart() -> cg.Certificate:
+    """A cart with one input."""
+    return cg.synthesize(cart_reach(cart()), [30, 15], relation="boxes").certificate
+
+
+@cache
+def of_team() -> cg.Certificate:
+    """Two scalar agents; terms are united from below, and remainders are kept."""
+    return cg.synthesize(two_agents(horizon=4, noise_covariance=[[0.8]]), 40, relation="boxes").certificate
+
+
+CERTIFICATES = {"cart": of_cart, "team": of_team}
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_files_and_rollouts_agree(name: str, tmp_path: Path) -> None:
+    """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
+    certificate = CERTIFICATES[name]()
+    cg.save_certificate(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    assert isinstance(loaded, cg.Certificate) and loaded.gap is None
+    assert cg.check(loaded, certificate.problem) and loaded.lower_bound == certificate.lower_bound > 0.8
+    state = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    # Stored factors are a millionth lower than those of the bound.
+    assert loaded.at(state) == certificate.at(state) == pytest.approx(certificate.lower_bound, abs=1e-4)
+    report = cg.validate(loaded, 40_000, seed=1, confidence=1 - FALSE_ALARM)
+    assert report.verdict != "refuted" and report.details["inadmissible"] == 0
+    assert not cg.audit(loaded, 4_000, seed=2, confidence=1 - FALSE_ALARM).refuted
+
+
+def test_rollouts_from_other_states_agree() -> None:
+    """2,000 episodes from each of twenty states; a claim that is .06 too large would be refuted at a state."""
+    rng = np.random.default_rng(4)
+    states = rng.uniform([-5.0, -2.0], [3.0, 2.0], size=(20, 2))
+    report = cg.validate_field(of_cart(), states, 2_000, seed=3, confidence=1 - FALSE_ALARM)
+    assert report.verdict != "refuted" and of_cart().at(states).max() > 0.8
+
+
+def test_audits_refute_inflated_values() -> None:
+    """Power: the same audit refutes a value function that is a fifth too large."""
+    certificate = of_team()
+    assert isinstance(certificate.value, Terms)
+    raised = Terms((1.2 * certificate.value.factors[0], *certificate.value.factors[1:]), certificate.value.index)
+    values = [raised, *claimed_values(certificate)[1:]]
+    assert cg.audit(certificate, 4_000, values=values, seed=2, confidence=1 - FALSE_ALARM).refuted
+
+
+def part_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    """The certificate with another first agent."""
+    return replace(certificate, agents=(replace(certificate.agents[0], **changes), *certificate.agents[1:]))
+
+
+def relation_changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    return part_changed(certificate, relation=certificate.agents[0].relation | changes)
+
+
+def times(certificate: cg.Certificate, name: str, factor: float) -> cg.Certificate:
+    return relation_changed(certificate, **{name: (factor * np.array(certificate.agents[0].relation[name])).tolist()})
+
+
+def raised_factor(certificate: cg.Certificate) -> cg.Certificate:
+    """The largest number of a stored factor, a thousandth larger."""
+    terms = certificate.tree
+    factors, row = terms.factors[0].copy(), int(terms.index[certificate.problem.automaton.initial][0, 0])
+    factors[row, np.argmax(factors[row])] += 1e-3
+    return replace(certificate, terms=Terms((factors, *terms.factors[1:]), terms.index))
+
+
+def shifted(certificate: cg.Certificate, steps: float) -> cg.Certificate:
+    lattice = tuple(axis + steps * (axis[1] - axis[0]) for axis in certificate.agents[0].lattice)
+    return part_changed(certificate, lattice=lattice)
+
+
+def coarser(certificate: cg.Certificate) -> cg.Certificate:
+    return part_changed(certificate, lattice=tuple(axis[::5] for axis in certificate.agents[0].lattice))
+
+
+def uneven(certificate: cg.Certificate) -> cg.Certificate:
+    """A lattice with a point in another place: second differences of it would mean nothing."""
+    axes = [axis.copy() for axis in certificate.agents[0].lattice]
+    axes[0][len(axes[0]) // 2] += 0.3 * (axes[0][1] - axes[0][0])
+    return part_changed(certificate, lattice=tuple(axes))
+
+
+FORGERIES: dict[str, Callable[[cg.Certificate], cg.Certificate]] = {
+    "a stored factor raised": raised_factor,
+    "inputs outside their box": lambda c: times(c, "menu", 1.5),
+    "feedback that inputs have no room for": lambda c: times(c, "gains", 4.0),
+    "inputs exchanged": lambda c: relation_changed(c, menu=c.agents[0].relation["menu"][::-1]),
+    "no inputs": lambda c: relation_changed(c, menu=[], gains=[]),
+    "fewer gains than inputs": lambda c: relation_changed(c, gains=c.agents[0].relation["gains"][1:]),
+    "an input that is not there": lambda c: part_changed(
+        c, policy=np.full_like(c.agents[0].policy, len(c.agents[0].relation["menu"]))
+    ),
+    "one input everywhere": lambda c: part_changed(c, policy=np.zeros_like(c.agents[0].policy)),
+    "a coarser lattice": coarser,
+    "a lattice that does not reach": lambda c: shifted(c, 200.0),
+    "an uneven lattice": uneven,
+    "a gap": lambda c: replace(c, gap=0.01),
+    "called exact": lambda c: replace(c, gap=0.0, exact=True),
+    "the bound raised": lambda c: replace(
+        c, lower_bound=c.lower_bound + 1e-6, bounds={"nominal": c.lower_bound + 1e-6}
+    ),
+    "another bound": lambda c: replace(c, bound="robust tree", bounds={"robust tree": c.lower_bound}),
+    "called an exact relation": lambda c: part_changed(c, relation={"kind": "exact"}),
+    "called linear": lambda c: part_changed(
+        c, relation={"kind": "linear", "menu": c.agents[0].relation["menu"], "parts": 2}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_forgeries_are_refused_in_words(forgery: str, name: str, tmp_path: Path) -> None:
+    certificate = CERTIFICATES[name]()
+    try:
+        cg.save_certificate(FORGERIES[forgery](certificate), tmp_path / "forged.npz")
+        report = cg.check(cg.load_certificate(tmp_path / "forged.npz"))
+    except ValueError as refusal:
+        assert str(refusal)
+    else:
+        assert not report and report.failures
+
+
+def middle_values(numbers: NDArray, shape: tuple[int, ...], low: NDArray, high: NDArray) -> NDArray:
+    """What is nearest to the middle of the boxes, in place of the least value."""
+    index = np.rint(0.5 * (low + high)).astype(np.int64)
+    return np.asarray(numbers[:, np.ravel_multi_index(tuple(index.T), shape)])
+
+
+def shrunk(relation: BoxRelation, low: NDArray, high: NDArray) -> MeanBoxes:
+    """Boxes a fiftieth narrower than they are."""
+    boxes = ENCLOSED(relation, low, high)
+    less = 0.01 * (boxes.high - boxes.low)
+    return MeanBoxes(boxes.low + less, boxes.high - less, boxes.admissible)
+
+
+def rounded_inward(lattice: tuple[NDArray, ...], boxes: MeanBoxes) -> tuple[NDArray, NDArray]:
+    """Boxes to the lattice points inside of them, where there are any."""
+    low, high = PLACED(lattice, boxes)
+    a, b = np.ceil(low), np.floor(high)
+    return np.where(a <= b, a, low), np.where(a <= b, b, high)
+
+
+def moved_aside(relation: BoxRelation, low: NDArray, high: NDArray) -> MeanBoxes:
+    """Centres of cells elsewhere: the boxes are those of neighbours."""
+    boxes = ENCLOSED(relation, low, high)
+    moved = 0.05 * (high - low)[:, None]
+    return MeanBoxes(boxes.low + moved, boxes.high + moved, boxes.admissible)
+
+
+ENCLOSED, PLACED = BoxRelation.mean_boxes, box_choices.positions
+
+SABOTAGE: dict[str, tuple[Any, str, Any]] = {
+    "a value in the middle instead of the least": (box_choices, "least_over_boxes", middle_values),
+    "the charge left out": (BoxKernel, "smooth", Kernel.smooth),
+    "boxes shrunk": (BoxRelation, "mean_boxes", shrunk),
+    "positions rounded inward": (box_choices, "positions", rounded_inward),
+    "boxes moved": (BoxRelation, "mean_boxes", moved_aside),
+}
+
+
+@pytest.mark.parametrize("sabotage", SABOTAGE)
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_the_check_refuses_what_a_wrong_search_claims(
+    sabotage: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search is broken, the check is not: it shares none of the code that was changed."""
+    honest = CERTIFICATES[name]()
+    monkeypatch.setattr(*SABOTAGE[sabotage])
+    cells = [30, 15] if name == "cart" else 40
+    certificate = cg.synthesize(honest.problem, cells, relation="boxes", targets_per_cell=4).certificate
+    report = cg.check(certificate)
+    assert not report and "exceeds" in " ".join(report.failures)
+
+
+def test_given_policies_are_put_on_boxes() -> None:
+    """The certificate's own controller comes back nearly as itself; improving does not lower it."""
+    for certificate, cells in ((of_cart(), [30, 15]), (of_team(), 40)):
+        again = cg.certify(certificate.problem, certificate.controller, cells, relation="boxes")
+        assert cg.check(again.certificate) and again.certificate.lower_bound > 0.9 * certificate.lower_bound
+        better = cg.improve(certificate.problem, certificate.controller, cells, relation="boxes", max_sweeps=1)
+        assert better.certificate.lower_bound >= again.certificate.lower_bound
+        longer = certificate.problem.replace(horizon=certificate.problem.horizon + 1)
+        started = cg.synthesize(longer, start=certificate).certificate
+        assert cg.check(started) and started.lower_bound >= certificate.lower_bound - 1e-3
+
+
+def test_policies_that_ignore_the_time_are_certified() -> None:
+    for certificate, cells in ((of_cart(), [30, 15]), (of_team(), 40)):
+        found = cg.synthesize(certificate.problem, cells, relation="boxes", stationary=True).certificate
+        assert found.agents[0].policy.shape[0] == 1 and cg.check(found)
+        assert 0.4 < found.lower_bound <= certificate.lower_bound + 1e-3
+
+
+def test_boxes_stand_beside_relations_that_are_never_lost() -> None:
+    problem = two_agents(horizon=3, noise_covariance=[[0.8]])
+    for other in ("exact", "linear", "tube"):
+        certificate = cg.synthesize(problem, 40, relation={"one": "boxes", "two": other}).certificate
+        assert cg.check(certificate) and certificate.lower_bound > 0.5 and certificate.gap is None
+    with pytest.raises(ValueError, match="never lost beside `boxes`"):
+        cg.synthesize(problem, 40, relation={"one": "boxes", "two": "paper"})
+
+
+def test_what_boxes_cannot_have_is_refused_in_words() -> None:
+    problem = of_team().problem
+    with pytest.raises(ValueError, match="`value`: expected 'auto' or 'tree'"):
+        cg.synthesize(problem, 20, relation="boxes", value="train")
+    with pytest.raises(ValueError, match="relations `exact` and `tube`, got boxes"):
+        cg.check_rigorous(of_team())
+    with pytest.raises(ValueError, match="one mean per choice"):
+        dense_optimum(problem, cg.abstract(problem, 20, relation="boxes").models)
+    with pytest.raises(ValueError, match="ask for fewer"):
+        cg.synthesize(problem, 20, relation="boxes", targets_per_cell=10**8)
+    with pytest.raises(ValueError, match="lattice points in a box"):
+        cg.synthesize(problem, 5, relation="boxes", targets_per_cell=200_000)
+    pytest.importorskip("torch")
+    with pytest.raises(ValueError, match="`device`: expected `numpy`"):
+        cg.synthesize(problem, 20, relation="boxes", device="torch:cpu")
+
+
+def test_reports_and_figures_of_boxes_are_drawn(tmp_path: Path) -> None:
+    certificate = of_cart()
+    cg.report(certificate, tmp_path / "page.html")
+    assert "boxes" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert figures.relation_figure(certificate, 0, seed=0) is not None
+
+
+def test_inputs_that_mean_boxes_need_are_asked_for_in_words() -> None:
+    agent = scalar_agent("one")
+    with pytest.raises(ValueError, match="inputs inside their box"):
+        box_relation(agent, np.eye(1), np.array([[3.0]]))
