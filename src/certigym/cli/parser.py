@@ -33,6 +33,7 @@ MODULES = {
     "report": "validation_commands",
     "train": "learning_commands",
     "probe": "learning_commands",
+    "leaderboard": "learning_commands",
     "compare": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
@@ -51,7 +52,9 @@ KINDS = {
 }
 """The figures that ``plot`` draws."""
 
-POLICIES = "certified, ppo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+POLICIES = (
+    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+)
 """The words for policies on the command line."""
 
 
@@ -65,6 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_synthesis(commands)
     _add_validation(commands)
     _add_learning(commands)
+    _add_leaderboard(commands)
     _add_comparing(commands)
     _add_pictures(commands)
     for command in commands.choices.values():
@@ -149,9 +153,10 @@ def _add_learning(commands: Any) -> None:
     add_problem(train)
     train.add_argument(
         "--algo",
-        choices=["ppo", "central-ppo", "sac"],
+        choices=["ppo", "ippo", "mappo", "central-ppo", "sac"],
         default="ppo",
-        help="ppo: decentralised, one network for all agents (default); the others see the states of all agents",
+        help="decentralised: ppo (default: one network for all agents), ippo (one for each), mappo (a central critic); "
+        "central-ppo and sac see the states of all agents",
     )
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
     train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
@@ -184,6 +189,29 @@ def _add_learning(commands: Any) -> None:
     probe.add_argument("--steps", type=int, metavar="N", help="world steps per attempt, instead of --seconds")
     probe.add_argument("--out", metavar="ACTOR", help="also save the best actor (.npz)")
     add_trials(probe, 20_000, " that judge")
+
+
+def _add_leaderboard(commands: Any) -> None:
+    """Add the command that fills the leaderboard."""
+    board = commands.add_parser("leaderboard", help="judge every policy on every problem, and write page and JSON")
+    board.add_argument("ids", metavar="ID", nargs="*", help="suite ids or TOML files (default: the suite)")
+    board.add_argument(
+        "--out", metavar="PAGE", default="leaderboard.md", help="page to write or to go on with; beside it the JSON"
+    )
+    board.add_argument(
+        "--policies",
+        default="certified,probe,ppo,warm-ppo,sac,random",
+        metavar="LIST",
+        help="columns to fill, separated by commas; also central-ppo, ippo, mappo (default: %(default)s)",
+    )
+    board.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="for each learner that is trained (default: 60)"
+    )
+    board.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
+    board.add_argument("--certificates", metavar="DIR", help="folder with ID.npz: read if there, else written")
+    board.add_argument("--learners", metavar="DIR", help="folder with ID/POLICY/seed-S: read if there, else written")
+    board.add_argument("--add", metavar="NAME=POLICY", help="judge an own policy: actor, certificate or FILE.py:NAME")
+    add_trials(board, 20_000, " per policy")
 
 
 def _add_comparing(commands: Any) -> None:
