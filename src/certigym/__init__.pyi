@@ -41,6 +41,7 @@ from .validation.policies import as_controller as as_controller
 from .validation.policies import compare as compare
 from .validation.policies import leaderboard as leaderboard
 from .validation.policies import probe as probe
+from .validation.policies import record as record
 from .validation.policies import train as train
 from .validation.reports import report as report
 from .validation.simulation import Mismatch as Mismatch
@@ -98,6 +99,7 @@ __all__ = [
     "parallel_env",
     "probe",
     "problem_ids",
+    "record",
     "report",
     "rollout",
     "save_certificate",

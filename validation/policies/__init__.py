@@ -4,6 +4,7 @@ from .actors import NotAnActor, load_actor
 from .comparison import Comparison, compare
 from .entrants import LEARNERS, Sources, given, label_of
 from .probing import Attempt, Probe, probe
+from .recording import Recording, record
 from .rollout_policies import IdleController, RandomController, as_controller
 from .standings import Leaderboard, Standing, judged, judging_plan, leaderboard
 from .standings_page import page_of
@@ -19,6 +20,7 @@ __all__ = [
     "NotAnActor",
     "Probe",
     "RandomController",
+    "Recording",
     "Sources",
     "Standing",
     "Training",
@@ -33,5 +35,6 @@ __all__ = [
     "load_actor",
     "page_of",
     "probe",
+    "record",
     "train",
 ]

@@ -1,4 +1,4 @@
-"""The commands about learned and given policies: ``train``, ``probe``, ``leaderboard``, ``compare``, ``certify``."""
+"""The commands about policies: ``train``, ``probe``, ``leaderboard``, ``record``, ``compare``, ``certify``."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from ..validation.policies import (
 from ..validation.policies import compare as compare_policies
 from ..validation.policies import leaderboard as fill_leaderboard
 from ..validation.policies import probe as probe_certificate
+from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, show
 from .work import trained, trials
@@ -50,6 +51,8 @@ def train(options: Namespace) -> int:
     chosen = {name: getattr(options, name) for name in ("worlds", "reward", "warm_start", "resume")}
     if options.warm_start is not None:  # one certificate for all seeds
         chosen["warm_start"] = certificate_of(problem, options.warm_start)
+    drawn = chosen["warm_start"] or options.bound
+    bound = certificate_of(problem, drawn).lower_bound if drawn and options.plot else None
     trainings, texts = [], []
     for seed in seeds:
         training = trained(problem, options.algo, options.steps, seed, **chosen)
@@ -62,7 +65,7 @@ def train(options: Namespace) -> int:
             f"success while exploring {last:.3f}; saved to {folder}"
         )
     if options.plot:
-        draw_curves(trainings, options.plot)
+        draw_curves(trainings, options.plot, bound)
     texts += [f"agents see: {trainings[0].information}", f"settings: {trainings[0].settings}"]
     data: Any = trainings[0].to_dict()
     if len(seeds) > 1:
@@ -144,6 +147,24 @@ def _made(folder: str | None) -> Path | None:
         return None
     Path(folder).mkdir(parents=True, exist_ok=True)
     return Path(folder)
+
+
+def record(options: Namespace) -> int:
+    """Write episodes of a policy, and say how many of them satisfied the task."""
+    problem = problem_of(options)
+    policy = _policy(problem, options.policy, options)
+    found = record_episodes(problem, policy, options.episodes, options.seed)
+    found.save(options.out)
+    if options.minari:
+        found.to_minari(options.minari)
+    facts = {"problem": problem.name, "fingerprint": problem.fingerprint, "seed": found.seed}
+    counts = {
+        "episodes": len(found.lengths),
+        "satisfied": int(found.satisfied.sum()),
+        "steps": int(found.lengths.sum()),
+    }
+    show(options, found, {**facts, **counts, "information": found.information})
+    return 0
 
 
 def compare(options: Namespace) -> int:

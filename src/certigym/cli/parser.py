@@ -34,6 +34,7 @@ MODULES = {
     "train": "learning_commands",
     "probe": "learning_commands",
     "leaderboard": "learning_commands",
+    "record": "learning_commands",
     "compare": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
@@ -177,6 +178,9 @@ def _add_learning(commands: Any) -> None:
     )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
     add_picture(train, "the training curve")
+    train.add_argument(
+        "--bound", metavar="certificate|CERT", help="certificate whose bound --plot draws (default: of --warm-start)"
+    )
 
     probe = commands.add_parser(
         "probe", help="let a learner that starts from the certified controllers try to beat them"
@@ -215,7 +219,18 @@ def _add_leaderboard(commands: Any) -> None:
 
 
 def _add_comparing(commands: Any) -> None:
-    """Add the commands that compare and certify policies."""
+    """Add the commands that record, compare and certify policies."""
+    record = commands.add_parser("record", help="write episodes of a policy as arrays, or as a Minari dataset")
+    add_problem(record)
+    record.add_argument("--policy", required=True, metavar="POLICY", help=POLICIES)
+    record.add_argument("--episodes", type=int, default=1000, metavar="M", help="episodes (default: 1000)")
+    record.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
+    record.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
+    record.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
+    add_models(record)
+    record.add_argument("--out", metavar="DATA", required=True, help="file to write (.npz)")
+    record.add_argument("--minari", metavar="NAME", help="also write this Minari dataset (needs certigym[data])")
+
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
     compare.add_argument(
