@@ -12,6 +12,9 @@ print(f"certified {certificate.lower_bound:.6f} on average over the start box ({
 print("from two other starts", certificate.at([[-15.0, -3.0], [-20.0, -3.0]]))
 print("from everywhere in a box", certificate.min([-12.0, -4.0], [-10.0, -3.0]))
 
+# and in the middle of a run: at these states, in the first automaton state, with four steps to go
+print("with four steps left", cg.value_in_time(certificate).at([[-4.0, -3.0], [-8.0, -3.0]], 0, 4))
+
 # verified by separate code and without simulation; the second argument asks whether it is about this problem
 verified = cg.check(certificate, problem)
 print(verified)

@@ -14,11 +14,12 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates.certificate import Certificate
+from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.relations.exact import ExactRelation
 from certigym.validation.audits.audit_report import AuditReport
 from certigym.validation.audits.ledger import STAKES, Ledger
 from certigym.validation.audits.step_tests import audit
-from certigym.validation.audits.value_at import bound_by_steps_left, charge_of, claimed_values
+from certigym.validation.audits.value_at import bound_by_steps_left, charge_of
 from problems import scalar_agent, two_agents
 
 pytestmark = pytest.mark.slow

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum
+from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.models import box_choices
 from certigym.synthesis.models.box_kernel import BoxKernel
 from certigym.synthesis.models.kernel import Kernel
 from certigym.synthesis.relations import BoxRelation, MeanBoxes, box_relation
 from certigym.synthesis.values import Terms
 from certigym.validation import figures
-from certigym.validation.audits import claimed_values
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6

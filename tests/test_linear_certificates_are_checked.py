@@ -15,8 +15,8 @@ import pytest
 import certigym as cg
 from certigym.synthesis.bounds.dense import dense_optimum
 from certigym.synthesis.certificates import AgentPart
+from certigym.synthesis.checking import claimed_values
 from certigym.synthesis.values import Terms
-from certigym.validation.audits import claimed_values
 from problems import cart, cart_reach, scalar_agent, two_agents
 
 FALSE_ALARM = 1e-6

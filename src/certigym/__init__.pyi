@@ -27,6 +27,7 @@ from .synthesis.certify import certify as certify
 from .synthesis.certify import improve as improve
 from .synthesis.checking import check as check
 from .synthesis.checking import check_rigorous as check_rigorous
+from .synthesis.checking import value_in_time as value_in_time
 from .synthesis.controllers import Controller as Controller
 from .synthesis.controllers import InputTable as InputTable
 from .synthesis.horizons import synthesize_horizons as synthesize_horizons
@@ -113,6 +114,7 @@ __all__ = [
     "validate",
     "validate_field",
     "validate_horizons",
+    "value_in_time",
     "vector_env",
     "without_deadline",
 ]

@@ -3,7 +3,7 @@
 from .certificate import Certificate, checked_certificate
 from .certificate_file import load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
-from .claim import Claim
+from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import as_certificate, of_one_task
 from .part import AgentPart
@@ -23,6 +23,7 @@ __all__ = [
     "axis_tables",
     "checked_certificate",
     "grid_noise",
+    "joint_states",
     "load_certificate",
     "lost_to_rounding",
     "nameless",

@@ -85,19 +85,22 @@ class Claim:
             If the shape does not fit.
         """
         joint = joint_states(self.problem, states)
-        automaton = self.problem.automaton
+        automaton, labeling = self.problem.automaton, self.problem.labeling
+        holds = [labeling.class_at(i, joint[:, columns].T) for i, columns in enumerate(self.problem.columns)]
+        # The true letter of each state decides the automaton state in which the value is read.
+        q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
+        return self.in_state(joint, q)
+
+    def in_state(self, joint: FloatArray, q: NDArray[Any]) -> FloatArray:
+        """Return lower bounds (M,) from joint states (M, D) in automaton states (M,), which have read their letters."""
         places, weights = [], []
         inside = np.ones(len(joint), dtype=bool)
-        holds = []
         for i, (agent, part) in enumerate(zip(self.problem.agents, self.agents, strict=True)):
             x = joint[:, self.problem.columns[i]]
             inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)
             at, weight = part.places_at(self.relations[i].to_grid(x.T))
             places.append(at)
             weights.append(weight)
-            holds.append(self.problem.labeling.class_at(i, x.T))
-        # The true letter of each state decides the automaton state in which the value is read.
-        q = automaton.next_state(np.full(len(joint), automaton.initial), np.concatenate(holds))
         values = np.zeros(len(joint))
         for state in np.unique(q):
             here = np.flatnonzero(inside & (q == state))

@@ -57,6 +57,9 @@ is read here with the bends of more neighbours."""
 EVEN = 6e-10
 """Lattice steps by which widths may differ for cells to count as equal, so that images lie on the lattice."""
 
+LONGEST = 1e6
+"""Standard deviations at which steps are cut: bends are far above 1 all the same."""
+
 UNIT = 2.0**-53
 
 FAINT = 1e-280
@@ -104,14 +107,14 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     steps = (gain * widest).T / parts
     if not aligned:
         steps = np.concatenate([steps, np.diag(pitch)])
-    sizes = np.abs(steps / deviations)
+    sizes = np.minimum(np.abs(steps / deviations), LONGEST)
     moves = np.where(sizes > ASIDE * sizes.max(axis=1, keepdims=True), steps / pitch, 0.0)
     straight = bool(np.all(np.count_nonzero(moves, axis=1) <= 1))
     around = np.ceil(np.abs(steps).sum(axis=0) / pitch - 1e-6) + 1.0
-    step = pitch / deviations
+    step = np.minimum(pitch / deviations, LONGEST)
     fourth = _fourth_shares(np.sum(moves**2, axis=0)) if straight else {}
     bounds = {(i, j): HALF_NORMS[0 if i == j else 2] * float(step[i] * step[j]) ** 2 for i, j in fourth}
-    vary, beyond = _sixth(fourth, step) if straight else _fourth_slack(moves * step, step)
+    vary, beyond = _sixth(fourth, step) if straight else _fourth_slack(np.sign(moves) * sizes, step)
     lengths = np.sum(sizes**2, axis=1)
     shares = lengths / lengths.sum()
     masses, lost = [], 0.0

@@ -60,6 +60,9 @@ within as many lattice steps, too."""
 LOST_PER_SUM = 1e-13
 """Share of the largest value by which sums of many products may be off."""
 
+LONGEST = 1e6
+"""Standard deviations at which steps are cut: nothing can be known of images that large, and squares stay numbers."""
+
 ROUNDING_ACROSS = 1e-14
 """Share of a step by which its part across another one is rounded up."""
 
@@ -127,7 +130,7 @@ class Bends:
 
     def _fourths(self, second: NDArray, most: NDArray, i: int, j: int) -> NDArray:
         """Return bounds on how negative second differences along axis j, of those along i, are near lattice points."""
-        pitch = self.pitch / self.deviations
+        pitch = self._in_deviations(self.pitch)
         norm = FOURTH if i == j else SQUARED
         result = np.empty_like(second)
         result[...] = norm * float(pitch[i] * pitch[j]) ** 2 * most
@@ -143,6 +146,10 @@ class Bends:
         """Steps (d,) of the lattice."""
         return np.array([(axis[-1] - axis[0]) / max(len(axis) - 1, 1) for axis in self.lattice])
 
+    def _in_deviations(self, lengths: FloatArray) -> FloatArray:
+        """Return lengths in standard deviations, very long ones cut: images bend by far more than 1 all the same."""
+        return np.asarray(np.clip(lengths / self.deviations, -LONGEST, LONGEST))
+
     @cached_property
     def is_aligned(self) -> bool:
         """Whether every step lies along one axis."""
@@ -151,7 +158,7 @@ class Bends:
     @cached_property
     def slack(self) -> tuple[float, float]:
         """What bends may be larger than differences say: see ``slack_of_steps`` and ``slack_of_axes``."""
-        steps, pitch = self.steps / self.deviations, self.pitch / self.deviations
+        steps, pitch = self._in_deviations(self.steps), self._in_deviations(self.pitch)
         if not self.is_aligned:
             return slack_of_steps(steps, pitch)
         return slack_of_axes(self._fourth_weights, pitch)
@@ -165,7 +172,7 @@ class Bends:
     @cached_property
     def _weights(self) -> list[dict[tuple[int, int], float]]:
         """For each step what differences count for in ``s_k / a_k``."""
-        moves, shares = self.steps / self.pitch, shares_of(self.steps / self.deviations)
+        moves, shares = self.steps / self.pitch, shares_of(self._in_deviations(self.steps))
         return [
             {(i, j): float(move[i] * move[j]) * (0.125 if i == j else 0.25) / float(share) for i, j in self._pairs}
             for move, share in zip(moves, shares, strict=True)
@@ -188,14 +195,14 @@ class Bends:
     @cached_property
     def largest(self) -> float:
         """What images can bend at most, for factors of at most 1: see `SECOND`."""
-        return SECOND * float(np.sum((self.steps / self.deviations) ** 2)) / 8.0
+        return SECOND * float(np.sum(self._in_deviations(self.steps) ** 2)) / 8.0
 
     @cached_property
     def _error(self) -> float:
         """What rounding, and the loss of the values in a difference, may take off bends, for factors of at most 1."""
         sizes = 4.0 * sum(abs(weight) for weights in self._weights for weight in weights.values())
         sizes += 16.0 * sum(self._fourth_weights.values()) if self.is_aligned else 0.0
-        return rounding_of_bends(self.pitch / self.deviations) + sizes * (self.loss + LOST_PER_SUM)
+        return rounding_of_bends(self._in_deviations(self.pitch)) + sizes * (self.loss + LOST_PER_SUM)
 
     @cached_property
     def _reach_in_points(self) -> NDArray[np.int64]:

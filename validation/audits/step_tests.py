@@ -29,6 +29,7 @@ from ...envs.dynamics import Dynamics
 from ...envs.dynamics import worlds as core
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
+from ...synthesis.checking import claimed_values
 from ...synthesis.values import Terms, Trains
 from ..simulation import (
     Batchable,
@@ -47,7 +48,7 @@ from ..statistics import check_confidence
 from .agent_steps import agents_outside, levels_by_agent, terminal_values, tree_fits
 from .audit_report import AuditReport, joined_report, report_of
 from .ledger import STAKES, Ledger
-from .value_at import Charge, charge_of, claimed_values, remembers, standing_cells, values_between
+from .value_at import Charge, charge_of, remembers, standing_cells, values_between
 
 INCREMENT_SLACK = 1e-9
 """Added to every increment: more than rounding takes from a true certificate, less than any test can see."""

@@ -1,7 +1,7 @@
 """The value functions behind a certificate at every time, read at the cells on which its controller stands.
 
-A certificate stores only the value function at time 0. The value functions of later times are computed again from its
-policies and its tree (``synthesis.checking.regrow``), for the audit and for the curve of bounds against steps left.
+The functions themselves are those of ``synthesis.checking.later_values``, for the audit and for the curve of bounds
+against steps left.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.dynamics import worlds as core
-from ...synthesis.certificates import Certificate, regrow_trains
-from ...synthesis.checking import regrow
-from ...synthesis.values import Terms, Trains, ValueFunction, term_depths
+from ...synthesis.certificates import Certificate
+from ...synthesis.values import Terms, ValueFunction, term_depths
 
 PRODUCTS = 4_000_000
 """Most products of factors that are formed at once: 32 MB of float64."""
@@ -31,32 +30,6 @@ class Charge(Protocol):
 
     def __call__(self, time: int, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
         """Return the charges (M,) with ``T - time`` steps to go, in automaton states (M,) at joint cells (M, I)."""
-
-
-def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
-    """Return the value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, others regrown.
-
-    Raises
-    ------
-    ValueError
-        If the certificate's tree is broken.
-    """
-    horizon = certificate.problem.horizon
-    if certificate.terms is None and certificate.rounding is not None:
-        trains: dict[int, Terms | Trains] = {}
-        regrow_trains(
-            certificate.problem, certificate.agents, certificate.guards, certificate.rounding, trains.__setitem__
-        )
-        return tuple(trains[time] for time in range(horizon))
-    # At time 0 keep the stored value, which is the one that the bound is read from.
-    values: list[Terms | Trains] = [certificate.value] * horizon
-
-    def note(time: int, terms: Terms) -> None:
-        if time > 0:
-            values[time] = terms
-
-    regrow(certificate, note)
-    return tuple(values)
 
 
 def values_at(terms: ValueFunction, q: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:

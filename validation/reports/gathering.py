@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ...envs.agents import write_text
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
-from ...synthesis.checking import check
-from ..audits import audit, bound_by_steps_left, claimed_values
+from ...synthesis.checking import check, claimed_values
+from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
 from ..verdicts import slice_axes, slice_starts, start_box, validate, validate_field
 from .content import ReportContent
