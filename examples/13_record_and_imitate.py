@@ -33,3 +33,9 @@ def clone_of(rule: np.ndarray) -> Callable[[Any, int, int], Any]:
 clones = {name: clone_of(rule) for name, rule in rules.items()}
 policies = {"certified": certificate, "clone": clones, "random": RandomController()}
 print(cg.compare(problem, policies, episodes=500))
+
+# The same problem in a batch of worlds with one array per agent, and as a row of the leaderboard.
+team = cg.team_env("reach-avoid-v0", 256)
+step = team.reset(seed=0)
+step = team.step({name: np.zeros((256, 1)) for name in team.agents})
+print(step.observations["agent_0"].shape, cg.leaderboard(["reach-avoid-v0"], ["random"], 500).rows[0])
