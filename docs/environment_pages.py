@@ -388,9 +388,10 @@ MEASURED_WITH = """Certified lower bounds against rollouts of the same controlle
 99.9 % limits of `python docs/measure_environments.py`. `confirmed`: the lower limit is not below the bound;
 `consistent`: the bound lies between the limits (as those that are *exact*, equal to the probability up to 1e-6, have
 to). Cells are those per axis of one agent, seconds those of one thread for the synthesis, memory is the peak of the
-process.
+process. "Of these models at most" bounds what any policy of the finite models attains; one of the continuous system may
+attain more.
 
-| id | T | certified | optimum at most | rollouts | limits | verdict | cells | rank | seconds | MiB |
+| id | T | certified | of these models at most | rollouts | limits | verdict | cells | rank | seconds | MiB |
 |---|---|---|---|---|---|---|---|---|---|---|"""
 
 

@@ -245,7 +245,7 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
     if {*kinds} == {"linear"}:
         return True
     few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
-    return {*kinds} == {"auto"} and few and plan.settings == Settings()
+    return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
 
 
 def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
@@ -255,7 +255,7 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
         # The other relations are quick for single states, and show whether the tree grows many terms.
         first = _compared(problem, None, kinds, plan)
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
-            return first
+            return first if first.certificate.lower_bound >= GOOD else _doubled(problem, kinds, plan, first)
     linear, record = _linear_levels(problem, plan)
     if linear is None:
         return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
@@ -277,6 +277,15 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     certificate = replace(certificate, settings={**certificate.settings, **more, "relations_tried": tried})
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     return Synthesis(certificate, certificate.controller, {**best.stats, "tried": tried, "seconds": seconds})
+
+
+def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan, first: Synthesis) -> Synthesis:
+    """Return the better of a synthesis and one on twice as many cells per axis."""
+    parts = zip(problem.agent_names, first.certificate.agents, strict=True)
+    cells = {name: tuple(2 * n for n in part.grid.shape) for name, part in parts}
+    second = _compared(problem, cells, kinds, plan)
+    best = max(first, second, key=lambda result: result.certificate.lower_bound)
+    return replace(best, stats={**best.stats, **_least_above(first, second)})
 
 
 def _linear_levels(problem: Problem, plan: Plan) -> tuple[Synthesis | None, list[dict[str, Any]]]:

@@ -1,6 +1,6 @@
 """A workspace cut into cells along the edges of regions."""
 
-from .agent_grids import CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
+from .agent_grids import DEFAULT_TARGETS, CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, in_grid_coordinates
@@ -12,6 +12,7 @@ from .sizes import alike_text, shape_text
 __all__ = [
     "CellCounts",
     "CellLabels",
+    "DEFAULT_TARGETS",
     "FloatArray",
     "Grid",
     "GridDynamics",

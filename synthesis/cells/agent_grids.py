@@ -15,6 +15,12 @@ from .refusal import RelationRefused
 DEFAULT_CELLS = {1: 500, 2: 80, 3: 24}
 """Cells per axis by state dimension when the caller names none; 10 from dimension 4 on."""
 
+DEFAULT_CELLS_IN_THE_PLANE = 64
+"""The same for two states whose inputs reach every mean: two targets per cell and axis pay more than further cells."""
+
+DEFAULT_TARGETS = {1: 2, 2: 2}
+"""Target means per cell and axis by state dimension, for agents that choose one for each cell; 1 in all others."""
+
 SINGULAR = 1e-12
 """Smallest eigenvalue of the correlations of a noise up to which its covariance counts as singular."""
 
@@ -118,6 +124,8 @@ def cells_of_agent(agent: LinearAgent, cells: CellCounts) -> tuple[int, ...]:
     wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
     if wanted is None:
         wanted = DEFAULT_CELLS.get(agent.n_states, 10)
+        if agent.n_states == 2 and np.linalg.matrix_rank(agent.B) == 2:
+            wanted = DEFAULT_CELLS_IN_THE_PLANE
     per_axis = tuple(wanted) if isinstance(wanted, Sequence) else (wanted,) * agent.n_states
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)
     if len(per_axis) != agent.n_states or not whole:

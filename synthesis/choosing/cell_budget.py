@@ -27,7 +27,7 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
-from ..cells import region_boundaries
+from ..cells import DEFAULT_TARGETS, region_boundaries
 from ..models import BAND_BYTES, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS
 from ..relations import coupling_failure
 
@@ -141,7 +141,7 @@ def _agent_cells(
     for choice in product(*options):
         shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)
         if by_target:
-            per_cell = (2 if agent.n_states == 1 else 1,) * agent.n_states
+            per_cell = (DEFAULT_TARGETS.get(agent.n_states, 1),) * agent.n_states
         else:
             per_cell = _points_per_cell(agent, np.array(shape), even)
         axes = zip(shape, wanted, boundaries, strict=True)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ...envs.agents import LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
+    DEFAULT_TARGETS,
     CellCounts,
     CellLabels,
     FloatArray,
@@ -182,8 +183,8 @@ class Settings:
     ----------
     targets_per_cell : int, optional
         ``exact``: lattice points per cell and axis; with more of them rounding wastes fewer of the admissible inputs.
-        Default: 2 for scalar agents, 1 for others. ``linear``, ``boxes``: points at which values are read; by default
-        4, and as many as noise and cells ask for.
+        Default: 2 for agents of one or two states, 1 for others. ``linear``, ``boxes``: points at which values are
+        read; by default 4, and as many as noise and cells ask for.
     epsilon, feedback, inputs
         ``paper``: half width of the relation, K of the interface, number of abstract inputs.
     delta : float, optional
@@ -339,7 +340,7 @@ def _shared_model(
     agent: LinearAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
-    per_cell = settings.targets_per_cell or (2 if agent.n_states == 1 else 1)
+    per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
     if kind == "linear":

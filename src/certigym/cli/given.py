@@ -72,7 +72,7 @@ def check_places(*paths: str | None) -> None:
 
 
 def relation_of(options: Namespace) -> dict[str, Any]:
-    """Return the relation of ``--relation``, and ``--delta`` if it is given, as keyword arguments of ``synthesize``.
+    """Return ``--relation``, and ``--delta`` and ``--targets`` if given, as keyword arguments of ``synthesize``.
 
     The option holds one name for all agents, or ``AGENT=NAME`` for some of them.
     """
@@ -87,7 +87,8 @@ def relation_of(options: Namespace) -> dict[str, Any]:
                     f"`--relation`: expected one name, or AGENT=NAME once per agent, got {' '.join(words)!r}"
                 )
             relation[agent] = name
-    return {"relation": relation, **({} if options.delta is None else {"delta": options.delta})}
+    settings = {"delta": options.delta, "targets_per_cell": options.targets}
+    return {"relation": relation, **{name: value for name, value in settings.items() if value is not None}}
 
 
 def search_of(options: Namespace) -> dict[str, Any]:

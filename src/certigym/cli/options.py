@@ -52,6 +52,9 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
         "--delta", type=float, metavar="P", help="failure probability per step and agent of `ellipsoid` or `paper`"
     )
     parser.add_argument("--cells", nargs="+", type=int, metavar="N", help="cells per axis (default: by dimension)")
+    parser.add_argument(
+        "--targets", type=int, metavar="N", help="target means per cell and axis (default: by relation and dimension)"
+    )
 
 
 def add_search(parser: argparse.ArgumentParser) -> None:
