@@ -63,6 +63,21 @@ def batched(envs: Any) -> Callable[[], int]:
     return steps
 
 
+def teams(problem: cg.Problem, **options: Any) -> Callable[[], int]:
+    team = cg.team_env(problem, CHUNK, **options)
+    team.reset(seed=0)
+    rng = np.random.default_rng(0)
+    sizes = dict(zip(team.agents, (agent.n_inputs for agent in problem.agents), strict=True))
+    actions = [{name: rng.uniform(-1, 1, (CHUNK, size)) for name, size in sizes.items()} for _ in range(4)]
+
+    def steps() -> int:
+        for action in actions:
+            team.step(action)
+        return len(actions) * CHUNK
+
+    return steps
+
+
 def parallel(problem: cg.Problem, **options: Any) -> Callable[[], int]:
     env = cg.parallel_env(problem, **options)
     for agent in env.possible_agents:
@@ -115,6 +130,9 @@ def measure(id: str, seconds: float) -> dict[str, float]:
         "batch core (joint steps)": rate(batch_core(problem), seconds),
         f"VectorEnv, {CHUNK} worlds": rate(batched(cg.vector_env(problem, CHUNK)), seconds),
         f"VectorEnv, {CHUNK} worlds, shaped": rate(batched(shaped), seconds),
+        f"TeamEnv, {CHUNK} worlds": rate(teams(problem), seconds),
+        f"TeamEnv, {CHUNK} worlds, joint": rate(teams(problem, observation="joint"), seconds),
+        f"TeamEnv, {CHUNK} worlds, raw states": rate(teams(problem, scale="raw", automaton="number"), seconds),
         "VectorEnv, 64 worlds": rate(batched(cg.vector_env(problem, 64)), seconds),
         "ParallelEnv (joint steps)": rate(parallel(problem), seconds),
         "ParallelEnv, full observation": rate(parallel(problem, observation="full"), seconds),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.validation.policies.actors import Network, SharedActor, load_actor, save_actor
+from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
 from certigym.validation.policies.views import CentralView, SharedView, inputs_of
 from problems import two_agents
 
@@ -134,11 +134,11 @@ def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: P
     joint = rng.uniform(-20.0, 5.0, (50, 2))
     rows = view.observations(joint, rng.integers(0, 3, 50), rng.integers(0, 7, 50))
     expected, _ = training.model.predict(rows, deterministic=True)
-    assert training.actor.network.actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
+    assert networks_of(training.actor)[0].actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
     path = training.save(tmp_path / "kept")
     assert {file.name for file in path.parent.iterdir()} == {"actor.npz", "training.json", "curve.csv", "model.zip"}
     again = load_actor(path, RA2)
-    assert np.array_equal(again.network.actions(rows), training.actor.network.actions(rows))
+    assert np.array_equal(networks_of(again)[0].actions(rows), networks_of(training.actor)[0].actions(rows))
     assert np.array_equal(cg.rollout(RA2, again, 300).success, cg.rollout(RA2, training.actor, 300).success)
     record = json.loads((path.parent / "training.json").read_text())
     assert record["algorithm"] == algorithm and record["seed"] == 3 and record["curve"]
@@ -148,9 +148,9 @@ def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: P
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_is_deterministic_under_a_seed(algorithm: str) -> None:
     one, two, other = (cg.train(RA2, algorithm, 1100, seed, worlds=8) for seed in (0, 0, 1))
-    for a, b in zip(one.actor.network.weights, two.actor.network.weights):
+    for a, b in zip(networks_of(one.actor)[0].weights, networks_of(two.actor)[0].weights):
         assert np.array_equal(a, b)
-    assert not np.array_equal(one.actor.network.weights[0], other.actor.network.weights[0])
+    assert not np.array_equal(networks_of(one.actor)[0].weights[0], networks_of(other.actor)[0].weights[0])
     assert [p["success"] for p in one.curve] == [p["success"] for p in two.curve]
 
 

@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.validation.policies import imitation
+from certigym.validation.policies.actors import networks_of
 from certigym.validation.policies.settings import settings_for
 from certigym.validation.policies.views import SharedView
 
@@ -78,7 +79,7 @@ def test_sac_goes_on_too(tmp_path: Path) -> None:
 def test_the_learner_ends_with_the_numbers_of_its_best_actor(helped: Any) -> None:
     rows = np.random.default_rng(0).uniform(-1.0, 1.0, (20, SharedView(RA2).size)).astype(np.float32)
     expected, _ = helped.model.predict(rows, deterministic=True)
-    assert helped.actor.network.actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
+    assert networks_of(helped.actor)[0].actions(rows) == pytest.approx(np.clip(expected, -1, 1), abs=1e-5)
 
 
 def test_settings_come_from_the_file_and_can_be_changed_by_name() -> None:
@@ -104,7 +105,7 @@ def test_several_seeds_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_mistakes_are_answered(certificate: Any, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="`warm_start`: expected only with 'ppo' or 'central-ppo'"):
+    with pytest.raises(ValueError, match="`warm_start`: expected only with learners of PPO"):
         cg.train(RA2, "sac", warm_start=certificate)
     with pytest.raises(ValueError, match="`deviation`: expected only with"):
         cg.train(RA2, "sac", 100, deviation=0.1)

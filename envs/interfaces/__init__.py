@@ -3,13 +3,18 @@
 from .central_env import CentralEnv
 from .observation import checked_option
 from .problem_env import ProblemEnv
+from .shaping import Potential
 from .tasks_env import TasksEnv
+from .team_env import TeamEnv, TeamStep
 from .vector_env import ProblemVectorEnv
 
 __all__ = [
     "CentralEnv",
+    "Potential",
     "ProblemEnv",
     "ProblemVectorEnv",
     "TasksEnv",
+    "TeamEnv",
+    "TeamStep",
     "checked_option",
 ]

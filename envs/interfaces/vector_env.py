@@ -161,24 +161,43 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise RuntimeError("call `reset` before `step`")
         if np.ndim(actions) > 0 and len(actions) != self.num_envs:
             raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
+        rewards, terminated, truncated = self.advance(batch_inputs(self._dynamics, actions, self._actions))
+        infos = self._infos(np.ones(self.num_envs, dtype=bool))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            infos = self._restarted(self._ended, infos)
+        return joint_observations(self._dynamics, self._worlds, self._dtype), rewards, terminated, truncated, infos
+
+    def advance(self, inputs: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance all worlds with inputs (m, n, M) per block; return rewards, terminated and truncated, (M,) each.
+
+        Observations and infos are made by `step`. With the autoreset "SameStep" the caller calls `renew` afterwards.
+        """
         # Worlds that ended in the last step start anew, and do not move in this one.
-        worlds, fresh = self._worlds, self._ended
+        worlds, fresh = self._present(), self._ended
         if fresh.any():
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
             worlds = self._begun(core.restart(self._dynamics, worlds, fresh, self.np_random), fresh)
         # Worlds that the start has settled do not move, but end in this step.
         moving = ~(fresh | self._settled(worlds))
-        worlds = self._moved(worlds, batch_inputs(self._dynamics, actions, self._actions), moving)
+        worlds = self._moved(worlds, inputs, moving)
         terminated = self._settled(worlds) & ~fresh
         truncated = (worlds.time >= self.problem.horizon) & ~terminated
         ended = terminated | truncated
         self._worlds, self._ended = worlds, ended
-        rewards = self._rewards(fresh, ended)
-        infos = self._infos(np.ones(self.num_envs, dtype=bool))
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            infos = self._restarted(ended, infos)
-        return joint_observations(self._dynamics, self._worlds, self._dtype), rewards, terminated, truncated, infos
+        return self._rewards(fresh, ended), terminated, truncated
+
+    def renew(self) -> None:
+        """Begin new episodes in the worlds that ended in the last step."""
+        ended = self._ended
+        self._worlds = self._begun(core.restart(self._dynamics, self._present(), ended, self.np_random), ended)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._relevel(ended)
+
+    @property
+    def worlds(self) -> core.Worlds:
+        """The worlds as the dynamics hold them: states (d, n, M) per block, automaton states, times, ends."""
+        return self._present()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return one picture of every world in the render mode "rgb_array", else None."""
@@ -248,9 +267,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             observations[k] = final[k].copy()
         before = {name: values for name, values in infos.items() if not name.startswith("_")}
         masks = {f"_{name}": ended.copy() for name in before}
-        self._worlds = self._begun(core.restart(self._dynamics, self._present(), ended, self.np_random), ended)
-        self._ended = np.zeros(self.num_envs, dtype=bool)
-        self._relevel(ended)
+        self.renew()
         return {
             **self._infos(np.ones(self.num_envs, dtype=bool)),
             "final_obs": observations,

@@ -16,6 +16,9 @@ from .make import (
     resolve as resolve,
 )
 from .make import (
+    team_env as team_env,
+)
+from .make import (
     vector_env as vector_env,
 )
 from .naming import as_problem as as_problem
@@ -33,5 +36,6 @@ __all__ = [
     "problem_ids",
     "register_suite",
     "resolve",
+    "team_env",
     "vector_env",
 ]

@@ -13,7 +13,7 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from ..agents import UnknownArgument
-from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv
+from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ..problem import Problem, load_problem
 from .catalogue import problem_of_id
 
@@ -25,6 +25,9 @@ CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions", "infos")
 
 VECTOR_OPTIONS = ("autoreset_mode", "reward", "discount", "dtype", "actions", "spread")
 """The same of `vector_env`."""
+
+TEAM_OPTIONS = ("observation", "scale", "automaton", "actions", "reward", "discount", "spread")
+"""The same of `team_env`."""
 
 
 def parallel_env(
@@ -105,6 +108,28 @@ def vector_env(
     """
     options = _taken(arguments, VECTOR_OPTIONS)
     return ProblemVectorEnv(resolve(problem, arguments, VECTOR_OPTIONS), num_envs, render_mode, **options)
+
+
+def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any) -> TeamEnv:
+    """Return the batched environment of a problem with one array per agent.
+
+    Parameters
+    ----------
+    problem : Problem, str or Path
+        A problem, the id of a suite problem, or the path of a problem file (`.toml`).
+    num_envs : int
+        Number of worlds M.
+    **arguments
+        Options of `TeamEnv`; with an id also the arguments of `make_problem`.
+
+    Examples
+    --------
+    >>> team = team_env("reach-avoid-v0", 1000, automaton="number")
+    >>> team.reset(seed=0).observations["agent_1"].shape
+    (1000, 3)
+    """
+    options = _taken(arguments, TEAM_OPTIONS)
+    return TeamEnv(resolve(problem, arguments, TEAM_OPTIONS), num_envs, **options)
 
 
 def resolve(problem: Any, arguments: dict[str, Any], options: tuple[str, ...] = ()) -> Problem:

@@ -16,6 +16,7 @@ from .envs.suite import central_env as central_env
 from .envs.suite import make_problem as make_problem
 from .envs.suite import parallel_env as parallel_env
 from .envs.suite import problem_ids as problem_ids
+from .envs.suite import team_env as team_env
 from .envs.suite import vector_env as vector_env
 from .synthesis.certificates import Certificate as Certificate
 from .synthesis.certificates import ProductCertificate as ProductCertificate
@@ -39,7 +40,9 @@ from .validation.policies import Comparison as Comparison
 from .validation.policies import Probe as Probe
 from .validation.policies import as_controller as as_controller
 from .validation.policies import compare as compare
+from .validation.policies import leaderboard as leaderboard
 from .validation.policies import probe as probe
+from .validation.policies import record as record
 from .validation.policies import train as train
 from .validation.reports import report as report
 from .validation.simulation import Mismatch as Mismatch
@@ -90,12 +93,14 @@ __all__ = [
     "check_rigorous",
     "compare",
     "improve",
+    "leaderboard",
     "load_certificate",
     "load_problem",
     "make_problem",
     "parallel_env",
     "probe",
     "problem_ids",
+    "record",
     "report",
     "rollout",
     "save_certificate",
@@ -103,6 +108,7 @@ __all__ = [
     "stress",
     "synthesize",
     "synthesize_horizons",
+    "team_env",
     "train",
     "translate",
     "validate",

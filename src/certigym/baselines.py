@@ -7,11 +7,31 @@ Stable-Baselines3, which is loaded when one of them is first used.
 from importlib import import_module
 from typing import Any
 
-from .validation.policies import ALGORITHMS, IdleController, RandomController, Training, load_actor, train
+from .validation.policies import (
+    ALGORITHMS,
+    IdleController,
+    Leaderboard,
+    RandomController,
+    Recording,
+    Sources,
+    Training,
+    load_actor,
+    train,
+)
 
 VEC_ENVS = ("WorldsVecEnv", "central_vec_env", "shared_vec_env")
 
-__all__ = ["ALGORITHMS", "IdleController", "RandomController", "Training", "load_actor", "train"]
+__all__ = [
+    "ALGORITHMS",
+    "IdleController",
+    "Leaderboard",
+    "RandomController",
+    "Recording",
+    "Sources",
+    "Training",
+    "load_actor",
+    "train",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -42,8 +42,10 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     save_figure(figure, path)
 
 
-def draw_curves(trainings: Sequence[Training], path: str | Path) -> None:
+def draw_curves(trainings: Sequence[Training], path: str | Path, lower_bound: float | None = None) -> None:
     """Draw and write the success rate while training against the world steps, one line per training.
+
+    A certified lower bound is drawn as a line across; it is about the certified controllers, not about the learners.
 
     Raises
     ------
@@ -57,6 +59,8 @@ def draw_curves(trainings: Sequence[Training], path: str | Path) -> None:
         color, mark = SERIES[number % len(SERIES)], MARKS[number % len(MARKS)]
         label = f"{training.algorithm}, seed {training.seed}"
         axes.plot(*zip(*points, strict=True), color=color, marker=mark, markersize=3.5, label=label)
+    if lower_bound is not None:
+        axes.axhline(lower_bound, color=BOUND, linestyle="--", linewidth=1.2, label="certified controllers: at least")
     axes.set_xlabel("world steps")
     axes.set_ylabel("success rate while exploring")
     axes.set_ylim(-0.02, 1.02)

@@ -1,8 +1,8 @@
 """Trained actors as plain numbers: evaluated by numpy, stored as ``.npz`` with a JSON header and without pickle.
 
 An actor is the deterministic part of a learned policy: a small network from a row of its view (``views``) to an action
-in [-1, 1]. The shared actor is a decentralised policy (``synthesis.controllers.decentralised``), so it can be
-certified. The central actor sees the states of all agents and cannot be certified.
+in [-1, 1]. The shared actor, and a team of actors, are decentralised (``synthesis.controllers.decentralised``), so they
+can be certified. The central actor sees the states of all agents and cannot be certified.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .rollout_policies import as_controller
 from .views import CentralView, SharedView, View, inputs_of
 
 Array = NDArray[Any]
-VIEWS = {"shared": SharedView, "central": CentralView}
+VIEWS = {"shared": SharedView, "team": SharedView, "central": CentralView}
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 ACTOR_FORMAT = "certigym actor 1"
@@ -89,6 +89,32 @@ class SharedActor:
 
 
 @dataclass(frozen=True, eq=False)
+class TeamActor:
+    """A network of its own for each agent of a problem: a decentralised policy.
+
+    Parameters
+    ----------
+    problem : Problem
+    networks : tuple of Network
+        One per agent; each reads a row of ``SharedView``.
+    """
+
+    problem: Problem
+    networks: tuple[Network, ...]
+
+    view = "team"
+    information = SharedView.information
+
+    def inputs(self, agent: int, states: Array, q: Array, time: int) -> Array:
+        """Return the inputs (m, N) of one agent at states (d, N), automaton states (N,) and a time."""
+        return SharedActor(self.problem, self.networks[agent]).inputs(agent, states, q, time)
+
+    def batch(self, dynamics: Dynamics) -> BatchPolicy:
+        """Return the policy for batched rollouts."""
+        return as_controller(self.problem, self).batch(dynamics)
+
+
+@dataclass(frozen=True, eq=False)
 class CentralActor:
     """One network that sees all states and moves all agents.
 
@@ -128,29 +154,37 @@ class _CentralBatch:
         return tuple(np.stack([inputs[i] for i in block.agents], axis=1) for block in self.dynamics.blocks), None
 
 
-Actor = SharedActor | CentralActor
+Actor = SharedActor | TeamActor | CentralActor
 
 
-def actor_of(view: View, network: Network) -> Actor:
-    """Return the actor with this network that sees what the view shows."""
-    return (SharedActor if isinstance(view, SharedView) else CentralActor)(view.problem, network)
+def actor_of(view: View, networks: tuple[Network, ...]) -> Actor:
+    """Return the actor that sees what the view shows, with one network for all agents or with one for each."""
+    if not isinstance(view, SharedView):
+        return CentralActor(view.problem, networks[0])
+    return SharedActor(view.problem, networks[0]) if len(networks) == 1 else TeamActor(view.problem, networks)
+
+
+def networks_of(actor: Actor) -> tuple[Network, ...]:
+    """Return the networks of an actor: one, or one for each agent."""
+    return actor.networks if isinstance(actor, TeamActor) else (actor.network,)
 
 
 def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
     """Write an actor as ``.npz``; the facts in ``header`` are stored as JSON beside the numbers."""
-    network = actor.network
+    networks = networks_of(actor)
     facts = {
         **header,
         "format": ACTOR_FORMAT,
         "view": actor.view,
-        "activation": network.activation,
-        "squashed": network.squashed,
+        "activation": networks[0].activation,
+        "squashed": networks[0].squashed,
         "problem": actor.problem.name,
         "fingerprint": actor.problem.fingerprint,
     }
     # The archive is made in memory, so that the file is written completely or not at all.
-    arrays = {f"weight_{k}": w for k, w in enumerate(network.weights)}
-    arrays |= {f"bias_{k}": b for k, b in enumerate(network.biases)}
+    # The layers of a team follow one another, agent by agent; all agents have the same number of them.
+    arrays = {f"weight_{k}": w for k, w in enumerate(w for network in networks for w in network.weights)}
+    arrays |= {f"bias_{k}": b for k, b in enumerate(b for network in networks for b in network.biases)}
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(facts)), **arrays)
     write_bytes(path, file.getvalue())
@@ -184,10 +218,15 @@ def load_actor(path: str | Path, problem: Any) -> Actor:
     # The first layer fixes the size of observations, the last one that of actions.
     problem = as_problem(problem)
     view: View = VIEWS[header["view"]](problem)  # type: ignore[assignment]
+    teams = problem.n_agents if header["view"] == "team" else 1
+    if count % teams:
+        raise ValueError(f"`{path}`: expected a network for each of {teams} agents; it has {count} layers in all")
     sizes = (weights[0].shape[1], weights[-1].shape[0])
     if sizes != (view.size, view.n_actions):
         raise ValueError(
             f"`{path}`: expected {view.size} observed numbers and {view.n_actions} actions for problem "
             f"{problem.name!r}, got {sizes[0]} and {sizes[1]}; it was trained on {header.get('problem')!r}"
         )
-    return actor_of(view, Network(weights, biases, header["activation"], bool(header["squashed"])))
+    kind, depth = (header["activation"], bool(header["squashed"])), count // teams
+    cuts = [slice(first, first + depth) for first in range(0, count, depth)]
+    return actor_of(view, tuple(Network(weights[cut], biases[cut], *kind) for cut in cuts))

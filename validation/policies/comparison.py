@@ -7,7 +7,7 @@ pair it shows the exact McNemar test, which looks only at the episodes in which 
 Holm's method over all pairs (docs/theory/evidence.md, "Two policies").
 
 A learner trained with several seeds is given as a sequence: the table has one row per seed, and one line states mean
-and range.
+and range with limits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, Synthesis, as_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
 from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
-from ..statistics import clopper_pearson, holm, p_at_least
+from ..statistics import clopper_pearson, holm, mean_limits, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
 
@@ -177,13 +177,23 @@ class Comparison:
         return f"{self.problem}, horizon {self.horizon}: {counted(self.episodes, 'episode')} per policy"
 
     def _groups(self) -> list[str]:
-        """Return a line for every learner that was trained with several seeds."""
+        """Return a line for every learner that was trained with several seeds.
+
+        The limits of the mean are Student's, and hold approximately; that the range covers the median of all trainings
+        holds exactly, for half of them are above the median and half below, one by one.
+        """
         lines = []
         for group in dict.fromkeys(entry.group for entry in self.entries):
             rates = [entry.rate for entry in self.entries if entry.group == group]
             if len(rates) > 1:
-                span = f"[{min(rates):.5f}, {max(rates):.5f}]"
-                lines.append(f"{group}: mean {np.mean(rates):.5f} over {len(rates)} training seeds, range {span}")
+                low, high = mean_limits(rates, self.confidence)
+                covers = 1.0 - 0.5 ** (len(rates) - 1)
+                lines.append(
+                    f"{group}: mean {np.mean(rates):.5f} over {len(rates)} training seeds, about "
+                    f"{100 * self.confidence:g} % limits [{low:.5f}, {high:.5f}] (Student); range "
+                    f"[{min(rates):.5f}, {max(rates):.5f}], which covers the median training with probability "
+                    f"{covers:.4g}"
+                )
         return lines
 
     def _tests(self) -> list[str]:

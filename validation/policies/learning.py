@@ -10,7 +10,7 @@ import numpy as np
 
 from .actors import Actor, Network, actor_of
 from .settings import Phase, Settings
-from .views import View
+from .views import TeamView, View
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -39,7 +39,15 @@ def new_learner(algorithm: str, view: View, settings: Settings, seed: int) -> Ba
     learner: Any = SAC if algorithm == "sac" else PPO
     env = _worlds(view, settings, phase)
     arguments = {**settings.learner, "learning_rate": phase.learning_rate, "policy_kwargs": networks}
-    model: BaseAlgorithm = learner("MlpPolicy", env, seed=seed, **arguments)
+    policy: Any = "MlpPolicy"
+    if isinstance(view, TeamView) or algorithm == "ippo":
+        from .team_policies import CentralCriticPolicy, OwnParametersPolicy
+
+        if isinstance(view, TeamView):
+            policy, networks["seen"] = CentralCriticPolicy, view.seen
+        else:
+            policy, networks["agents"] = OwnParametersPolicy, view.problem.n_agents
+    model: BaseAlgorithm = learner(policy, env, seed=seed, **arguments)
     return model
 
 
@@ -71,7 +79,7 @@ def learn(model: BaseAlgorithm, view: View, steps: int, rates: tuple[float, floa
 
 def actor_now(model: BaseAlgorithm, view: View) -> Actor:
     """Return the deterministic actor of a learner, a copy."""
-    return actor_of(view, network_of(model))
+    return actor_of(view, networks_of(model))
 
 
 def numbers_of(model: Any) -> dict[str, Any]:
@@ -79,17 +87,26 @@ def numbers_of(model: Any) -> dict[str, Any]:
     return {name: value.detach().clone() for name, value in model.policy.state_dict().items()}
 
 
-def network_of(model: BaseAlgorithm) -> Network:
-    """Return the deterministic actor of a PPO or SAC learner with an ``MlpPolicy`` as numbers."""
-    import torch
-
+def networks_of(model: BaseAlgorithm) -> tuple[Network, ...]:
+    """Return the deterministic actors of a PPO or SAC learner as numbers: one, or one for each agent."""
     policy: Any = model.policy
+    # Agents with parameters of their own have whole networks, last layers included.
+    teams = getattr(policy.mlp_extractor, "actors", None) if hasattr(policy, "mlp_extractor") else None
+    if teams is not None:
+        return tuple(_numbers(network[:-1], network[-1], squashed=False) for network in teams)
     # SAC squashes its actions by tanh; PPO's are clipped.
     squashed = hasattr(policy, "actor") and hasattr(policy.actor, "mu")
     if squashed:
         hidden, last = policy.actor.latent_pi, policy.actor.mu
     else:
         hidden, last = policy.mlp_extractor.policy_net, policy.action_net
+    return (_numbers(hidden, last, squashed),)
+
+
+def _numbers(hidden: Any, last: Any, squashed: bool) -> Network:
+    """Return the layers of a network as numbers."""
+    import torch
+
     # Linear layers become arrays; between them only one kind of activation is allowed.
     layers = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)] + [last]
     kinds = {type(layer).__name__ for layer in hidden if not isinstance(layer, torch.nn.Linear)}
@@ -103,7 +120,7 @@ def network_of(model: BaseAlgorithm) -> Network:
 def new_watcher(rows: int, every: int, progress: Progress | None = None, deadline: float = float("inf")) -> Any:
     """Return a callback that records the training curve, one point about every ``every`` world steps.
 
-    It stops the learner when ``time.perf_counter()`` passes the deadline.
+    It stops the learner when ``time.perf_counter()`` passes its ``deadline``, which may be moved.
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -114,7 +131,7 @@ def new_watcher(rows: int, every: int, progress: Progress | None = None, deadlin
             super().__init__()
             self.curve: list[dict[str, float]] = []
             self.ended: list[tuple[bool, float]] = []
-            self.began, self.last = time.perf_counter(), 0
+            self.began, self.last, self.deadline = time.perf_counter(), 0, deadline
 
         def _on_step(self) -> bool:
             # All rows of a world end together, so the first one stands for the world. Episodes that began anywhere say
@@ -131,7 +148,7 @@ def new_watcher(rows: int, every: int, progress: Progress | None = None, deadlin
                 if progress is not None:
                     progress(steps - self.last, float(success))
                 self.ended, self.last = [], steps
-            return time.perf_counter() < deadline
+            return time.perf_counter() < self.deadline
 
     return Watcher()
 

@@ -18,7 +18,7 @@ from .views import View
 
 FILE = Path(__file__).with_name("settings.toml")
 
-NO_LEARNER_TAKES = ("steps", "worlds", "hidden", "phases")
+NO_LEARNER_TAKES = ("steps", "seconds", "worlds", "hidden", "phases")
 """Settings that are ours; all others go to Stable-Baselines3."""
 
 
@@ -51,6 +51,8 @@ class Settings:
     learner : dict
         Keyword arguments of the learner of Stable-Baselines3.
     phases : tuple of Phase
+    seconds : float or None
+        Wall-clock time after which a training stops, if it has not taken its steps by then; cloning comes before.
     """
 
     steps: int
@@ -58,6 +60,7 @@ class Settings:
     hidden: tuple[int, ...]
     learner: dict[str, Any]
     phases: tuple[Phase, ...]
+    seconds: float | None = None
 
     @property
     def gamma(self) -> float:
@@ -71,7 +74,7 @@ class Settings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as one table of JSON values."""
-        ours = {"steps": self.steps, "worlds": self.worlds, "hidden": list(self.hidden)}
+        ours = {"steps": self.steps, "worlds": self.worlds, "hidden": list(self.hidden), "seconds": self.seconds}
         return {**self.learner, **ours, "phases": [asdict(phase) for phase in self.phases]}
 
 
@@ -80,7 +83,7 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
 
     Parameters
     ----------
-    algorithm : "ppo", "central-ppo" or "sac"
+    algorithm : "ppo", "ippo", "mappo", "central-ppo" or "sac"
     view : SharedView or CentralView
     warm : bool
         Whether the training continues a clone.
@@ -91,7 +94,7 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
     given = {name: value for name, value in changes.items() if value is not None}
     table = dict(_tables()["sac" if algorithm == "sac" else "ppo"])
     if algorithm == "sac" and ("deviation" in given or "fixed" in given):
-        raise ValueError("`deviation`: expected only with 'ppo' or 'central-ppo'; SAC chooses its own")
+        raise ValueError("`deviation`: expected only with learners of PPO; SAC chooses its own")
     if warm and algorithm != "sac":
         table |= _tables()["warm"]
     phases = tuple(Phase(**phase) for phase in table["phases"])
@@ -106,7 +109,10 @@ def settings_for(algorithm: str, view: View, *, warm: bool = False, **changes: A
         worlds = int(np.clip(int(table["steps"]) // (LEAST_ROUNDS * _rounds(view)), 16, worlds))
     completed = _sizes(algorithm, view, worlds) | {"device": "cpu"}
     learner = {name: value for name, value in table.items() if name not in NO_LEARNER_TAKES}
-    return Settings(int(table["steps"]), worlds, tuple(table["hidden"]), {**completed, **learner}, phases)
+    seconds = table.get("seconds")
+    if seconds is not None and not seconds > 0.0:
+        raise ValueError(f"`seconds`: expected a positive number, got {seconds!r}")
+    return Settings(int(table["steps"]), worlds, tuple(table["hidden"]), {**completed, **learner}, phases, seconds)
 
 
 def _sizes(algorithm: str, view: View, worlds: int) -> dict[str, Any]:

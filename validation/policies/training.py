@@ -2,6 +2,8 @@
 
 ``ppo``          decentralised: one network for all agents; each agent sees its state, the automaton state, the time
                  left and which agent it is, the same information as under certified policies.
+``ippo``         like ``ppo``, with networks of their own for each agent.
+``mappo``        like ``ppo``, while the critic, which only training needs, sees the states of all agents.
 ``central-ppo``  one learner sees the states of all agents and moves all of them.
 ``sac``          like ``central-ppo``, but learning off policy.
 
@@ -30,16 +32,16 @@ from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
-from .actors import Actor, save_actor
+from .actors import Actor, networks_of, save_actor
 from .imitation import clone, demonstrate
 from .learning import Progress, actor_now, enter, learn, new_learner, new_watcher, numbers_of
 from .settings import Phase, Settings, settings_for
-from .views import CentralView, SharedView, View
+from .views import CentralView, SharedView, TeamView, View
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-ALGORITHMS = ("ppo", "central-ppo", "sac")
+ALGORITHMS = ("ppo", "ippo", "mappo", "central-ppo", "sac")
 
 CLONED = "cloned from certified controllers"
 """The help that a warm start is."""
@@ -90,11 +92,13 @@ class Training:
     help: str = ""
 
     def __repr__(self) -> str:
-        shapes = " x ".join(str(bias.size) for bias in self.actor.network.biases)
+        first, *others = networks_of(self.actor)
+        shapes = " x ".join(str(bias.size) for bias in first.biases)
+        each = " for each agent" if others else ""
         rows = [
             ("trained", f"{counted(self.steps, 'world step')} in {self.seconds:.1f} s, seed {self.seed}"),
             ("sees", self.information),
-            ("network", f"layers of {shapes} numbers, {self.actor.network.activation}"),
+            ("network", f"layers of {shapes} numbers, {first.activation}{each}"),
         ]
         if self.curve:
             rows.append(("success", f"{self.curve[-1]['success']:.3f} while exploring, at the end of the training"))
@@ -157,7 +161,7 @@ def train(
     Parameters
     ----------
     problem : Problem, id or path
-    algorithm : "ppo", "central-ppo" or "sac"
+    algorithm : "ppo", "ippo", "mappo", "central-ppo" or "sac"
     steps : int, optional
         World steps of all worlds together; default: see ``settings.toml``. The learner finishes the round in which it
         reaches them.
@@ -171,8 +175,9 @@ def train(
         Called with the world steps taken since the last call and the latest success rate.
     **settings
         Values that replace those of ``settings.toml``: ``worlds`` side by side, ``reward`` ("sparse", "shaped" or
-        "progress", for all of the training), ``spread``, ``learning_rate``, ``deviation``, ``hidden``; ``device``; and
-        whatever the learner of Stable-Baselines3 takes.
+        "progress", for all of the training), ``spread``, ``learning_rate``, ``deviation``, ``hidden``; ``device``;
+        ``seconds`` after which to stop (cloning comes before; the result then depends on the machine); and whatever the
+        learner of Stable-Baselines3 takes.
 
     Raises
     ------
@@ -181,7 +186,7 @@ def train(
     """
     problem = as_problem(problem)
     _check(algorithm, seed, warm_start, resume, steps=steps, worlds=settings.get("worlds"))
-    view: View = SharedView(problem) if algorithm == "ppo" else CentralView(problem)
+    view = view_of(problem, algorithm)
     before = None if resume is None else _record(Path(resume), problem, algorithm)
     if before is not None:
         settings = {"hidden": before["settings"]["hidden"], **settings}
@@ -201,6 +206,13 @@ def train(
     return Training(
         problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, used.to_dict(), model, helped
     )
+
+
+def view_of(problem: Problem, algorithm: str) -> View:
+    """Return what the learner of an algorithm sees."""
+    views = {"ppo": SharedView, "ippo": SharedView, "mappo": TeamView}
+    view: View = views.get(algorithm, CentralView)(problem)
+    return view
 
 
 def certificate_of(problem: Problem, given: Any) -> Certificate | ProductCertificate:
@@ -236,9 +248,16 @@ def _best(model: Any, view: View, settings: Settings, watcher: Any, seed: int, s
     best, best_score, numbers = actor_now(model, view), -1.0, numbers_of(model)
     if start_counts:  # a clone may be best of all; an untrained network is none
         best_score = score(view.problem, best, judge)
+    share = 0.0
     for number, phase in enumerate(settings.phases):
+        # Time is shared out as steps are, so that the last phase, which learns the task itself, has its turn.
+        share += phase.share
+        if settings.seconds is not None:
+            watcher.deadline = watcher.began + share * settings.seconds
         enter(model, view, settings, phase, seed + number)
         for steps, rates in _pieces(phase, settings):
+            if time.perf_counter() >= watcher.deadline:
+                break
             learn(model, view, steps, rates, watcher)
             actor = actor_now(model, view)
             now = score(view.problem, actor, judge)
@@ -277,7 +296,7 @@ def _check(algorithm: str, seed: int, warm_start: Any, resume: Any, **counts: in
     if algorithm not in ALGORITHMS:
         raise ValueError(f"`algorithm`: expected {', '.join(map(repr, ALGORITHMS))}, got {algorithm!r}")
     if warm_start is not None and algorithm == "sac":
-        raise ValueError("`warm_start`: expected only with 'ppo' or 'central-ppo'; SAC has no actor that clones fit")
+        raise ValueError("`warm_start`: expected only with learners of PPO; SAC has no actor that clones fit")
     if warm_start is not None and resume is not None:
         raise ValueError("`resume`: expected without `warm_start`; a learner that goes on is not cloned again")
     checked_count(seed, "seed", least=0)

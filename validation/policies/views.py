@@ -2,6 +2,7 @@
 
 ``SharedView``   one row per world and agent: the agent's state, the automaton state, the time left, and which agent it
                  is (one-hot), so that one network serves all agents. Certified policies have the same information.
+``TeamView``     the same rows, followed by the states of all agents, which only a critic may see.
 ``CentralView``  one row per world: the states of all agents, the automaton state, the time left.
 
 States are moved into the workspace and scaled to [-1, 1]; the states of agents with fewer components are filled up with
@@ -127,7 +128,29 @@ class CentralView:
         return np.ones((1, self.n_actions), dtype=bool)
 
 
+@dataclass(frozen=True, eq=False)
+class TeamView(SharedView):
+    """The rows of ``SharedView``, each followed by the states of all agents: these are for the critic alone."""
+
+    @property
+    def seen(self) -> int:
+        """Numbers at the beginning of a row that the actor sees."""
+        return SharedView(self.problem).size
+
+    @property
+    def size(self) -> int:
+        """Numbers per row."""
+        return self.seen + self.problem.n_states
+
+    def observations(self, joint: Array, q: Array, time: Array) -> NDArray[np.float32]:
+        """Return rows (M * agents, size) at joint states (M, D)."""
+        own = SharedView(self.problem).observations(joint, q, time)
+        states = CentralView(self.problem).observations(joint, q, time)[:, : self.problem.n_states]
+        return np.concatenate([own, np.repeat(states, self.rows, axis=0)], axis=1)
+
+
 View = SharedView | CentralView
+"""Of a decentralised policy (``TeamView`` is one, too), or of one that sees all states."""
 
 
 def inputs_of(agent: LinearAgent, actions: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from .chunks import ChunkResult, Frame, chunks_of, frames, paths
 from .cluster import DaskExecutor, executor_for
-from .loop import Batchable, BatchPolicy, Loop
+from .loop import CHUNK, Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
 from .report_text import INTERRUPTED, Rows, html_table, labelled_lines
 from .rollouts import Rollouts, rollout, stream
@@ -12,6 +12,7 @@ from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 __all__ = [
     "BatchPolicy",
     "Batchable",
+    "CHUNK",
     "ChunkResult",
     "DaskExecutor",
     "Executor",

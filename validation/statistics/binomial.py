@@ -15,11 +15,12 @@ most half of that. Many claims at once go through ``holm``: the claims form one 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betainc, betaincinv
+from scipy.special import betainc, betaincinv, stdtrit
 
 CONFIRMED, CONSISTENT, REFUTED = "confirmed", "consistent", "refuted"
 
@@ -85,6 +86,35 @@ def paired_difference(only_first: int, only_second: int, episodes: int, confiden
     halved = 0.5 * (1.0 + confidence)  # half of the error for each of the two probabilities
     first, second = (clopper_pearson(count, episodes, halved) for count in (only_first, only_second))
     return first[0] - second[1], first[1] - second[0]
+
+
+def mean_limits(rates: Sequence[float], confidence: float) -> tuple[float, float]:
+    """Return approximate two-sided limits of a mean, for success rates of several trainings: Student's, within [0, 1].
+
+    They hold exactly only for normal numbers. With few trainings that fail or succeed altogether, they may miss the
+    mean more often than said. Limits that hold for all distributions say nothing with a handful of numbers.
+
+    Parameters
+    ----------
+    rates : sequence of float
+        At least two, between 0 and 1.
+    confidence : float
+        Strictly between 0 and 1.
+
+    Examples
+    --------
+    The quantile of Student's distribution with two degrees of freedom is 4.303 at 97.5 %.
+
+    >>> low, high = mean_limits([0.4, 0.5, 0.6], 0.95)
+    >>> round(low, 3), round(high, 3)
+    (0.252, 0.748)
+    """
+    check_confidence(confidence)
+    if len(rates) < 2:
+        raise ValueError(f"`rates`: expected at least two, got {len(rates)}")
+    reach = float(stdtrit(len(rates) - 1, 0.5 * (1.0 + confidence))) * np.std(rates, ddof=1) / np.sqrt(len(rates))
+    mean = float(np.mean(rates))
+    return max(0.0, mean - float(reach)), min(1.0, mean + float(reach))
 
 
 def check_confidence(confidence: float) -> None:

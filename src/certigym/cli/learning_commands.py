@@ -1,4 +1,4 @@
-"""The commands about learned and given policies: ``train``, ``compare``, ``certify``."""
+"""The commands about policies: ``train``, ``probe``, ``leaderboard``, ``record``, ``compare``, ``certify``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 
 from tqdm import tqdm
 
+from ..envs.agents import counted, write_json, write_text
 from ..envs.problem import Problem
+from ..envs.suite import as_problem
 from ..synthesis.certificates import load_certificate, save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
@@ -17,14 +19,26 @@ from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
 from ..validation.policies import (
     ALGORITHMS,
+    LEARNERS,
     IdleController,
+    Leaderboard,
     NotAnActor,
     RandomController,
+    Sources,
+    Standing,
     certificate_of,
+    given,
+    judged,
+    judging_plan,
+    label_of,
     load_actor,
+    page_of,
 )
 from ..validation.policies import compare as compare_policies
+from ..validation.policies import leaderboard as fill_leaderboard
 from ..validation.policies import probe as probe_certificate
+from ..validation.policies import record as record_episodes
+from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, show
 from .work import trained, trials
 
@@ -37,6 +51,8 @@ def train(options: Namespace) -> int:
     chosen = {name: getattr(options, name) for name in ("worlds", "reward", "warm_start", "resume")}
     if options.warm_start is not None:  # one certificate for all seeds
         chosen["warm_start"] = certificate_of(problem, options.warm_start)
+    drawn = chosen["warm_start"] or options.bound
+    bound = certificate_of(problem, drawn).lower_bound if drawn and options.plot else None
     trainings, texts = [], []
     for seed in seeds:
         training = trained(problem, options.algo, options.steps, seed, **chosen)
@@ -49,7 +65,7 @@ def train(options: Namespace) -> int:
             f"success while exploring {last:.3f}; saved to {folder}"
         )
     if options.plot:
-        draw_curves(trainings, options.plot)
+        draw_curves(trainings, options.plot, bound)
     texts += [f"agents see: {trainings[0].information}", f"settings: {trainings[0].settings}"]
     data: Any = trainings[0].to_dict()
     if len(seeds) > 1:
@@ -80,6 +96,74 @@ def probe(options: Namespace) -> int:
     if options.out:
         found.save_actor(options.out)
     show(options, found, found.to_dict())
+    return 0
+
+
+def leaderboard(options: Namespace) -> int:
+    """Fill what the leaderboard does not hold yet; page and JSON are written after each row."""
+    page = Path(options.out)
+    table = page.with_suffix(".json")
+    board = Leaderboard.load(table) if table.is_file() else Leaderboard()
+
+    def finished(filled: Leaderboard, row: Standing) -> None:
+        write_json(table, filled.to_dict())
+        write_text(page, page_of(filled))
+        seconds = "" if row.seconds is None else f", {row.seconds:.0f} s"
+        if options.json != "-":
+            print(f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}]{seconds}", flush=True)
+
+    with trials(options) as plan:
+        if options.add:
+            board = _with_own_row(board, options, plan, finished)
+        else:
+            sources = Sources(
+                _made(options.certificates), _made(options.learners), options.seconds, tuple(options.train_seeds)
+            )
+            policies = options.policies.split(",")
+            board = fill_leaderboard(
+                options.ids or None, policies, plan, sources=sources, board=board, finished=finished
+            )
+    show(options, f"{counted(len(board.rows), 'row')} in {page} and {table}", board.to_dict())
+    return 0
+
+
+def _with_own_row(board: Leaderboard, options: Namespace, plan: Any, finished: Any) -> Leaderboard:
+    """Return the leaderboard with the row of a policy that somebody gives."""
+    name, _, file = options.add.partition("=")
+    if not name or not file or len(options.ids) != 1:
+        raise ValueError(f"`--add`: expected one ID and NAME=POLICY, got {options.ids} and {options.add!r}")
+    if name in ("certified", "probe", "random", *LEARNERS):
+        raise ValueError(f"`--add`: expected a name that is not a column of its own, got {name!r}")
+    problem, settled = as_problem(options.ids[0]), judging_plan(planned(plan, {}, options.episodes))
+    row = judged(label_of(options.ids[0]), name, given(problem, name, _policy_of_file(problem, file)), settled)
+    board = board.with_row(row)
+    finished(board, row)
+    return board
+
+
+def _made(folder: str | None) -> Path | None:
+    """Return a folder, which is made if there is none."""
+    if folder is None:
+        return None
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    return Path(folder)
+
+
+def record(options: Namespace) -> int:
+    """Write episodes of a policy, and say how many of them satisfied the task."""
+    problem = problem_of(options)
+    policy = _policy(problem, options.policy, options)
+    found = record_episodes(problem, policy, options.episodes, options.seed)
+    found.save(options.out)
+    if options.minari:
+        found.to_minari(options.minari)
+    facts = {"problem": problem.name, "fingerprint": problem.fingerprint, "seed": found.seed}
+    counts = {
+        "episodes": len(found.lengths),
+        "satisfied": int(found.satisfied.sum()),
+        "steps": int(found.lengths.sum()),
+    }
+    show(options, found, {**facts, **counts, "information": found.information})
     return 0
 
 

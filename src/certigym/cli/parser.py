@@ -33,6 +33,8 @@ MODULES = {
     "report": "validation_commands",
     "train": "learning_commands",
     "probe": "learning_commands",
+    "leaderboard": "learning_commands",
+    "record": "learning_commands",
     "compare": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
@@ -51,7 +53,9 @@ KINDS = {
 }
 """The figures that ``plot`` draws."""
 
-POLICIES = "certified, ppo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+POLICIES = (
+    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+)
 """The words for policies on the command line."""
 
 
@@ -65,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_synthesis(commands)
     _add_validation(commands)
     _add_learning(commands)
+    _add_leaderboard(commands)
     _add_comparing(commands)
     _add_pictures(commands)
     for command in commands.choices.values():
@@ -149,9 +154,10 @@ def _add_learning(commands: Any) -> None:
     add_problem(train)
     train.add_argument(
         "--algo",
-        choices=["ppo", "central-ppo", "sac"],
+        choices=["ppo", "ippo", "mappo", "central-ppo", "sac"],
         default="ppo",
-        help="ppo: decentralised, one network for all agents (default); the others see the states of all agents",
+        help="decentralised: ppo (default: one network for all agents), ippo (one for each), mappo (a central critic); "
+        "central-ppo and sac see the states of all agents",
     )
     train.add_argument("--steps", type=int, metavar="N", help="world steps (default: by algorithm)")
     train.add_argument("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: 0)")
@@ -172,6 +178,9 @@ def _add_learning(commands: Any) -> None:
     )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
     add_picture(train, "the training curve")
+    train.add_argument(
+        "--bound", metavar="certificate|CERT", help="certificate whose bound --plot draws (default: of --warm-start)"
+    )
 
     probe = commands.add_parser(
         "probe", help="let a learner that starts from the certified controllers try to beat them"
@@ -186,8 +195,42 @@ def _add_learning(commands: Any) -> None:
     add_trials(probe, 20_000, " that judge")
 
 
+def _add_leaderboard(commands: Any) -> None:
+    """Add the command that fills the leaderboard."""
+    board = commands.add_parser("leaderboard", help="judge every policy on every problem, and write page and JSON")
+    board.add_argument("ids", metavar="ID", nargs="*", help="suite ids or TOML files (default: the suite)")
+    board.add_argument(
+        "--out", metavar="PAGE", default="leaderboard.md", help="page to write or to go on with; beside it the JSON"
+    )
+    board.add_argument(
+        "--policies",
+        default="certified,probe,ppo,warm-ppo,sac,random",
+        metavar="LIST",
+        help="columns to fill, separated by commas; also central-ppo, ippo, mappo (default: %(default)s)",
+    )
+    board.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="for each learner that is trained (default: 60)"
+    )
+    board.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
+    board.add_argument("--certificates", metavar="DIR", help="folder with ID.npz: read if there, else written")
+    board.add_argument("--learners", metavar="DIR", help="folder with ID/POLICY/seed-S: read if there, else written")
+    board.add_argument("--add", metavar="NAME=POLICY", help="judge an own policy: actor, certificate or FILE.py:NAME")
+    add_trials(board, 20_000, " per policy")
+
+
 def _add_comparing(commands: Any) -> None:
-    """Add the commands that compare and certify policies."""
+    """Add the commands that record, compare and certify policies."""
+    record = commands.add_parser("record", help="write episodes of a policy as arrays, or as a Minari dataset")
+    add_problem(record)
+    record.add_argument("--policy", required=True, metavar="POLICY", help=POLICIES)
+    record.add_argument("--episodes", type=int, default=1000, metavar="M", help="episodes (default: 1000)")
+    record.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
+    record.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
+    record.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
+    add_models(record)
+    record.add_argument("--out", metavar="DATA", required=True, help="file to write (.npz)")
+    record.add_argument("--minari", metavar="NAME", help="also write this Minari dataset (needs certigym[data])")
+
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
     compare.add_argument(

@@ -1,0 +1,188 @@
+"""The batched environment of a team: one array per agent, M worlds in one step, for learners with loops of their own.
+
+Worlds, rewards and ends are those of `ProblemVectorEnv`, which makes one array of all agents. Here each agent gets an
+array of its own, in the form that networks like, and nothing is made that a learner does not read; so a step costs
+little more than the dynamics.
+
+A world that ends begins anew in the same step: the observations are those of the new episode, `terminated`, `truncated`
+and `satisfied` speak of the old one. The horizon is an end like any other, since agents see the time left; a learner
+needs no value of what comes after it, and so no last observation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..dynamics import Dynamics
+from ..dynamics import worlds as core
+from ..problem import Problem
+from .observation import checked_option
+from .vector_env import ProblemVectorEnv
+
+OBSERVATIONS = ("own", "joint")
+SCALES = ("unit", "raw")
+AUTOMATON = ("one-hot", "number", "hidden")
+
+
+@dataclass(frozen=True, eq=False)
+class TeamStep:
+    """What a step of M worlds returns.
+
+    Parameters
+    ----------
+    observations : dict from agent name to (M, k) float32 array
+        Of the episodes that go on or have just begun.
+    rewards : (M,) array
+        One for the team.
+    terminated, truncated, satisfied : (M,) bool arrays
+        Whether an episode has ended by a verdict, or at the horizon; and whether an ended one satisfied its task.
+    automaton_state, time_left : (M,) int arrays
+        Of the episodes that go on or have just begun; time in control steps.
+    """
+
+    observations: dict[str, np.ndarray]
+    rewards: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    satisfied: np.ndarray
+    automaton_state: np.ndarray
+    time_left: np.ndarray
+
+    @property
+    def ended(self) -> np.ndarray:
+        """Whether an episode has ended in this step, (M,) bool."""
+        return self.terminated | self.truncated
+
+
+class TeamEnv:
+    """A batch of worlds with one array per agent; see the module docstring.
+
+    Parameters
+    ----------
+    problem : Problem
+        Ids and files are taken by `certigym.team_env`.
+    num_envs : int
+        Number of worlds M.
+    observation : "own" or "joint"
+        The state of the agent itself (what certified policies see), or the states of all agents in order.
+    scale : "unit" or "raw"
+        States moved into the workspace and scaled to [-1, 1], or as they are.
+    automaton : "one-hot", "number" or "hidden"
+        How the automaton state stands in an observation.
+    reward, discount, actions, spread
+        As for `vector_env`.
+
+    Examples
+    --------
+    >>> import certigym as cg
+    >>> team = TeamEnv(cg.make_problem("reach-avoid-v0"), 1000)
+    >>> first = team.reset(seed=0)
+    >>> step = team.step({name: np.zeros((1000, 1)) for name in team.agents})
+    >>> step.observations["agent_0"].shape, step.rewards.shape
+    ((1000, 5), (1000,))
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        num_envs: int = 1,
+        *,
+        observation: str = "own",
+        scale: str = "unit",
+        automaton: str = "one-hot",
+        actions: str = "unit",
+        **options: Any,
+    ) -> None:
+        self._batch = ProblemVectorEnv(problem, num_envs, autoreset_mode="SameStep", actions=actions, **options)
+        self.problem, self.num_envs, self.agents = self._batch.problem, num_envs, tuple(problem.agent_names)
+        self._observation = checked_option(observation, "observation", OBSERVATIONS)
+        self._scale = checked_option(scale, "scale", SCALES)
+        self._automaton = checked_option(automaton, "automaton", AUTOMATON)
+        self._is_unit = actions == "unit"
+        self._dynamics = Dynamics.of(self.problem)
+        # Where an agent stands: its block, and its place in the block.
+        places = {int(i): (b, k) for b, block in enumerate(self._dynamics.blocks) for k, i in enumerate(block.agents)}
+        self._places = [places[i] for i in range(problem.n_agents)]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> TeamStep:
+        """Begin episodes in all worlds; seed and options are those of `vector_env`."""
+        self._batch.reset(seed=seed, options=options)
+        nothing = np.zeros(self.num_envs, dtype=bool)
+        return self._told(np.zeros(self.num_envs), (nothing, nothing, nothing))
+
+    def step(self, actions: Mapping[str, Any]) -> TeamStep:
+        """Advance all worlds one control step, with actions (M, m) for each agent by name.
+
+        Raises
+        ------
+        RuntimeError
+            Before the first `reset`.
+        ValueError
+            If actions are missing, have the wrong shape or are not finite.
+        """
+        rewards, terminated, truncated = self._batch.advance(self._inputs(actions))
+        ended = terminated | truncated
+        satisfied = ended
+        if ended.any():
+            satisfied = ended & np.asarray(core.satisfied(self._dynamics, self._batch.worlds))
+            self._batch.renew()
+        return self._told(rewards, (terminated, truncated, satisfied))
+
+    def _inputs(self, actions: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
+        """Return the inputs (m, n, M) per block, clipped to the input boxes."""
+        result = [np.empty((*block.input_low.shape[:2], self.num_envs)) for block in self._dynamics.blocks]
+        for name, (block, place) in zip(self.agents, self._places, strict=True):
+            given = np.asarray(actions.get(name, ()), dtype=np.float64)
+            shape = (self.num_envs, result[block].shape[0])
+            if given.shape != shape:
+                raise ValueError(f"`actions`: expected numbers of shape {shape} for {name!r}, got {given.shape}")
+            result[block][:, place] = given.T
+        for box, u in zip(self._dynamics.blocks, result, strict=True):
+            if not np.isfinite(u).all():
+                raise ValueError("`actions`: expected finite numbers")
+            if self._is_unit:
+                np.clip(u, -1.0, 1.0, out=u)
+                u *= 0.5 * box.input_high - 0.5 * box.input_low
+                u += 0.5 * box.input_low + 0.5 * box.input_high
+            np.clip(u, box.input_low, box.input_high, out=u)
+        return tuple(result)
+
+    def _told(self, rewards: np.ndarray, ends: tuple[np.ndarray, np.ndarray, np.ndarray]) -> TeamStep:
+        """Return the record of a step."""
+        worlds = self._batch.worlds
+        time = np.broadcast_to(np.asarray(worlds.time), (self.num_envs,))
+        return TeamStep(self._observed(), rewards, *ends, worlds.q.copy(), self.problem.horizon - time)
+
+    def _observed(self) -> dict[str, np.ndarray]:
+        """Return the observations: states, automaton state, share of time left."""
+        worlds, tail = self._batch.worlds, self._tail()
+        states = [self._scaled(block, x) for block, x in zip(self._dynamics.blocks, worlds.states, strict=True)]
+        own = [states[block][:, place] for block, place in self._places]
+        if self._observation == "joint":
+            common = np.concatenate([*own, tail]).T
+            return dict.fromkeys(self.agents, common)
+        # Worlds are the last axis in memory: each array is a transposed view of one that is written row by row.
+        return {name: np.concatenate([x, tail]).T for name, x in zip(self.agents, own, strict=True)}
+
+    def _scaled(self, block: Any, x: np.ndarray) -> np.ndarray:
+        """Return the states (d, n, M) of a block as observations show them, float32."""
+        if self._scale == "raw":
+            return x.astype(np.float32)
+        low, high = block.state_low, block.state_high
+        seen = (x - low) * (2.0 / (high - low)) - 1.0
+        # NaN counts as the lower corner, as in all observations.
+        return np.fmin(np.fmax(seen, -1.0), 1.0).astype(np.float32)
+
+    def _tail(self) -> np.ndarray:
+        """Return what all agents of a world see, (k, M) float32: the automaton state, and the share of time left."""
+        worlds, count = self._batch.worlds, self.problem.automaton.n_states
+        left = 1.0 - np.broadcast_to(np.asarray(worlds.time), (1, self.num_envs)) / self.problem.horizon
+        if self._automaton == "one-hot":
+            seen = worlds.q == np.arange(count)[:, None]
+        else:
+            seen = worlds.q[None, :] if self._automaton == "number" else np.zeros((0, self.num_envs))
+        return np.concatenate([seen, left]).astype(np.float32)

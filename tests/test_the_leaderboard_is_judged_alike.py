@@ -1,0 +1,130 @@
+"""The leaderboard reads what is there, makes what is missing, judges all by the same episodes, and goes on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.baselines import Leaderboard, RandomController, Sources
+from certigym.cli.main import main
+from certigym.validation.policies import imitation, page_of, probing
+from certigym.validation.policies.standings import judging_plan, mean_progress
+from certigym.validation.simulation import planned
+from certigym.validation.statistics import clopper_pearson
+
+RA2 = cg.make_problem("reach-avoid-v0")
+POLICY = """
+def towards(x, q, t):
+    return -x
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the certificate of the small problem."""
+    place: Path = tmp_path_factory.mktemp("certificates")
+    cg.save_certificate(cg.synthesize(RA2, 60, relation="exact").certificate, place / "reach-avoid-v0.npz")
+    return place
+
+
+def test_rows_hold_what_rollouts_say(folder: Path) -> None:
+    board = cg.leaderboard(["reach-avoid-v0"], ["certified", "random"], 500, sources=Sources(folder), seed=4)
+    plan = judging_plan(planned(500, {"seed": 4}, 500))
+    assert plan.seed != 4, "judging has episodes of its own"
+    held = cg.load_certificate(folder / "reach-avoid-v0.npz")
+    for row, policy in zip(board.rows, (held, RandomController()), strict=True):
+        successes = cg.rollout(RA2, policy, plan).successes
+        assert row.successes == (successes,) and row.rate == successes / 500
+        assert (row.low, row.high) == clopper_pearson(successes, 500, 0.999)
+    assert board.rows[0].lower_bound == held.lower_bound and board.rows[1].lower_bound is None
+
+
+@pytest.mark.parametrize("id", ["reach-avoid-v0", "invariance-v0"])
+def test_the_return_is_that_of_the_environment(id: str) -> None:
+    """The environment's rewards, summed over the same inputs and noise, against the difference of levels."""
+    envs = cg.vector_env(id, 400, reward="progress", autoreset_mode="Disabled", actions="unit")
+    envs.reset(seed=0)
+    total, ended, rng = np.zeros(400), np.zeros(400, dtype=bool), np.random.default_rng(1)
+    for _ in range(cg.make_problem(id).horizon):
+        actions = rng.uniform(-1, 1, envs.action_space.shape)
+        _, rewards, terminated, truncated, _ = envs.step(actions)
+        total += np.where(ended, 0.0, rewards)
+        ended |= terminated | truncated
+        if ended.all():
+            break
+        envs._ended[:] = False  # ended worlds may go on: their rewards no longer count
+    ours = mean_progress(cg.make_problem(id), RandomController(), 7, 400)
+    # Other noise: the means differ by chance, at five standard errors of either (false alarm below 1e-6 for both ids).
+    assert abs(ours - total.mean()) < 5.0 * total.std() * np.sqrt(2.0 / 400) + 1e-9
+
+
+def test_a_leaderboard_goes_on_and_an_older_problem_does_not_count(folder: Path) -> None:
+    seen: list[str] = []
+    options: dict[str, Any] = {"sources": Sources(folder), "finished": lambda _, row: seen.append(row.policy)}
+    first = cg.leaderboard(["reach-avoid-v0"], ["random"], 200, **options)
+    more = cg.leaderboard(["reach-avoid-v0"], ["random", "certified"], 200, board=first, **options)
+    assert seen == ["random", "certified"] and [row.policy for row in more.rows] == ["certified", "random"]
+    stale = Leaderboard((replace(first.rows[0], fingerprint="older"),))
+    again = cg.leaderboard(["reach-avoid-v0"], ["random"], 200, board=stale, **options)
+    assert again.rows == first.rows and seen[-1] == "random" and len(seen) == 3
+    assert len(repr(more).splitlines()) <= 4
+    with pytest.raises(ValueError, match="`policies`: expected 'certified', 'probe'"):
+        cg.leaderboard(["reach-avoid-v0"], ["best"], 200)
+
+
+def test_the_command_writes_page_and_json_and_takes_a_submission(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, own = tmp_path / "board.md", tmp_path / "own.py"
+    own.write_text(POLICY)
+    words = ["leaderboard", "reach-avoid-v0", "--out", str(page), "--episodes", "200"]
+    assert main([*words, "--policies", "certified,random", "--certificates", str(folder)]) == 0
+    assert main([*words, "--add", f"mine={own}:towards"]) == 0
+    assert "reach-avoid-v0: mine " in capsys.readouterr().out
+    board = Leaderboard.load(page.with_suffix(".json"))
+    assert board.policies == ("certified", "mine", "random")
+    text = page.read_text()
+    assert text == page_of(board) and "| id | at least | certified | mine | random |" in text
+    assert main([*words, "--add", f"certified={own}:towards"]) == 2
+    assert main([*words, "--add", "mine"]) == 2
+    (tmp_path / "other.json").write_text(json.dumps({"rows": [1]}))
+    with pytest.raises(ValueError, match="expected the JSON of a leaderboard"):
+        Leaderboard.load(tmp_path / "other.json")
+
+
+def test_printed_bounds_hold(folder: Path) -> None:
+    row = cg.leaderboard(["reach-avoid-v0"], ["certified"], 200, sources=Sources(folder)).rows[0]
+    text = page_of(Leaderboard((replace(row, lower_bound=0.99999, low=0.99999, high=0.00001),)))
+    assert "| 0.9999 |" in text and "[0.9999, 0.0001]" in text
+
+
+@pytest.mark.slow
+def test_learners_are_made_within_their_budget_and_kept(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
+    monkeypatch.setattr(imitation, "ROUNDS", 200)
+    monkeypatch.setattr(probing, "CHOOSING", 200)
+    policies = ["probe", "ppo", "warm-ppo", "sac"]
+    sources = Sources(folder, tmp_path, seconds=0.5, seeds=(0, 1))
+    board = cg.leaderboard(["reach-avoid-v0"], policies, 300, sources=sources)
+    assert [row.policy for row in board.rows] == policies
+    for row in board.rows:
+        assert row.seeds == (0, 1) and len(row.successes) == 2 and row.steps and row.seconds
+        assert ("cloned" in row.information) == (row.policy in ("probe", "warm-ppo"))
+    # What was kept is read, not made again: the same actors, the same rows.
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("actor.npz")}
+    assert len(before) == 8
+    again = cg.leaderboard(["reach-avoid-v0"], policies, 300, sources=sources)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("actor.npz")} == before
+    assert [row.successes for row in again.rows] == [row.successes for row in board.rows]
+    record = next(tmp_path.rglob("ppo/seed-0/training.json"))
+    record.write_text(record.read_text().replace(RA2.fingerprint, "0" * 64))
+    with pytest.raises(ValueError, match="another version"):
+        cg.leaderboard(["reach-avoid-v0"], ["ppo"], 300, sources=sources)

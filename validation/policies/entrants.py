@@ -1,0 +1,174 @@
+"""Who takes part in the leaderboard: policies read from folders, or made within a budget and kept there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ...envs.agents import write_json
+from ...envs.problem import Problem
+from ...envs.suite import as_problem, problem_ids
+from ...synthesis.certificates import (
+    Certificate,
+    ProductCertificate,
+    Synthesis,
+    load_certificate,
+    save_certificate,
+)
+from ...synthesis.synthesize import synthesize
+from .actors import load_actor
+from .comparison import Contestant, contestants_of
+from .probing import Probe, probe
+from .rollout_policies import RandomController
+from .training import CLONED, Training, certificate_of, train
+
+LEARNERS: dict[str, tuple[str, bool]] = {
+    "ppo": ("ppo", False),
+    "warm-ppo": ("ppo", True),
+    "ippo": ("ippo", False),
+    "mappo": ("mappo", False),
+    "central-ppo": ("central-ppo", False),
+    "sac": ("sac", False),
+}
+"""Learners by the name of their column: algorithm, and whether it starts from the certified controllers."""
+
+POLICIES = ("certified", "probe", "ppo", "warm-ppo", "sac", "random")
+"""The columns that are filled by default."""
+
+SECONDS = 60.0
+"""Default budget of each learner: small problems are learned in it; ``docs/learners.md`` gives them more."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where policies come from that are not given.
+
+    Parameters
+    ----------
+    certificates, learners : Path, optional
+        Folders to read from and to keep in.
+    seconds : float
+        Budget of each learner that is trained, and of each probe.
+    seeds : tuple of int
+        Training seeds.
+    """
+
+    certificates: Path | None = None
+    learners: Path | None = None
+    seconds: float = SECONDS
+    seeds: tuple[int, ...] = (0,)
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """A policy that takes part, and the world steps of its training, if it was trained."""
+
+    problem: Problem
+    contestant: Contestant
+    steps: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Entrants:
+    """The policies that take part on one problem."""
+
+    problem: Problem
+    label: str
+    sources: Sources
+
+    def of(self, policy: str) -> list[Entrant]:
+        """Return the policy of this name: one entrant, or one for each training seed."""
+        if policy == "certified":
+            certificate = self.certificate  # kept in its folder, if there is one
+            return given(self.problem, policy, self._synthesis or certificate)
+        if policy == "random":
+            return given(self.problem, policy, RandomController())
+        return [self._learned(policy, seed) for seed in self.sources.seeds]
+
+    @cached_property
+    def certificate(self) -> Certificate | ProductCertificate:
+        """The certificate in the folder, or the one of the defaults.
+
+        Raises
+        ------
+        ValueError
+            If the file is about another problem.
+        """
+        if self._synthesis is None:
+            return certificate_of(self.problem, load_certificate(str(self._certificate_file)))
+        if self._certificate_file is not None:
+            save_certificate(self._synthesis.certificate, self._certificate_file)
+        return self._synthesis.certificate
+
+    @cached_property
+    def _synthesis(self) -> Synthesis | None:
+        """The synthesis with the defaults, which knows its time; None if there is a file."""
+        if self._certificate_file is not None and self._certificate_file.is_file():
+            return None
+        return synthesize(self.problem)
+
+    @property
+    def _certificate_file(self) -> Path | None:
+        folder = self.sources.certificates
+        return None if folder is None else folder / f"{self.label}.npz"
+
+    def _learned(self, policy: str, seed: int) -> Entrant:
+        """Return one trained actor, from its folder if it is there."""
+        folder = self.sources.learners
+        place = None if folder is None else folder / self.label / policy / f"seed-{seed}"
+        if place is not None and (place / "actor.npz").is_file():
+            return saved(self.problem, policy, place)
+        if policy == "probe":
+            found = probe(self.problem, self.certificate, seconds=self.sources.seconds, seed=seed)
+            return _probed(self.problem, found, seed, place)
+        algorithm, is_helped = LEARNERS[policy]
+        start = self.certificate if is_helped else None
+        training = train(self.problem, algorithm, seed=seed, warm_start=start, seconds=self.sources.seconds)
+        if place is not None:
+            training.save(place)
+        return given(self.problem, policy, training)[0]
+
+
+def label_of(given: Any) -> str:
+    """Return the name of a problem in the leaderboard: the id of the suite, under which pages and files are found."""
+    return given if isinstance(given, str) and given in problem_ids() else as_problem(given).name
+
+
+def given(problem: Problem, name: str, policy: Any) -> list[Entrant]:
+    """Return a policy in any form that ``compare`` takes as an entrant, a sequence as one for each element."""
+    steps = policy.steps if isinstance(policy, Training) else None
+    return [Entrant(problem, contestant, steps) for contestant in contestants_of(problem, name, policy)]
+
+
+def saved(problem: Problem, name: str, folder: Path) -> Entrant:
+    """Return the actor in a folder that ``Training.save`` has written, or that of a probe.
+
+    Raises
+    ------
+    ValueError
+        If the actor or its record does not fit the problem.
+    """
+    actor, record = load_actor(folder / "actor.npz", problem), folder / "training.json"
+    facts = json.loads(record.read_text(encoding="utf-8"))
+    if facts["fingerprint"] != problem.fingerprint:
+        raise ValueError(f"`{record}`: expected a training on this {problem.name!r}, got one on another version of it")
+    contestant = Contestant(
+        name, name, facts["information"], actor, seconds=float(facts["seconds"]), seed=int(facts["seed"])
+    )
+    return Entrant(problem, contestant, int(facts["steps"]))
+
+
+def _probed(problem: Problem, found: Probe, seed: int, place: Path | None) -> Entrant:
+    """Return what a probe found, and keep it beside its record."""
+    steps = sum(attempt.steps for attempt in found.attempts)
+    information = f"{found.information}; {CLONED}"
+    if place is not None:
+        place.mkdir(parents=True, exist_ok=True)
+        found.save_actor(place / "actor.npz")
+        record = {"fingerprint": problem.fingerprint, "information": information, "seed": seed}
+        write_json(place / "training.json", {**record, "steps": steps, "seconds": found.seconds})
+    contestant = Contestant("probe", "probe", information, found.actor, seconds=found.seconds, seed=seed)
+    return Entrant(problem, contestant, steps)

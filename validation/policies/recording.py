@@ -1,0 +1,235 @@
+"""Episodes of a policy as data: plain arrays in an ``.npz`` file, and a Minari dataset for offline learners.
+
+Episodes are those of ``rollout`` with the same seed and chunk, to the last bit: the successes of both agree. The file
+names the problem by its fingerprint, the policy by what its agents see, and the seed, so that it can be made again.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import counted, tree_text, write_bytes
+from ...envs.dynamics import Dynamics, Worlds, joint
+from ...envs.dynamics import worlds as core
+from ...envs.interfaces import CentralEnv
+from ...envs.problem import Problem
+from ...envs.suite import as_problem
+from ..simulation import CHUNK, BatchPolicy, Loop, chunks_of, frames
+from .comparison import contestants_of
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+
+Array = NDArray[Any]
+
+RECORDING_FORMAT = "certigym recording 1"
+"""Name and version of the file format."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """Episodes of one policy.
+
+    Parameters
+    ----------
+    problem : Problem
+    information : str
+        What the agents of the policy see.
+    seed, chunk : int
+        Of the rollouts.
+    lengths : (N,) int array
+        Control steps until the episode was decided; T at most.
+    decided, satisfied : (N,) bool arrays
+        Whether an episode ended by a verdict rather than at the horizon, and whether it satisfied the task.
+    states : (N, T + 1, D) array
+        Joint states, components in agent order; NaN after the end of an episode.
+    inputs : (N, T, m) array
+        Joint inputs as they act, clipped to the input box; NaN from the end on.
+    automaton_states : (N, T + 1) int array
+        -1 after the end.
+    """
+
+    problem: Problem
+    information: str
+    seed: int
+    chunk: int
+    lengths: Array
+    decided: Array
+    satisfied: Array
+    states: Array
+    inputs: Array
+    automaton_states: Array
+
+    def __repr__(self) -> str:
+        rows = [
+            ("satisfied", f"{self.satisfied.mean():.4f} of the episodes"),
+            ("steps", f"{int(self.lengths.sum())}"),
+            ("seed", f"{self.seed}, {counted(self.chunk, 'world')} per chunk"),
+            ("agents see", self.information),
+        ]
+        return tree_text(f"Recording of {self.problem.name!r}: {counted(len(self.lengths), 'episode')}", rows)
+
+    def save(self, path: str | Path) -> None:
+        """Write everything as ``.npz``; the facts that are no arrays are JSON in ``header``."""
+        facts = {
+            "format": RECORDING_FORMAT,
+            "problem": self.problem.name,
+            "fingerprint": self.problem.fingerprint,
+            "agents": list(self.problem.agent_names),
+            "horizon": self.problem.horizon,
+            "information": self.information,
+            "seed": self.seed,
+            "chunk": self.chunk,
+        }
+        names = ("lengths", "decided", "satisfied", "states", "inputs", "automaton_states")
+        arrays = {name: getattr(self, name) for name in names}
+        file = io.BytesIO()
+        np.savez_compressed(file, allow_pickle=False, header=np.array(json.dumps(facts)), **arrays)
+        write_bytes(path, file.getvalue())
+
+    def observations(self) -> Array:
+        """Return what `central_env` shows at each step, (N, T + 1, D + Q + 1): clipped states, automaton, time left."""
+        problem, (n, times, _) = self.problem, self.states.shape
+        low = np.concatenate([agent.state_low for agent in problem.agents])
+        high = np.concatenate([agent.state_high for agent in problem.agents])
+        left = np.broadcast_to(1.0 - np.arange(times) / problem.horizon, (n, times))[..., None]
+        one_hot = self.automaton_states[..., None] == np.arange(problem.automaton.n_states)
+        return np.concatenate([np.clip(self.states, low, high), one_hot, left], axis=2)
+
+    def to_minari(self, name: str) -> MinariDataset:
+        """Write a Minari dataset of the centralised environment with inputs as actions; return it.
+
+        Parameters
+        ----------
+        name : str
+            Such as "certigym/meeting/certified-v0"; Minari keeps datasets in the folder MINARI_DATASETS_PATH.
+
+        Raises
+        ------
+        ValueError
+            If Minari is not installed.
+        """
+        try:
+            import minari
+            from minari.data_collector import EpisodeBuffer
+        except ImportError as error:
+            raise ValueError('datasets of Minari need it: install "certigym[data]"') from error
+        env, seen, buffers = CentralEnv(self.problem, actions="input"), self.observations(), []
+        for k, length in enumerate(self.lengths.tolist()):
+            # The reward is 1 at the end of a satisfied episode; the horizon is a truncation, as in the environment.
+            marks = np.zeros((3, length), dtype=float)
+            marks[:, -1:] = [[self.satisfied[k]], [self.decided[k]], [not self.decided[k]]]
+            buffers.append(
+                EpisodeBuffer(
+                    id=k,
+                    observations=list(seen[k, : length + 1]),
+                    actions=list(self.inputs[k, :length]),
+                    rewards=marks[0].tolist(),
+                    terminations=marks[1].astype(bool).tolist(),
+                    truncations=marks[2].astype(bool).tolist(),
+                )
+            )
+        facts = f"{self.problem.name}, fingerprint {self.problem.fingerprint}, seed {self.seed}, chunk {self.chunk}"
+        return minari.create_dataset_from_buffers(
+            name,
+            buffers,
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            algorithm_name=self.information,
+            description=facts,
+        )
+
+
+def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:
+    """Return episodes of a policy as arrays.
+
+    Parameters
+    ----------
+    problem : Problem, id or path
+    policy : anything that ``compare`` takes
+        A certificate, a training, an actor, a controller, a function of own state, automaton state and time.
+    episodes, seed, chunk : int
+        As for ``rollout``, whose episodes these are.
+
+    Raises
+    ------
+    ValueError
+        If the policy has an unknown form, or if the problem decomposes into independent tasks.
+
+    Examples
+    --------
+    >>> import certigym as cg
+    >>> found = record("invariance-v0", lambda x, q, t: -0.5 * x, 100)
+    >>> found.states.shape, bool(found.satisfied.mean() > 0.9)
+    ((100, 8, 4), True)
+    """
+    problem = as_problem(problem)
+    if problem.groups:
+        count = len(problem.groups)
+        raise ValueError(f"`problem`: expected one task, got {count} independent ones; record each of `problem.tasks`")
+    contestant = contestants_of(problem, "policy", policy)[0]
+    loop = Loop(problem, contestant.controller, int(seed), chunk)
+    parts = [_chunk(loop, number, count) for number, count in chunks_of(episodes, chunk)]
+    arrays = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+    return Recording(problem, contestant.information, int(seed), chunk, *arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class _Listener:
+    """A policy that writes down the inputs that another one chooses."""
+
+    policy: BatchPolicy
+    heard: list[tuple[Array, ...]]
+
+    def begin(self, worlds: Worlds, rng: np.random.Generator) -> Any:
+        return self.policy.begin(worlds, rng)
+
+    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
+        inputs, memory = self.policy.act(worlds, memory)
+        self.heard.append(inputs)
+        return inputs, memory
+
+
+def _chunk(loop: Loop, number: int, count: int) -> tuple[Array, ...]:
+    """Return lengths, ends, verdicts, states, inputs and automaton states of the first ``count`` worlds of a chunk."""
+    problem, (dynamics, policy) = loop.problem, loop.arranged
+    listener, horizon = _Listener(policy, []), loop.problem.horizon
+    lengths = np.full(loop.chunk, horizon)
+    states = np.full((loop.chunk, horizon + 1, problem.n_states), np.nan)
+    inputs = np.full((loop.chunk, horizon, problem.n_inputs), np.nan)
+    automaton_states = np.full((loop.chunk, horizon + 1), -1)
+    ended = np.zeros(loop.chunk, dtype=bool)
+    satisfied = np.zeros(loop.chunk, dtype=bool)
+    for time, frame in enumerate(frames(loop, dynamics, listener, number)):
+        worlds, going = frame.worlds, ~ended
+        states[going, time], automaton_states[going, time] = joint(dynamics, worlds)[going], worlds.q[going]
+        now = going & (worlds.failed | problem.automaton.absorbing[worlds.q])
+        lengths[now], ended = time, ended | now
+        if time < len(listener.heard):  # an input was chosen for these worlds
+            inputs[~ended, time] = _joined(dynamics, listener.heard[time])[~ended]
+        satisfied = np.asarray(core.satisfied(dynamics, worlds))
+    return tuple(array[:count] for array in (lengths, ended, satisfied, states, inputs, automaton_states))
+
+
+def _joined(dynamics: Dynamics, inputs: tuple[Array, ...]) -> Array:
+    """Return the joint inputs (M, m), clipped to the input boxes."""
+    result = np.empty((inputs[0].shape[-1], dynamics.problem.n_inputs))
+    for columns, u in _columns(dynamics, inputs):
+        result[:, columns] = u.T
+    return result
+
+
+def _columns(dynamics: Dynamics, inputs: tuple[Array, ...]) -> Iterator[tuple[slice, Array]]:
+    """Yield the columns of each agent in joint inputs, and its inputs (m, M), clipped."""
+    for block, u in zip(dynamics.blocks, inputs, strict=True):
+        clipped = np.clip(u, block.input_low, block.input_high)
+        for place, agent in enumerate(block.agents):
+            yield dynamics.problem.input_columns[agent], clipped[:, place]
