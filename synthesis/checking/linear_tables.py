@@ -46,15 +46,15 @@ TOGETHER = 4
 ASIDE = 1e-12
 """Share of a step that may lie beside an axis without it being one in another direction; ``ROUNDING`` covers it."""
 
-ROUNDING = 9.9e-10
+ROUNDING = 3.99e-9
 """Share of the largest value that is taken off for rounding: derivatives, times the steps, are right to some 1e-13, and
 points that count as lattice points are off by ``ON_LATTICE``, which moves values by less than half of that."""
 
-ON_LATTICE = 1.05e-9
+ON_LATTICE = 4.00001e-9
 """Lattice steps within which a point counts as one of the lattice: a little more than for the search, so that no point
 is read here with the bends of more neighbours."""
 
-EVEN = 6e-10
+EVEN = 2.00001e-9
 """Lattice steps by which widths may differ for cells to count as equal, so that images lie on the lattice."""
 
 LONGEST = 1e6

@@ -27,7 +27,7 @@ from ..relations import LinearRelation
 from .box_choices import BoxChoices
 from .choices import InputMenu, StepPolicy, TargetWindows, target_windows
 
-ON_LATTICE = 1e-9
+ON_LATTICE = 4e-9
 """Share of a lattice step within which a point counts as one of the lattice; bends allow for it."""
 
 NUMBERS_AT_ONCE = 4_000_000

@@ -53,7 +53,7 @@ which computes them again, sees of a factor."""
 GROUP = 4
 """Neighbouring lattice points of an axis that share a window."""
 
-ROUNDING_OF_BENDS = 1e-9
+ROUNDING_OF_BENDS = 4e-9
 """Share of the largest value that is added to a bend: far above the rounding of sums. Points count as lattice points
 within as many lattice steps, too."""
 

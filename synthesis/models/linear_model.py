@@ -24,7 +24,7 @@ INPUT_LEVELS = {1: 33, 2: 11, 3: 5}
 BEYOND_GRID = 3.0
 """Standard deviations that means may lie outside the grid: from farther away hardly any mass comes back."""
 
-EVEN = 5e-10
+EVEN = 2e-9
 """Lattice steps by which the widths of an axis may differ for images to count as lying on the lattice."""
 
 LEAST_SLACK, LEAST_BEND = 1e-5, 1e-3
