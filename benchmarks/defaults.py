@@ -43,9 +43,9 @@ BEFORE = {
 HEAD = """# What the defaults certify
 
 Every problem of the suite with its id and no options (`certigym run ID`), beside version 0.1. Bounds are certified
-lower bounds, checked by `certigym check`; rollouts are the share of 20,000 episodes that satisfied the task; "any
-policy" is an upper bound on what any policy of the continuous system attains. Seconds are CPU seconds. Made by
-`python benchmarks/defaults.py`.
+lower bounds, checked by `certigym check`; rollouts are the share of 20,000 episodes that satisfied the task, an
+estimate with a standard error of up to .0035; "any policy" is an upper bound on what any policy of the continuous
+system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
 
 | id | 0.1 | certified | rollouts | any policy | relation | cells | rank | seconds | check |
 |---|---|---|---|---|---|---|---|---|---|
