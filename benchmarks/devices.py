@@ -20,7 +20,8 @@ from typing import Any
 import certigym as cg
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import Limits, Sweep, resting_policies, sweep
+from certigym.synthesis.search.ascent import Sweep, resting_policies, sweep
+from certigym.synthesis.search.limits import Limits
 from measuring import Rows, save, show
 from targets import DELIVERY_START
 

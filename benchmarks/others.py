@@ -23,7 +23,8 @@ from certigym.synthesis.bounds.dense import MAX_ENTRIES, dense_value
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
+from certigym.synthesis.search.ascent import resting_policies, sweep
+from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.values.terms import Terms
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import Explicit, chain_under, decision_process

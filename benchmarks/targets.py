@@ -27,7 +27,8 @@ from certigym.synthesis.controllers.controller import Controller
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import join, start_of
-from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
+from certigym.synthesis.search.ascent import resting_policies, sweep
+from certigym.synthesis.search.limits import Limits
 from certigym.validation.simulation.loop import CHUNK, BatchPolicy
 from measuring import Row, Rows, cpu, options, save, show
 

@@ -10,7 +10,8 @@ from certigym.synthesis.bounds.dense import dense_optimum, dense_value
 from certigym.synthesis.models.abstraction import AgentModel, abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import join
-from certigym.synthesis.search.ascent import Limits, resting_policies, sweep
+from certigym.synthesis.search.ascent import resting_policies, sweep
+from certigym.synthesis.search.limits import Limits
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at

@@ -17,8 +17,9 @@ from certigym.synthesis.choosing.given_start import policies_from
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
 from certigym.synthesis.models.joint import JointModel, join, start_of
-from certigym.synthesis.search.ascent import Limits, sweep
+from certigym.synthesis.search.ascent import sweep
 from certigym.synthesis.search.best_response import TIE
+from certigym.synthesis.search.limits import Limits
 from certigym.synthesis.search.policy_search import FINAL, Search, find_policies, perturbed
 from certigym.synthesis.search.relaxation import relax
 from certigym.synthesis.values.devices import UNIT

@@ -210,7 +210,9 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for q, rows in enumerate(start.terms.index):
         for row in rows:
             triples = zip(joint.models, start.terms.factors, row, strict=True)
-            shares = [model.summed(to_host(factors)[k]) > 0.0 for model, factors, k in triples]
+            # A point has one row, whatever side of a face its cell is looked up on.
+            masses = [model.summed(to_host(factors)[k]) for model, factors, k in triples]
+            shares = [(mass > 0.0) | point for mass in masses]
             worth = zip(joint.models, shares, known, hats, values, strict=True)
             total += math.prod(
                 float((spread(share * certain, model.grid.shape) * hat) @ value[q])

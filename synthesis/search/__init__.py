@@ -1,7 +1,8 @@
 """The search for policies: starts, coordinate ascent, relaxations."""
 
-from .ascent import Limits, Sweep, forward, start_value, sweep
+from .ascent import Sweep, forward, start_value, sweep
 from .best_response import best_choices
+from .limits import Limits
 from .policy_search import FINAL, MANY_TERMS, Found, Search, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relaxed_policies, upper_bound
 from .stationary import stationary_best

@@ -28,6 +28,7 @@ from ..models import JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
 from .ladder import Arrivals
+from .limits import Limits
 from .occupancy import push
 from .tree import Candidates, Loss, assemble, candidates, read, terminal_terms
 
@@ -83,28 +84,6 @@ def policies_text(policies: Policies, stationary: bool) -> str:
     times, states, _ = policies[0].shape
     cells = alike_text(str(policy.shape[-1]) for policy in policies)
     return f"{'stationary' if stationary else f'{times} times'}, {states} automaton states, cells: {cells}"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How much a sweep may leave out.
-
-    Parameters
-    ----------
-    contribution : float
-        Share of the value of one (time, state) that pruned terms may amount to.
-    elsewhere : float
-        A term is kept in spite of that if its share of the value averaged over all cells exceeds this.
-    mass : float
-        Share of the alive mass that may be dropped per step.
-    rank : int
-        Most terms per state, of the value and of the mass.
-    """
-
-    contribution: float = 1e-9
-    elsewhere: float = 1e-3
-    mass: float = 1e-9
-    rank: int = 400
 
 
 def resting_policies(joint: JointModel) -> Policies:

@@ -229,3 +229,12 @@ def _hull(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]
             inside[along[0] : along[-1] + 1] = True
         box &= inside.reshape([-1 if k == axis else 1 for k in range(len(shape))])
     return box.ravel()
+
+
+def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> dict[str, Policies]:
+    """Return policies that take the most likely way through the task, in several stagings (see ``paths``)."""
+    starts: dict[str, Policies] = {}
+    for likely in best_paths(joint, start, width=32, count=1):
+        for path in staged_paths(joint, likely):
+            starts[f"staged start {len(starts) + 1}"] = path_policies(joint, path, naive)
+    return starts

@@ -22,8 +22,9 @@ from ...envs.agents import checked_count, tree_text
 from ...envs.problem import Problem
 from ..models import JointModel, Policies, start_of
 from ..values import HOST, Occupancy
-from .ascent import Limits, Sweep, resting_policies, sweep
-from .paths import best_paths, path_policies, staged_paths
+from .ascent import Sweep, resting_policies, sweep
+from .limits import Limits
+from .paths import staged_starts
 from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
@@ -427,15 +428,6 @@ class _TrainAscent:
     def is_solved(self) -> bool:
         """Whether more sweeps are not worth their time."""
         return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
-
-
-def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> dict[str, Policies]:
-    """Return policies that take the most likely way through the task, in several stagings (see ``paths``)."""
-    starts: dict[str, Policies] = {}
-    for likely in best_paths(joint, start, width=32, count=1):
-        for path in staged_paths(joint, likely):
-            starts[f"staged start {len(starts) + 1}"] = path_policies(joint, path, naive)
-    return starts
 
 
 def perturbed(policies: Policies, rng: np.random.Generator) -> Policies:

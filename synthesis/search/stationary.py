@@ -21,8 +21,9 @@ import numpy as np
 from ...envs.problem import Problem
 from ..models import JointModel, Policies, start_of
 from ..values import Occupancy, to_host
-from .ascent import Limits, Stage, Sweep, forward, sweep
+from .ascent import Stage, Sweep, forward, sweep
 from .best_response import best_choices
+from .limits import Limits
 from .policy_search import FINAL, Found
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
