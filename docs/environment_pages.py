@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents.agent import LinearAgent
+from certigym.envs.agents import AnyAgent, LinearAgent
 from certigym.envs.pictures.automaton_drawing import edges, svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
@@ -193,6 +193,7 @@ def _matrix(value: np.ndarray) -> str:
 def _dynamics(problem: cg.Problem) -> str:
     groups: dict[str, list[LinearAgent]] = {}
     for agent in problem.agents:
+        assert isinstance(agent, LinearAgent)
         data = {key: value for key, value in agent.to_dict().items() if key != "name" and "initial" not in key}
         groups.setdefault(json.dumps(data), []).append(agent)
     lines = ["| agents | A | B | c | Sigma | workspace | inputs |", "|---|---|---|---|---|---|---|"]
@@ -208,7 +209,7 @@ def _dynamics(problem: cg.Problem) -> str:
             _box(agent.input_low, agent.input_high),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    outputs = [a for a in problem.agents if not a.has_identity_output]
+    outputs = [a for agents in groups.values() for a in agents if not a.has_identity_output]
     lines += [f"\nOutput of `{a.name}`: `y = C x`, C = {_matrix(a.output_matrix)}." for a in outputs]
     return "\n".join(lines)
 
@@ -231,7 +232,7 @@ def _regions(problem: cg.Problem) -> str:
     return "\n".join(lines) + "\n\nA region holds its lower faces, and its upper ones at the edge of the workspace."
 
 
-def _region(low: np.ndarray, high: np.ndarray, agent: LinearAgent) -> str:
+def _region(low: np.ndarray, high: np.ndarray, agent: AnyAgent) -> str:
     axes = []
     for k, (a, b) in enumerate(zip(low, high)):
         closed = agent.has_identity_output and b >= agent.state_high[k]

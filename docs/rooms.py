@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"
 ORDER = {
-    "envs": "agents logic problem dynamics pictures interfaces suite",
+    "envs": "expressions agents logic problem dynamics pictures interfaces suite",
     "synthesis": "cells relations values models search bounds choosing controllers certificates checking",
     "validation": "statistics simulation verdicts audits policies figures reports paper",
 }

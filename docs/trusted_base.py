@@ -16,7 +16,9 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 
 TRUSTED = {
     "What the problem means": (
-        "envs.agents.agent envs.agents.box envs.agents.checks envs.agents.labeling envs.problem.families "
+        "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks envs.agents.expression_agent "
+        "envs.agents.labeling envs.agents.noise envs.agents.products envs.expressions.evaluation "
+        "envs.expressions.reading envs.expressions.expression_tree envs.problem.families "
         "envs.problem.groups envs.problem.problem_file envs.problem.record envs.problem.specification"
     ),
     "What the formula means": (
@@ -40,14 +42,15 @@ TRUSTED = {
         "synthesis.certificates.checked_kernel synthesis.checking.certificate_check synthesis.checking.execution "
         "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.guard_check "
         "synthesis.checking.boxes_check synthesis.checking.linear_check synthesis.checking.linear_tables "
-        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
-        "synthesis.checking.upper_end"
+        "synthesis.checking.own_intervals synthesis.checking.regrown_tree synthesis.checking.relation_check "
+        "synthesis.checking.train_check synthesis.checking.upper_end"
     ),
 }
 """Modules in which a mistake could let a false claim pass."""
 
 VERIFIED = (
-    "synthesis.relations.ellipsoid synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube"
+    "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid synthesis.relations.rounding "
+    "synthesis.relations.scalar synthesis.relations.tube synthesis.relations.written_means"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 

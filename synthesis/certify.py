@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.agents import LinearAgent
+from ..envs.agents import AnyAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, FloatArray, corner_sides
@@ -266,7 +266,7 @@ def _search(windows: TargetWindows, cell: int, mean: FloatArray, scale: FloatArr
 
 
 def _means_at(
-    agent: LinearAgent, model: AgentModel, points: FloatArray, inputs: Callable[[FloatArray], FloatArray]
+    agent: AnyAgent, model: AgentModel, points: FloatArray, inputs: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Return the means (d, S) of the next states in grid coordinates, from points (S, d) of the grid.
 
@@ -274,7 +274,7 @@ def _means_at(
     """
     states, box = np.ascontiguousarray(np.asarray(model.relation.coordinates) @ points.T), agent.input_box
     saturated = np.clip(inputs(states), box.low[:, None], box.high[:, None])
-    return model.relation.to_grid(agent.A @ states + agent.B @ saturated + np.asarray(agent.offset)[:, None])
+    return model.relation.to_grid(agent.mean(states, saturated))
 
 
 @dataclass(frozen=True)

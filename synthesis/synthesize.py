@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ..envs.agents import LinearAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused
@@ -244,6 +245,8 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
+    if not all(isinstance(agent, LinearAgent) for agent in problem.agents):
+        return False
     few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
 

@@ -9,12 +9,19 @@ from typing import Any
 import numpy as np
 
 from certigym import LinearAgent, Problem, Proposition, Specification
+from certigym.envs.agents import AnyAgent
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.cells.labels import CellLabels
 from certigym.synthesis.models.abstraction import AgentModel
 from certigym.synthesis.models.choices import TargetWindows
 from certigym.synthesis.models.kernel import AxisTable, Kernel
 from certigym.synthesis.relations.exact import exact_relation
+
+
+def linear(agent: AnyAgent) -> LinearAgent:
+    """An agent of a problem that is known to have matrices."""
+    assert isinstance(agent, LinearAgent)
+    return agent
 
 
 def scalar_agent(name: str, **changes: Any) -> LinearAgent:
@@ -82,7 +89,11 @@ def exact_model(problem: Problem, agent: int, tables: Any, labels: Sequence[int]
     n_lattice, n_cells = table.shape
     model = problem.agents[agent]
     edges = np.linspace(model.state_low[0], model.state_high[0], n_cells + 1)
-    grid, lattice, relation = Grid((edges,)), (np.linspace(-1.0, 1.0, n_lattice),), exact_relation(model, np.eye(1))
+    grid, lattice, relation = (
+        Grid((edges,)),
+        (np.linspace(-1.0, 1.0, n_lattice),),
+        exact_relation(linear(model), np.eye(1)),
+    )
     low, high = np.zeros((n_cells, 1), dtype=np.int32), np.full((n_cells, 1), n_lattice, dtype=np.int32)
     windows = TargetWindows(grid, lattice, relation, low, high)
     known = CellLabels(np.array(labels, dtype=np.int32), np.array(label_sets, dtype=bool))

@@ -18,7 +18,7 @@ from certigym.synthesis.models.box_minima import least_over_boxes
 from certigym.synthesis.models.box_model import box_model
 from certigym.synthesis.models.kernel import Kernel
 from certigym.synthesis.values import Terms
-from problems import cart, cart_reach, two_agents
+from problems import cart, cart_reach, linear, two_agents
 
 
 def masses(edges: NDArray, mean: float, std: float) -> NDArray:
@@ -190,7 +190,7 @@ def test_values_are_below_the_expectation_of_the_next_ones(name: str) -> None:
     for t in range(problem.horizon):
         for q in np.flatnonzero(~automaton.finished):
             inputs, _ = certificate.controller.agents[0].act(states.T[:, None], np.full(len(states), q), t, None)
-            means = inverse @ (agent.A @ states.T + agent.B @ inputs[:, 0] + agent.offset[:, None])
+            means = inverse @ agent.mean(states.T, inputs[:, 0])
             # What arriving in a cell is worth: the guards of the certificate say where its letter leads.
             arriving = np.zeros(part.grid.n_cells)
             for source, target, mask in zip(
@@ -242,7 +242,7 @@ def test_two_agents_stay_below_dense_programming_with_joint_minima() -> None:
                     ends = np.array([edges[i][s[i]], edges[i][s[i] + 1]])
                     gain = part.relation["gains"][choice][0][0]
                     inputs = part.relation["menu"][choice][0] + gain * (ends - ends.mean())
-                    agent = problem.agents[i]
+                    agent = linear(problem.agents[i])
                     mean = agent.A[0, 0] * ends + agent.B[0, 0] * inputs
                     boxes.append((float(mean.min()), float(mean.max())))
                 before[q, s[0] * n[1] + s[1]] = least_over(arriving, edges, stds, boxes)

@@ -11,6 +11,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.checking.execution import execution_of, wrong_actions
 from certigym.synthesis.values import Skeleton
+from problems import linear
 
 EPISODES = 40_000
 SURE = 1 - 1e-6
@@ -58,7 +59,7 @@ def test_couplings_are_kept_whatever_the_units() -> None:
     assert cg.check(result.certificate), cg.check(result.certificate)
     assert not refuted(result.certificate)
     relation: Any = result.certificate.controller.agents[0].relation
-    agent = result.certificate.problem.agents[0]
+    agent = linear(result.certificate.problem.agents[0])
     assert np.allclose(agent.B @ relation.right_inverse @ relation.A, agent.A, rtol=1e-9, atol=0.0)
 
 

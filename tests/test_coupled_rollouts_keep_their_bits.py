@@ -20,7 +20,7 @@ from certigym.validation.simulation.chunks import chunk_results, frames
 from certigym.validation.simulation.loop import Loop
 from certigym.validation.simulation.rollouts import NUMBERS_SIDE_BY_SIDE, rollout, stream
 from certigym.validation.simulation.streams import Streams
-from problems import cart, cart_reach, two_agents
+from problems import cart, cart_reach, linear, two_agents
 
 pytestmark = pytest.mark.slow
 
@@ -285,7 +285,8 @@ def test_agents_of_a_block_move_by_their_own_matrices() -> None:
     x, u, z = rng.normal(size=(2, 2, 50)), rng.normal(size=(1, 2, 50)), rng.normal(size=(2, 2, 50))
     following = core.successor(block, x, u, z)
     for k, agent in enumerate(problem.agents):
-        expected = agent.A @ x[:, k] + agent.B @ u[:, k] + agent.offset[:, None] + agent.noise_factor @ z[:, k]
+        one = linear(agent)
+        expected = one.A @ x[:, k] + one.B @ u[:, k] + one.offset[:, None] + agent.noise_factor @ z[:, k]
         np.testing.assert_allclose(following[:, k], expected, rtol=1e-12, atol=1e-12)
 
 

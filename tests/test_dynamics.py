@@ -9,6 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
+from problems import linear
 from sample_problems import mixed_problem, planar, scalar
 
 FALSE_ALARM = 1e-6
@@ -19,7 +20,7 @@ def zeros(dynamics: core.Dynamics, n_worlds: int) -> list[np.ndarray]:
 
 
 def still(dynamics: core.Dynamics, n_worlds: int) -> list[np.ndarray]:
-    return [np.zeros((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks]
+    return [np.zeros((*block.columns.shape, n_worlds)) for block in dynamics.blocks]
 
 
 def single(agent: cg.LinearAgent, horizon: int = 1) -> cg.Problem:
@@ -157,7 +158,8 @@ def test_the_step_is_the_matrix_equation() -> None:
     after = core.transition(dynamics, worlds, inputs, normals)
     for i, agent in enumerate(dynamics.problem.agents):
         block, k = dynamics.position[i]
-        expected = agent.A @ worlds.states[block][:, k] + agent.B @ inputs[block][:, k] + agent.offset[:, None]
+        one = linear(agent)
+        expected = one.A @ worlds.states[block][:, k] + one.B @ inputs[block][:, k] + one.offset[:, None]
         expected += agent.noise_factor @ normals[block][:, k]
         assert np.allclose(after.states[block][:, k], expected, rtol=1e-13, atol=1e-13)
 

@@ -24,6 +24,7 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
 from certigym.envs.suite.ids import gymnasium_id
+from problems import linear
 from sample_problems import mixed_problem
 
 FALSE_ALARM = 1e-6
@@ -114,7 +115,7 @@ def test_a_batch_is_the_core_until_a_world_ends(id: str) -> None:
         inputs = []
         for block in dynamics.blocks:
             ends = np.cumsum([0, *(agent.n_inputs for agent in envs.problem.agents)])
-            columns = ends[block.agents] + np.arange(block.B.shape[1])[:, None]
+            columns = ends[block.agents] + np.arange(block.n_inputs)[:, None]
             inputs.append(action.T[columns])
         observations, rewards, terminated, truncated, infos = envs.step(action)
         worlds = core.transition(dynamics, worlds, inputs, core.noise(dynamics, rng, 16))
@@ -215,7 +216,7 @@ def test_the_noise_has_the_stated_moments(id: str) -> None:
     n = len(before)
     for agent, part in zip(problem.agents, parts):
         u = agent.input_box.center
-        error = after[:, part] - (before[:, part] @ agent.A.T + agent.B @ u + agent.offset)
+        error = after[:, part] - (before[:, part] @ linear(agent).A.T + linear(agent).B @ u + linear(agent).offset)
         white = np.linalg.solve(agent.noise_factor, error.T)
         assert (np.abs(white.mean(axis=1)) <= quantile / np.sqrt(n)).all()
         spread = np.sqrt((1.0 + np.eye(len(white))) / n)

@@ -16,6 +16,7 @@ from certigym.synthesis.models import bends
 from certigym.synthesis.models.bends import _fourth
 from certigym.synthesis.models.linear_kernel import LinearKernel, hat_masses, hat_table, uniform_axis
 from certigym.synthesis.models.linear_model import linear_model
+from problems import linear
 
 mpmath.mp.dps = 50
 
@@ -143,7 +144,7 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
     problem = cg.make_problem("car-park-planar-v0")
     agent = problem.agents[0]
     grid = Grid(tuple(np.linspace(a, b, 13) for a, b in zip(agent.state_low, agent.state_high, strict=True)))
-    relation, lattice, kernel, _ = linear_model(agent, grid, np.eye(2), 4)
+    relation, lattice, kernel, _ = linear_model(linear(agent), grid, np.eye(2), 4)
     factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
     bent = kernel.smooth(factors)[:, kernel.n_points :]
     # The second derivatives themselves, in closed form.
@@ -171,7 +172,7 @@ def test_shares_of_directions_sum_to_one_in_the_check() -> None:
     for name, cells in (("car-park-planar-v0", 12), ("integrator-chain-v0", 30)):
         problem = cg.make_problem(name, horizon=1)
         part = cg.synthesize(problem, cells, relation="linear").certificate.agents[0]
-        shares = linear_tables.linear_tables(problem.agents[0], part).shares
+        shares = linear_tables.linear_tables(linear(problem.agents[0]), part).shares
         assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 

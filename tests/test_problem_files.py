@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import certigym as cg
 from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+from problems import linear
 from sample_problems import TOML, mixed_problem
 
 HOA = """HOA: v1
@@ -55,7 +56,7 @@ def test_the_example_of_the_readme_of_files(tmp_path: Path) -> None:
     assert problem.horizon == 12 and problem.name == "my-task"
     assert problem.automaton.propositions == ("p1", "safe_0", "safe_1", "safe_2")
     assert problem.families == {"safe": ("safe_0", "safe_1", "safe_2")}
-    drone = problem.agents[2]
+    drone = linear(problem.agents[2])
     assert drone.A.shape == (2, 2) and drone.B.shape == (2, 1) and drone.offset.tolist() == [0.5, 0.0]
     assert drone.initial.low.tolist() == [-1.0, 0.0]
     assert not drone.has_identity_output and problem.agents[0].has_identity_output

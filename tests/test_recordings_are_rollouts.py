@@ -12,6 +12,7 @@ import pytest
 import certigym as cg
 from certigym.baselines import RandomController, Recording
 from certigym.cli.main import main
+from problems import linear
 
 IDS = ["reach-avoid-v0", "invariance-v0", "meeting-v0", "patrol-recharge-v0"]
 
@@ -47,7 +48,7 @@ def test_states_follow_from_inputs_and_noise_of_the_right_size() -> None:
     problem, found = cg.make_problem("reach-avoid-v0"), recorded("reach-avoid-v0", 1000)
     for agent, x_columns, u_columns in zip(problem.agents, problem.columns, problem.input_columns, strict=True):
         before, after = found.states[:, :-1, x_columns], found.states[:, 1:, x_columns]
-        mean = before @ agent.A.T + found.inputs[..., u_columns] @ agent.B.T
+        mean = before @ linear(agent).A.T + found.inputs[..., u_columns] @ linear(agent).B.T
         noise = (after - mean)[np.isfinite(after)]
         assert len(noise) >= 1000
         deviation = float(np.sqrt(np.sum(np.square(agent.noise_factor))))

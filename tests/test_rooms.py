@@ -18,12 +18,13 @@ import rooms as drawn
 ROOT = Path(__file__).parents[1]
 WINGS = tuple(drawn.ORDER)
 
-ENVS = "envs.agents envs.logic envs.problem envs.dynamics"
+ENVS = "envs.expressions envs.agents envs.logic envs.problem envs.dynamics"
 CERTIFICATES = "synthesis.values synthesis.cells synthesis.relations synthesis.controllers synthesis.certificates"
 EVIDENCE = f"{ENVS} {CERTIFICATES} validation.statistics validation.simulation"
 
 MAY_IMPORT = {
-    "envs.agents": "",
+    "envs.expressions": "",
+    "envs.agents": "envs.expressions",
     "envs.logic": "",
     "envs.problem": "envs.agents envs.logic",
     "envs.dynamics": "envs.agents envs.logic envs.problem",

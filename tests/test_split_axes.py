@@ -14,6 +14,7 @@ from certigym.cli.main import main
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.problem.split import axis_order, split_axes
 from certigym.validation.statistics.binomial import REFUTED
+from problems import linear
 
 FORMULAS = (
     ("!p U q", "co-safe"),
@@ -181,7 +182,7 @@ def test_axes_without_inputs_and_coupled_agents() -> None:
     whole = cg.Problem(name="drift", horizon=3, agents=[drift], propositions=safe, specification=task)
     parts = split_axes(whole)
     assert parts.agent_names == ("cart_x0", "cart_x1") and list(parts.propositions) == ["safe"]
-    assert not np.any(parts.agents[1].B) and parts.agents[1].input_box.high.tolist() == [0.0]
+    assert not np.any(linear(parts.agents[1]).B) and parts.agents[1].input_box.high.tolist() == [0.0]
     assert [order.tolist() for order in axis_order(whole)] == [[0, 1], [0, -1]]
     assert split_axes(parts) is parts
     spiral = cg.make_problem("reach-avoid-planar-v0")

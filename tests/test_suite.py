@@ -9,6 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.envs.dynamics import worlds as core
+from problems import linear
 
 
 def read(problem: cg.Problem, q: str, points: np.ndarray) -> list[str]:
@@ -74,7 +75,7 @@ def test_invariance_has_two_settings_and_two_states() -> None:
     problem = cg.make_problem("invariance-20-v0")
     assert problem.n_agents == 20 and problem.automaton.n_states == 2 and problem.automaton.semantics == "finite-trace"
     agents = {s: cg.make_problem("invariance-v0", setting=s).agents[0] for s in "AB"}
-    values = {s: [float(m[0, 0]) for m in (a.A, a.B, a.noise_covariance)] for s, a in agents.items()}
+    values = {s: [float(m[0, 0]) for m in (linear(a).A, linear(a).B, a.noise_covariance)] for s, a in agents.items()}
     assert values == {"A": [0.9, 0.5, 0.25], "B": [1.0, 1.0, 1.0]}
     assert cg.make_problem("invariance-v0", n_agents=4).fingerprint == cg.make_problem("invariance-4-v0").fingerprint
 
@@ -277,15 +278,15 @@ def test_classics_have_the_numbers_of_the_literature() -> None:
     zones = cg.make_problem("building-automation-v0").agents
     whole = np.zeros((4, 4))
     for k, zone in enumerate(zones):
-        whole[np.ix_([k, k + 2], [k, k + 2])] = zone.A
+        whole[np.ix_([k, k + 2], [k, k + 2])] = linear(zone).A
     assert whole.tolist() == [
         [0.6682, 0, 0.02632, 0],
         [0, 0.683, 0, 0.02096],
         [1.0005, 0, -0.000499, 0],
         [0, 0.8004, 0, 0.1996],
     ]
-    assert [zone.offset.tolist() for zone in zones] == [[3.3378, 13.0207], [2.9272, 10.4166]]
-    chain = cg.make_problem("integrator-chain-v0", dimension=3).agents[0]
+    assert [linear(zone).offset.tolist() for zone in zones] == [[3.3378, 13.0207], [2.9272, 10.4166]]
+    chain = linear(cg.make_problem("integrator-chain-v0", dimension=3).agents[0])
     assert np.allclose(chain.A, np.array([[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]])) and chain.n_inputs == 1
     assert np.allclose(chain.B[:, 0], np.array([0.1**3 / 6, 0.005, 0.1]))
     assert cg.make_problem("car-park-v0").agents[0].noise_covariance.tolist() == [[1.0]]
@@ -293,7 +294,7 @@ def test_classics_have_the_numbers_of_the_literature() -> None:
         id: cg.make_problem(id).n_agents for id in ("reach-avoid-20-v0", "invariance-b-20-v0", "invariance-b-100-v0")
     }
     assert sizes == {"reach-avoid-20-v0": 20, "invariance-b-20-v0": 20, "invariance-b-100-v0": 100}
-    assert cg.make_problem("invariance-b-20-v0").agents[0].A.tolist() == [[1.0]]
+    assert linear(cg.make_problem("invariance-b-20-v0").agents[0]).A.tolist() == [[1.0]]
 
 
 def test_the_kinematic_delivery_follows_the_table_on_positions() -> None:

@@ -1,6 +1,7 @@
 """Agents, their boxes, and which propositions hold at a point."""
 
-from .agent import LinearAgent, checked_name
+from .agent import LinearAgent
+from .any_agent import AnyAgent, checked_name
 from .box import Box
 from .checks import (
     MOST_AGENTS,
@@ -12,11 +13,15 @@ from .checks import (
     slices_of,
     unknown_argument,
 )
-from .labeling import Labeling, Proposition, contains, inside, linear, row_times
+from .expression_agent import Agent
+from .labeling import Labeling, Proposition, contains, inside
 from .printing import box_text, counted, names_text, shortened, tree_text
+from .products import linear, row_times
 from .saving import write_bytes, write_json, write_text
 
 __all__ = [
+    "Agent",
+    "AnyAgent",
     "Box",
     "Labeling",
     "LinearAgent",

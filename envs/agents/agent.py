@@ -7,20 +7,17 @@ Model (docs/theory/setting.md, "Agents"), with `w ~ N(0, Sigma)` independent ove
 
 from __future__ import annotations
 
-import copy
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from .any_agent import AnyAgent, checked_covariance, checked_name, checked_start, summary_rows
 from .box import Box
-from .checks import float_array, read_only, shown
-from .printing import box_text, counted, shortened, tree_text
-
-NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-"""Names of agents and propositions: what can stand in a formula."""
+from .checks import float_array, read_only
+from .printing import counted, tree_text
+from .products import linear
 
 _ARRAYS = (
     "A",
@@ -39,7 +36,7 @@ _ARRAYS = (
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class LinearAgent:
+class LinearAgent(AnyAgent):
     """A linear agent with Gaussian noise, a workspace and an input box.
 
     Parameters
@@ -120,12 +117,12 @@ class LinearAgent:
             input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=inputs.shape[1]
         )
         identity, zero = np.eye(d), np.zeros(d)
-        start = _start(initial_state, initial_low, initial_high, d)
+        start = checked_start(initial_state, initial_low, initial_high, d)
         values = {
             "name": checked_name(name, "name"),
             "A": matrix,
             "B": inputs,
-            "noise_covariance": _covariance(noise_covariance, d),
+            "noise_covariance": checked_covariance(noise_covariance, d),
             "state_low": workspace.low,
             "state_high": workspace.high,
             "input_low": input_box.low,
@@ -151,25 +148,7 @@ class LinearAgent:
 
     def __repr__(self) -> str:
         sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
-        deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))]
-        each = deviations[:1] if len(set(deviations)) == 1 else deviations
-        rows = [
-            ("workspace", box_text(self.state_low, self.state_high)),
-            ("inputs", box_text(self.input_low, self.input_high)),
-            ("start", "none" if self.initial_low is None else _start_text(self.initial)),
-            ("noise", f"standard deviation {shortened(', '.join(each))}"),
-        ]
-        return tree_text(f"LinearAgent {self.name!r}: {', '.join(sizes)}", rows)
-
-    @property
-    def n_states(self) -> int:
-        """Number of state components d."""
-        return int(self.A.shape[0])
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of input components m."""
-        return int(self.B.shape[1])
+        return tree_text(f"LinearAgent {self.name!r}: {', '.join(sizes)}", summary_rows(self))
 
     @property
     def n_outputs(self) -> int:
@@ -177,41 +156,45 @@ class LinearAgent:
         return int(self.output_matrix.shape[0])
 
     @cached_property
-    def workspace(self) -> Box:
-        """Closed box of admissible states."""
-        return Box(self.state_low, self.state_high)
-
-    @cached_property
-    def input_box(self) -> Box:
-        """Closed box of admissible inputs."""
-        return Box(self.input_low, self.input_high, allow_flat=True)
-
-    @cached_property
-    def initial(self) -> Box:
-        """Start: a point, or a box from which it is drawn uniformly; ValueError if the agent has none."""
-        if self.initial_low is None:
-            raise ValueError(f"`initial_state`: expected a start for agent {self.name!r}, got none")
-        return Box(self.initial_low, self.initial_high, allow_flat=True)
-
-    @cached_property
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""
         return self.n_outputs == self.n_states and bool((self.output_matrix == np.eye(self.n_states)).all())
 
-    @cached_property
-    def noise_factor(self) -> np.ndarray:
-        """L, shape (d, d), with `L L' = Sigma` up to rounding; exact square roots where Sigma is diagonal."""
-        # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
-        covariance = self.noise_covariance
-        if (covariance == np.diag(np.diag(covariance))).all():
-            # the check of covariances lets variances through that rounding has pushed a little below zero
-            return read_only(np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0))))
-        try:
-            factor = np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors
-            spectrum, vectors = np.linalg.eigh(covariance)
-            factor = vectors * np.sqrt(np.maximum(spectrum, 0.0))
-        return read_only(factor)
+    @property
+    def motion_key(self) -> tuple[bytes, ...]:
+        """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+        return (b"linear", self.A.tobytes(), self.B.tobytes(), self.offset.tobytes())
+
+    @property
+    def output_key(self) -> tuple[bytes, ...]:
+        """What determines its outputs."""
+        return (b"linear", self.output_matrix.tobytes())
+
+    def mean(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded)."""
+        offset = self.offset.reshape(-1, *[1] * (x.ndim - 1))
+        return np.asarray(np.tensordot(self.A, x, 1) + np.tensordot(self.B, u, 1) + offset)
+
+    def outputs(self, x: np.ndarray) -> np.ndarray:
+        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+        c = self.output_matrix
+        return x if self.has_identity_output else linear(c.reshape(c.shape + (1,) * (x.ndim - 1)), x)
+
+    def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
+        c = self.output_matrix
+        # Interval arithmetic: every product takes its extremes at the ends of its interval.
+        products = np.stack([c * low[:, None, :], c * high[:, None, :]])
+        # Twice the a-priori bound on the rounding of a sum of d products, and the least normal number for underflow.
+        slack = 2.0 * (self.n_states + 2) * np.finfo(float).eps * np.abs(products).max(axis=0).sum(axis=-1)
+        slack += np.finfo(float).tiny
+        return products.min(axis=0).sum(axis=-1) - slack, products.max(axis=0).sum(axis=-1) + slack
+
+    def output_axis(self, k: int) -> tuple[int, float] | None:
+        """Return state and factor of output k if it is a multiple of a single state, or None."""
+        row = self.output_matrix[k]
+        axes = np.flatnonzero(row)
+        return (int(axes[0]), float(row[axes[0]])) if len(axes) == 1 else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the agent as plain lists and numbers, keyed as in problem files (exact)."""
@@ -221,65 +204,3 @@ class LinearAgent:
             if value is not None:
                 data[key] = value.tolist()
         return data
-
-    def replace(self, **changes: Any) -> LinearAgent:
-        """Return a copy with some constructor arguments changed; a new start replaces the whole old one."""
-        # A new start may be a point or a box: drop both old corners, not just the one that is named.
-        data = self.to_dict()
-        if any(key.startswith("initial_") for key in changes):
-            data.pop("initial_low", None)
-            data.pop("initial_high", None)
-        return LinearAgent(**{**data, **changes})
-
-    def copies(self, n: int) -> tuple[LinearAgent, ...]:
-        """Return `n` agents that differ in their names alone: `name_0`, `name_1`, ..."""
-        # A shallow copy shares the checked arrays, so that a thousand agents cost the memory of one.
-        clones = tuple(copy.copy(self) for _ in range(n))
-        for index, clone in enumerate(clones):
-            object.__setattr__(clone, "name", f"{self.name}_{index}")
-        return clones
-
-
-def checked_name(name: Any, argument: str) -> str:
-    """Return `name` if it can name an agent or a proposition; raise ValueError otherwise."""
-    if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise ValueError(
-            f"`{argument}`: expected letters, digits and underscores, not starting with a digit, got {shown(name)}"
-        )
-    return name
-
-
-def _covariance(value: Any, d: int) -> np.ndarray:
-    """Return a covariance if it is symmetric and positive semidefinite; raise ValueError otherwise."""
-    covariance = float_array(value, "noise_covariance", (d, d), f"{np.eye(d).tolist()}")
-    if (covariance != covariance.T).any():
-        raise ValueError(
-            f"`noise_covariance`: expected a symmetric matrix, got {shown(covariance.tolist())}; use (S + S.T) / 2"
-        )
-    spectrum = np.linalg.eigvalsh(covariance)
-    # Rounding may push the zero eigenvalues of a singular covariance a little below zero.
-    if spectrum[0] < -4.0 * d * np.finfo(float).eps * max(spectrum[-1], 0.0):
-        raise ValueError(
-            f"`noise_covariance`: expected a positive semidefinite matrix, got the eigenvalue {spectrum[0]:g}"
-        )
-    return covariance
-
-
-def _start(state: Any, low: Any, high: Any, d: int) -> Box | None:
-    """Return the box of the start, from a point or from two corners; None if there is no start."""
-    if state is not None:
-        if low is not None or high is not None:
-            raise ValueError("`initial_state`: expected a point or a box `initial_low`, `initial_high`, got both")
-        return Box.point(state, "initial_state", length=d)
-    if (low is None) != (high is None):
-        missing = "initial_low" if low is None else "initial_high"
-        raise ValueError(f"`{missing}`: expected both corners of the start box, got one; give `{missing}` as well")
-    if low is None:
-        return None
-    return Box(low, high, allow_flat=True, names=("initial_low", "initial_high"), length=d)
-
-
-def _start_text(start: Box) -> str:
-    if start.is_point:
-        return shortened(f"({', '.join(f'{x:g}' for x in start.low)})")
-    return f"uniform in {box_text(start.low, start.high)}"

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from .agent import LinearAgent
+from .any_agent import AnyAgent
 from .box import Box
 from .checks import read_only, shown
 from .printing import box_text, counted, names_text, tree_text
@@ -85,39 +85,13 @@ def contains(y: Any, low: Any, high: Any) -> Any:
     return result
 
 
-def row_times(row: Any, x: Any) -> Any:
-    """Return one row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
-
-    Parameters
-    ----------
-    row, x : sequence of components
-        Numbers, or arrays that broadcast.
-    """
-    total = row[0] * x[0]
-    for k in range(1, len(x)):
-        total += row[k] * x[k]
-    return total
-
-
-def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return a matrix times vectors, shape (p, ...), computed by `row_times`.
-
-    Parameters
-    ----------
-    matrix : np.ndarray, shape (p, d, ...)
-    x : np.ndarray, shape (d, ...)
-        Trailing axes broadcast against those of `matrix`.
-    """
-    return np.stack([row_times(row, x) for row in matrix])
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Labeling:
     """The labelling of one problem: its propositions, agent by agent, and their regions.
 
     Attributes
     ----------
-    agents : tuple of LinearAgent
+    agents : tuple of AnyAgent
     names : tuple of str
         Propositions, agent by agent.
     agent_propositions : tuple of np.ndarray of int
@@ -126,14 +100,14 @@ class Labeling:
         Per agent: corners of its regions; the upper ones are infinite where a region is closed at the workspace edge.
     """
 
-    agents: tuple[LinearAgent, ...]
+    agents: tuple[AnyAgent, ...]
     names: tuple[str, ...]
     agent_propositions: tuple[np.ndarray, ...]
     low: tuple[np.ndarray, ...]
     high: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, agents: Sequence[LinearAgent], propositions: Mapping[str, Proposition]) -> Labeling:
+    def of(cls, agents: Sequence[AnyAgent], propositions: Mapping[str, Proposition]) -> Labeling:
         """Return the labelling for propositions without `*`, ordered agent by agent, then as declared."""
         names_of: dict[str, list[str]] = {agent.name: [] for agent in agents}
         by_name = {agent.name: agent for agent in agents}
@@ -180,10 +154,9 @@ class Labeling:
         np.ndarray of bool, shape (P_i, *S)
         """
         model = self.agents[agent]
-        # Axes of length 1 let the matrix and the corners broadcast against the trailing axes of x.
+        y = model.outputs(x)
+        # Axes of length 1 let the corners broadcast against the trailing axes of x.
         extra = (1,) * (x.ndim - 1)
-        c = model.output_matrix
-        y = x if model.has_identity_output else linear(c.reshape(c.shape + extra), x)
         low, high = self.low[agent], self.high[agent]
         return contains(y[:, None], low.reshape(low.shape + extra), high.reshape(high.shape + extra))
 
@@ -199,11 +172,11 @@ class Labeling:
         Exact for `C = I`; a superset otherwise.
         """
         # Agents with equal regions, outputs and workspaces have equal classes: compute them once.
-        computed: dict[bytes, np.ndarray] = {}
+        computed: dict[tuple[bytes, ...], np.ndarray] = {}
         result = []
         for i, agent in enumerate(self.agents):
-            key = self.low[i].tobytes() + self.high[i].tobytes() + agent.output_matrix.tobytes()
-            key += agent.state_low.tobytes() + agent.state_high.tobytes()
+            corners = (self.low[i], self.high[i], agent.state_low, agent.state_high)
+            key = (*agent.output_key, *(array.tobytes() for array in corners))
             if key not in computed:
                 candidates, possible = self._reachable(i, agent.state_low[None], agent.state_high[None])
                 computed[key] = read_only(candidates[possible[0]])
@@ -266,8 +239,8 @@ class Labeling:
         if model.has_identity_output:
             bottom, top, upper_face = model.state_low, model.state_high, flat
         else:  # bounds on the outputs of closed boxes, rounded outwards: a superset
-            bottom, top = (bound[0] for bound in _output_range(model, model.state_low[None], model.state_high[None]))
-            low, high = _output_range(model, low, high)
+            bottom, top = (bound[0] for bound in model.output_range(model.state_low[None], model.state_high[None]))
+            low, high = model.output_range(low, high)
             upper_face = np.ones_like(low, dtype=bool)
         result = []
         for axis in range(model.n_outputs):
@@ -285,18 +258,7 @@ class Labeling:
         return result
 
 
-def _output_range(agent: LinearAgent, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
-    c = agent.output_matrix
-    # Interval arithmetic: every product takes its extremes at the ends of its interval.
-    products = np.stack([c * low[:, None, :], c * high[:, None, :]])
-    # Twice the a-priori bound on the rounding of a sum of d products, and the least normal number for underflow.
-    slack = 2.0 * (agent.n_states + 2) * np.finfo(float).eps * np.abs(products).max(axis=0).sum(axis=-1)
-    slack += np.finfo(float).tiny
-    return products.min(axis=0).sum(axis=-1) - slack, products.max(axis=0).sum(axis=-1) + slack
-
-
-def _check_region(name: str, proposition: Proposition, agents: Mapping[str, LinearAgent]) -> None:
+def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyAgent]) -> None:
     """Raise ValueError unless the region has the outputs' dimension and meets the workspace of its agent."""
     agent = agents[proposition.agent]
     if proposition.low.size != agent.n_outputs:
@@ -308,7 +270,7 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, Line
         bottom, top = agent.state_low, agent.state_high
         outside = (proposition.low >= top) | (proposition.high <= bottom)
     else:
-        bottom, top = (bound[0] for bound in _output_range(agent, agent.state_low[None], agent.state_high[None]))
+        bottom, top = (bound[0] for bound in agent.output_range(agent.state_low[None], agent.state_high[None]))
         outside = (proposition.low > top) | (proposition.high <= bottom)
     if outside.any():
         axis = int(np.argmax(outside))

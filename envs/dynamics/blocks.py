@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ..agents import counted, read_only
+from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, read_only
 from ..problem import Problem
 
 Sparse = tuple[np.ndarray, tuple[int, ...]]
@@ -16,6 +16,29 @@ Sparse = tuple[np.ndarray, tuple[int, ...]]
 
 Entries that are 0 for all agents are left out; one stays if all are 0.
 """
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMotion:
+    """How the linear agents of a block move, and what they put out.
+
+    Attributes
+    ----------
+    A, B, C : np.ndarray, shape (d, d, n, 1), (d, m, n, 1), (p, d, n, 1)
+    offset : np.ndarray, shape (d, n, 1)
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    offset: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenMotion:
+    """How agents move whose dynamics and outputs are the same expressions: those of `agent`."""
+
+    agent: Agent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,8 +49,9 @@ class Block:
     ----------
     agents : np.ndarray of int, shape (n,)
         Positions of the agents in the problem.
-    A, B, C, noise_factor : np.ndarray, shape (d, d, n, 1), (d, m, n, 1), (p, d, n, 1), (d, d, n, 1)
-    offset, state_low, state_high, initial_low, initial_high : np.ndarray, shape (d, n, 1)
+    motion : LinearMotion or WrittenMotion
+    noise_factor : np.ndarray, shape (d, d, n, 1)
+    state_low, state_high, initial_low, initial_high : np.ndarray, shape (d, n, 1)
     input_low, input_high : np.ndarray, shape (m, n, 1)
     identity_output : bool
         Whether y = x for all agents.
@@ -39,11 +63,8 @@ class Block:
     """
 
     agents: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
+    motion: LinearMotion | WrittenMotion
     noise_factor: np.ndarray
-    offset: np.ndarray
     state_low: np.ndarray
     state_high: np.ndarray
     initial_low: np.ndarray
@@ -58,17 +79,40 @@ class Block:
     columns: np.ndarray
 
     def __repr__(self) -> str:
-        (m, n), d, p = self.input_low.shape[:2], len(self.state_low), len(self.C)
+        (m, n), d, p = self.input_low.shape[:2], len(self.state_low), len(self.region_low)
         sizes = (counted(d, "state"), counted(m, "input"), counted(p, "output"))
         return f"Block({counted(n, 'agent')} with {', '.join(sizes)})"
 
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs m of each agent."""
+        return len(self.input_low)
+
     @cached_property
-    def motion(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
+    def linear_rows(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
         """Rows of A, B, offset and noise factor; if all agents have equal entries, the entries of one, to broadcast."""
         # A product with one agent's entries has the same bits and reads less memory.
-        matrices = (self.A, self.B, self.offset[:, None], self.noise_factor)
+        assert isinstance(self.motion, LinearMotion)
+        matrices = (self.motion.A, self.motion.B, self.motion.offset[:, None], self.noise_factor)
         single = (stack[..., :1, :] if np.all(stack == stack[..., :1, :]) else stack for stack in matrices)
         return tuple((_sparse(a), _sparse(b), c[0], _sparse(factor)) for a, b, c, factor in zip(*single))
+
+    def outputs(self, x: np.ndarray) -> np.ndarray:
+        """Return the outputs (p, n, M) at states (d, n, M)."""
+        if self.identity_output:
+            return x
+        return linear(self.motion.C, x) if isinstance(self.motion, LinearMotion) else self.motion.agent.outputs(x)
+
+    @cached_property
+    def output_width(self) -> np.ndarray:
+        """Widths (p, n, 1) of the outputs of the workspaces."""
+        if isinstance(self.motion, LinearMotion):
+            extent = (self.state_high - self.state_low)[None]
+            return np.asarray((np.abs(self.motion.C) * extent).sum(axis=1))
+        low, high = self.motion.agent.output_range(self.state_low[..., 0].T, self.state_high[..., 0].T)
+        # Outputs without a bound, and outputs that are all the same, have no width to measure by.
+        width = (high - low).T[..., None]
+        return np.where(np.isfinite(width) & (width > 0.0), width, 1.0)
 
     @cached_property
     def input_range(self) -> tuple[float, float]:
@@ -91,11 +135,8 @@ def block_of(problem: Problem, group: list[int]) -> Block:
     counts = [len(labeling.agent_propositions[i]) for i in group]
     return Block(
         agents=read_only(np.array(group)),
-        A=stacked([a.A for a in agents]),
-        B=stacked([a.B for a in agents]),
-        C=stacked([a.output_matrix for a in agents]),
+        motion=_motion(agents, stacked),
         noise_factor=stacked([a.noise_factor for a in agents]),
-        offset=stacked([a.offset for a in agents]),
         state_low=stacked([a.state_low for a in agents]),
         state_high=stacked([a.state_high for a in agents]),
         initial_low=stacked([a.initial_low for a in agents]),
@@ -111,6 +152,22 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         columns=read_only(
             np.stack([np.arange(problem.columns[i].start, problem.columns[i].stop) for i in group], axis=1)
         ),
+    )
+
+
+def _motion(
+    agents: Sequence[AnyAgent], stacked: Callable[[Sequence[np.ndarray]], np.ndarray]
+) -> LinearMotion | WrittenMotion:
+    """Return how the agents of a block move: all of them are linear, or all have the same expressions."""
+    first = agents[0]
+    if isinstance(first, Agent):
+        return WrittenMotion(first)
+    linear_agents = [agent for agent in agents if isinstance(agent, LinearAgent)]
+    return LinearMotion(
+        A=stacked([a.A for a in linear_agents]),
+        B=stacked([a.B for a in linear_agents]),
+        C=stacked([a.output_matrix for a in linear_agents]),
+        offset=stacked([a.offset for a in linear_agents]),
     )
 
 

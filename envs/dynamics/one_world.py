@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import LinearAgent, contains, counted, inside, row_times, slices_of
-from .rules import decided, moved
+from ..agents import Agent, AnyAgent, LinearAgent, contains, counted, inside, row_times, slices_of
+from .rules import decided, moved, noisy
 from .worlds import Dynamics, Worlds
 
 _MEMORY = 100_000
@@ -21,7 +21,10 @@ _MEMORY = 100_000
 
 
 class AgentNumbers(NamedTuple):
-    """One agent as nested tuples of floats; `C` is None where y = x."""
+    """One agent as nested tuples of floats; `C` is None where y = x.
+
+    Agents with expressions have no matrices but that of the noise; numpy computes them, so that the bits are its own.
+    """
 
     A: Any
     B: Any
@@ -36,6 +39,21 @@ class AgentNumbers(NamedTuple):
     """Per proposition of the agent: its bit in a letter, lower and upper corner."""
     draws: tuple[int, ...]
     """Positions of the agent's components among the numbers drawn in one step."""
+    written: Agent | None
+    """The agent itself, if its dynamics are expressions."""
+
+    def moved(self, x: Any, u: Any, z: Any) -> list[float]:
+        """Return the next state from state x under the input u with standard normal numbers z."""
+        if self.written is None:
+            return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
+        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None])
+        return noisy(means[:, 0].tolist(), self.noise_factor, z)
+
+    def outputs(self, x: Any) -> Any:
+        """Return the outputs at state x."""
+        if self.written is not None:
+            return self.written.outputs(np.array(x)[:, None])[:, 0].tolist()
+        return x if self.C is None else [row_times(row, x) for row in self.C]
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,10 +161,7 @@ class OneWorld:
         """
         # Read the letter, ask the automaton, and decide in the order of `rules.decided`.
         states = tuple(
-            [
-                moved(a.A, a.B, a.offset, a.noise_factor, x, u, [normals[k] for k in a.draws])
-                for a, x, u in zip(self.agents, world.states, inputs)
-            ]
+            [a.moved(x, u, [normals[k] for k in a.draws]) for a, x, u in zip(self.agents, world.states, inputs)]
         )
         letter, outside = self._letter(states)
         following = self._next(world.q, letter)
@@ -177,7 +192,7 @@ class OneWorld:
         letter, outside = 0, False
         for a, x in zip(self.agents, states):
             outside = outside or not inside(x, a.state_low, a.state_high)
-            y = x if a.C is None else [row_times(row, x) for row in a.C]
+            y = a.outputs(x)
             for bit, low, high in a.regions:
                 if contains(y, low, high):
                     letter |= bit
@@ -196,19 +211,20 @@ class OneWorld:
 
 
 def _numbers(
-    agent: LinearAgent, low: np.ndarray, high: np.ndarray, propositions: np.ndarray, draws: tuple[int, ...]
+    agent: AnyAgent, low: np.ndarray, high: np.ndarray, propositions: np.ndarray, draws: tuple[int, ...]
 ) -> AgentNumbers:
     """Return one agent as plain numbers; `low` and `high` have one row per proposition."""
     return AgentNumbers(
-        A=agent.A.tolist(),
-        B=agent.B.tolist(),
-        offset=agent.offset.tolist(),
+        A=agent.A.tolist() if isinstance(agent, LinearAgent) else None,
+        B=agent.B.tolist() if isinstance(agent, LinearAgent) else None,
+        offset=agent.offset.tolist() if isinstance(agent, LinearAgent) else None,
         noise_factor=agent.noise_factor.tolist(),
-        C=None if agent.has_identity_output else agent.output_matrix.tolist(),
+        C=agent.output_matrix.tolist() if isinstance(agent, LinearAgent) and not agent.has_identity_output else None,
         state_low=agent.state_low.tolist(),
         state_high=agent.state_high.tolist(),
         input_low=agent.input_low.tolist(),
         input_high=agent.input_high.tolist(),
         regions=tuple((1 << int(p), a.tolist(), b.tolist()) for p, a, b in zip(propositions, low, high)),
         draws=draws,
+        written=agent if isinstance(agent, Agent) else None,
     )

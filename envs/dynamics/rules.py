@@ -8,7 +8,7 @@ from ..agents import row_times
 
 
 def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any) -> list[Any]:
-    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where agents move.
+    """Return the components of `A x + B u + c + L z`, as numbers or arrays: the one place where linear agents move.
 
     The order of the sums is fixed, so numbers and arrays give the same bits.
     """
@@ -17,6 +17,18 @@ def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any
         total = row_times(a, x)  # a fresh array, so the next terms may be added in place
         total += row_times(b, u)
         total += c
+        total += row_times(factor, z)
+        components.append(total)
+    return components
+
+
+def noisy(means: Any, noise_factor: Any, z: Any) -> list[Any]:
+    """Return the components of `mean + L z`, in the order of `moved`: where agents move whose means are expressions.
+
+    Means must be fresh arrays or numbers: the noise is added in place.
+    """
+    components = []
+    for total, factor in zip(means, noise_factor):
         total += row_times(factor, z)
         components.append(total)
     return components

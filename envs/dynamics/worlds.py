@@ -1,15 +1,15 @@
 """The batched functional core: start, noise, transition, letters, automaton step. Every environment is a view on it.
 
-Agents of equal sizes (d, m, p) form a *block*, whose states are one array (d, n, M): component, agent of the block,
-world. All sums run elementwise in a fixed order, so the trajectory of a world does not depend, to the last bit, on the
-number of worlds computed beside it.
+Linear agents of equal sizes (d, m, p), and agents with the same expressions, form a *block*, whose states are one array
+(d, n, M): component, agent of the block, world. All sums run elementwise in a fixed order, so the trajectory of a world
+does not depend, to the last bit, on the number of worlds computed beside it.
 
 The step of an agent (`moved`), membership (`labeling.inside`, `contains`) and the order of decisions (`decided`) are
 written for anything that adds, multiplies and compares: this module runs them on arrays, `one_world` on numbers.
 
 One step, in this order:
 
-1. `x' = A x + B u + c + L z` with `z` standard normal and `L L' = Sigma`;
+1. `x' = A x + B u + c + L z`, or `f(x, u) + L z`, with `z` standard normal and `L L' = Sigma`;
 2. a world in which any agent has left its workspace fails, even if another agent would complete the task in this step;
 3. the automaton reads the letter of x';
 4. a co-safe task is accepted on entering an accepting state.
@@ -28,10 +28,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..agents import contains, counted, inside, linear, read_only, shortened, tree_text
+from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
 from ..problem import Problem
-from .blocks import Block, block_of
-from .rules import decided, moved
+from .blocks import Block, WrittenMotion, block_of
+from .rules import decided, moved, noisy
 from .tables import Reader, reader
 
 
@@ -70,11 +70,13 @@ class Dynamics:
 
     @classmethod
     def of(cls, problem: Problem) -> Dynamics:
-        """Return the dynamics of a problem; agents of equal sizes share a block."""
+        """Return the dynamics of a problem; linear agents of equal sizes, and equal expressions, share a block."""
         # Blocks come in the order of their first agents, which fixes the order of all random numbers.
-        members: dict[tuple[int, int, int], list[int]] = {}
+        members: dict[object, list[int]] = {}
         for i, agent in enumerate(problem.agents):
-            members.setdefault((agent.n_states, agent.n_inputs, agent.n_outputs), []).append(i)
+            sizes = (agent.n_states, agent.n_inputs, agent.n_outputs)
+            written = (agent.motion_key, agent.output_key) if isinstance(agent, Agent) else None
+            members.setdefault((sizes, written), []).append(i)
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
         blocks = tuple(block_of(problem, group) for group in members.values())
         automaton = problem.automaton
@@ -187,7 +189,7 @@ def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
 
 def noise(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return standard normal numbers for one step, one array (d, n, M) per block."""
-    return tuple(rng.standard_normal((*block.offset.shape[:2], n_worlds)) for block in dynamics.blocks)
+    return tuple(rng.standard_normal((*block.columns.shape, n_worlds)) for block in dynamics.blocks)
 
 
 def transition(
@@ -225,7 +227,9 @@ def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.n
     """
     components = []
     with np.errstate(over="ignore", invalid="ignore"):
-        for (a, to_a), (b, to_b), c, (factor, to_z) in block.motion:
+        if isinstance(block.motion, WrittenMotion):
+            return np.stack(noisy(block.motion.agent.mean(x, u), block.noise_factor, z))
+        for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
             components += moved([a], [b], [c], [factor], *read)
@@ -239,7 +243,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
         if block.propositions.size:
             # One row per proposition: the outputs of the agent that owns it.
             with np.errstate(over="ignore", invalid="ignore"):
-                y = x if block.identity_output else linear(block.C, x)
+                y = block.outputs(x)
             result[block.propositions] = contains(y.take(block.owners, axis=1), block.region_low, block.region_high)
     return result
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ..agents import LinearAgent, shown
+from ..agents import AnyAgent, shown
 from ..dynamics import Dynamics, Worlds, joint
 from ..problem import Problem
 
@@ -52,7 +52,7 @@ def checked_reset(options: dict[str, Any] | None, known: Sequence[str] = RESET_O
     return options
 
 
-def observation_space(problem: Problem, agents: Sequence[LinearAgent], dtype: str) -> spaces.Box:
+def observation_space(problem: Problem, agents: Sequence[AnyAgent], dtype: str) -> spaces.Box:
     """Return the space of observations that list the states of `agents`."""
     # The automaton state one-hot and the fraction of time left lie between 0 and 1.
     zeros = np.zeros(problem.automaton.n_states + 1)
@@ -61,7 +61,7 @@ def observation_space(problem: Problem, agents: Sequence[LinearAgent], dtype: st
     return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
 
 
-def action_space(agents: Sequence[LinearAgent], actions: str) -> spaces.Box:
+def action_space(agents: Sequence[AnyAgent], actions: str) -> spaces.Box:
     """Return the space of the inputs of `agents`, one after the other."""
     if actions == "unit":
         return spaces.Box(-1.0, 1.0, (sum(agent.n_inputs for agent in agents),), dtype=np.float32)

@@ -39,7 +39,6 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import linear
 from ..dynamics import Dynamics, Worlds
 from ..dynamics import worlds as core
 from ..logic import Automaton
@@ -155,10 +154,9 @@ class Potential:
         for block, x in zip(self.dynamics.blocks, worlds.states):
             if block.propositions.size:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    y = (x if block.identity_output else linear(block.C, x))[:, block.owners]
+                    y = block.outputs(x)[:, block.owners]
                     # The width is that of the outputs of the workspace.
-                    extent = (block.state_high - block.state_low)[None]
-                    width = (np.abs(block.C) * extent).sum(axis=1)[:, block.owners]
+                    width = block.output_width[:, block.owners]
                     gap = np.maximum(np.maximum(block.region_low - y, y - block.region_high), 0.0) / width
                 result[block.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
         return result

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..agents import Box, LinearAgent
+from ..agents import AnyAgent, Box, LinearAgent
 from ..problem import Problem
 
 
@@ -110,13 +110,16 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
     named = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
+    if not isinstance(agent, LinearAgent) and not all(agent.output_axis(k) for k in range(agent.n_outputs)):
+        return _bent(problem, i, number)
     # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.
     restricted = np.zeros(agent.n_outputs, dtype=bool)
     for _, proposition in named:
         restricted |= (proposition.low > low) | (proposition.high < high)
     axes = np.flatnonzero(restricted)[:2] if restricted.any() else np.arange(min(2, agent.n_outputs))
     rows = np.zeros((len(axes), problem.n_states))
-    rows[:, problem.columns[i]] = agent.output_matrix[axes]
+    for row, axis in zip(rows, axes):
+        row[problem.columns[i]] = _output_row(agent, int(axis))
     regions = tuple(
         Region(
             name,
@@ -126,6 +129,24 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
         for name, proposition in named
     )
     return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
+
+
+def _bent(problem: Problem, i: int, number: int) -> _Shown:
+    """Return an agent some of whose outputs are expressions: its first two states, without regions of outputs."""
+    agent = problem.agents[i]
+    axes = np.arange(min(2, agent.n_states))
+    rows = np.zeros((len(axes), problem.n_states))
+    rows[axes, problem.columns[i].start + axes] = 1.0
+    return _Shown(Curve(agent.name, number, rows), Box(agent.state_low[axes], agent.state_high[axes]), ())
+
+
+def _output_row(agent: AnyAgent, k: int) -> np.ndarray:
+    """Return the row (d,) of an output that is linear in the states."""
+    if isinstance(agent, LinearAgent):
+        return agent.output_matrix[k]
+    found = agent.output_axis(k)
+    assert found is not None
+    return found[1] * np.eye(agent.n_states)[found[0]]
 
 
 def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
@@ -138,8 +159,10 @@ def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
     return _Shown(Curve(name, x.curve.number, rows), Box(low, high), tuple(bands))
 
 
-def _output_box(agent: LinearAgent) -> tuple[np.ndarray, np.ndarray]:
+def _output_box(agent: AnyAgent) -> tuple[np.ndarray, np.ndarray]:
     """Return the smallest box around the outputs in the workspace (up to rounding)."""
+    if not isinstance(agent, LinearAgent):
+        return tuple(ends[0] for ends in agent.output_range(agent.state_low[None], agent.state_high[None]))
     ends = np.stack([agent.output_matrix * agent.state_low, agent.output_matrix * agent.state_high])
     return ends.min(axis=0).sum(axis=-1), ends.max(axis=0).sum(axis=-1)
 

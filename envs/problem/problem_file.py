@@ -4,7 +4,8 @@ Layout of a file:
 
     name = "my-task"
     horizon = 12
-    [[agents]]                        # the arguments of `LinearAgent`; `copies = 20` makes name_0 ... name_19
+    [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`;
+                                      # `copies = 20` makes name_0 ... name_19
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
     [specification]
@@ -22,14 +23,12 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from ..agents import MOST_AGENTS, LinearAgent, Proposition, checked_count, shown
+from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Proposition, checked_count, shown
 from ..logic import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
 from .families import checked_propositions, expand
 from .record import Problem
 from .specification import Specification
 
-_AGENT_KEYS = tuple(signature(LinearAgent).parameters)
-_OPTIONAL_AGENT_KEYS = ("copies", "initial_state", "initial_low", "initial_high", "output_matrix", "offset")
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
 """Keys of which a specification has exactly one; it says how the task is written."""
@@ -112,24 +111,39 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
         raise ValueError(f"[specification]: `formula`: {_line(error)}") from error
 
 
-def _agents(tables: Any) -> list[LinearAgent]:
+def _agents(tables: Any) -> list[AnyAgent]:
     """Return the agents of the tables, those with `copies` repeated under numbered names."""
     if not isinstance(tables, list) or not tables:
         raise ValueError(f"[[agents]]: expected at least one table, got {shown(tables)}")
-    agents: list[LinearAgent] = []
+    agents: list[AnyAgent] = []
     for position, table in enumerate(tables):
         # Name the table by its number, and by its name if it has a readable one.
         where = f"[[agents]] number {position + 1}"
         if isinstance(table, Mapping) and isinstance(table.get("name"), str):
             where += f" ({shown(table['name'], 40)})"
-        required = tuple(key for key in _AGENT_KEYS if key not in _OPTIONAL_AGENT_KEYS)
-        _check_keys(table, where, required, _OPTIONAL_AGENT_KEYS)
+        kind = _kind(table)
+        _check_keys(table, where, *_keys(kind))
         copies, most = table.get("copies"), MOST_AGENTS - len(agents)
         if copies is not None:
             _prefixed(where, lambda copies=copies, most=most: checked_count(copies, "copies", most=most))
-        agent = _prefixed(where, lambda table=table: LinearAgent(**{k: v for k, v in table.items() if k != "copies"}))
+        agent = _prefixed(
+            where, lambda kind=kind, table=table: kind(**{k: v for k, v in table.items() if k != "copies"})
+        )
         agents.extend([agent] if copies is None else agent.copies(copies))
     return agents
+
+
+def _kind(table: Any) -> type[AnyAgent]:
+    """Return the class of an agent: dynamics are expressions, or matrices."""
+    is_written = isinstance(table, Mapping) and ("dynamics" in table or ("states" in table and "A" not in table))
+    return Agent if is_written else LinearAgent
+
+
+def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
+    """Return the keys that a table of an agent must have, and those that it may have."""
+    arguments = signature(kind).parameters.values()
+    required = [argument.name for argument in arguments if argument.default is argument.empty]
+    return required, [*(argument.name for argument in arguments if argument.name not in required), "copies"]
 
 
 def _propositions(table: Any) -> dict[str, Proposition]:
@@ -144,7 +158,7 @@ def _propositions(table: Any) -> dict[str, Proposition]:
 
 
 def _specification(
-    table: Any, propositions: Mapping[str, Proposition], agents: Sequence[LinearAgent], folder: Path | None
+    table: Any, propositions: Mapping[str, Proposition], agents: Sequence[AnyAgent], folder: Path | None
 ) -> Specification:
     """Return the specification of the table: a formula, HOA text, an automaton as plain values, or one by hand."""
     where = "[specification]"

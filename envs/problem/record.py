@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from ..agents import (
+    AnyAgent,
     Labeling,
-    LinearAgent,
     Proposition,
     checked_count,
     counted,
@@ -53,7 +53,7 @@ class Problem:
     name : str
     horizon : int
         Number of control steps T, at least 1.
-    agents : sequence of LinearAgent
+    agents : sequence of LinearAgent or Agent
         Each with a start.
     propositions : mapping from str to Proposition, or to a dict of its arguments
         Every proposition belongs to one agent. An agent name with one `*` makes a family: one member per agent that
@@ -95,7 +95,7 @@ class Problem:
 
     name: str
     horizon: int
-    agents: tuple[LinearAgent, ...]
+    agents: tuple[AnyAgent, ...]
     declared: Mapping[str, Proposition]
     propositions: Mapping[str, Proposition]
     families: Mapping[str, tuple[str, ...]]
@@ -109,7 +109,7 @@ class Problem:
         *,
         name: str,
         horizon: int,
-        agents: Sequence[LinearAgent],
+        agents: Sequence[AnyAgent],
         propositions: Mapping[str, Proposition | Mapping[str, Any]],
         specification: Specification,
     ) -> None:
@@ -330,7 +330,7 @@ class Problem:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of matrices, boxes, propositions, automaton, start and horizon (not of the name): 64 hex digits."""
+        """SHA-256 of dynamics, boxes, propositions, automaton, start and horizon (not of the name): 64 hex digits."""
         # Problems that behave alike shall agree: hash expanded families and the automaton, not how they were written.
         data = self.to_dict()
         del data["name"]
@@ -381,10 +381,10 @@ def _checked_title(name: Any) -> str:
     return name
 
 
-def _checked_agents(agents: Any) -> tuple[LinearAgent, ...]:
+def _checked_agents(agents: Any) -> tuple[AnyAgent, ...]:
     """Return the agents as a tuple if they differ in name and each has a start; raise ValueError otherwise."""
-    if not isinstance(agents, Sequence) or not agents or not all(isinstance(a, LinearAgent) for a in agents):
-        raise ValueError(f"`agents`: expected a list of at least one LinearAgent, got {shown(agents)}")
+    if not isinstance(agents, Sequence) or not agents or not all(isinstance(a, AnyAgent) for a in agents):
+        raise ValueError(f"`agents`: expected a list of at least one LinearAgent or Agent, got {shown(agents)}")
     seen: set[str] = set()
     for agent in agents:
         if agent.name in seen:

@@ -25,7 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..agents import LinearAgent, Proposition
+from ..agents import AnyAgent, LinearAgent, Proposition
 from ..logic import Formula, parse_formula, with_sides
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -63,11 +63,13 @@ def split_axes(problem: Problem) -> Problem:
         return problem
     # Agents of several blocks are replaced by one agent per block.
     taken = set(problem.agent_names)
-    agents: list[LinearAgent] = []
-    pieces: dict[str, tuple[LinearAgent, list[Block], list[LinearAgent]]] = {}
+    agents: list[AnyAgent] = []
+    pieces: dict[str, tuple[AnyAgent, list[Block], list[AnyAgent]]] = {}
     for agent, agent_blocks in zip(problem.agents, blocks, strict=True):
-        is_whole = len(agent_blocks) == 1
-        replacements = [agent] if is_whole else [_agent_of_block(agent, block, taken) for block in agent_blocks]
+        replacements: list[AnyAgent] = [agent]
+        if len(agent_blocks) > 1:
+            assert isinstance(agent, LinearAgent)
+            replacements = [_agent_of_block(agent, block, taken) for block in agent_blocks]
         pieces[agent.name] = agent, agent_blocks, replacements
         agents += replacements
     # Every region is replaced by its sides; the formula then asks for all of them.
@@ -116,9 +118,14 @@ def axis_order(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return np.array(states), np.array(inputs)
 
 
-def _blocks(agent: LinearAgent) -> list[Block]:
-    """Return the finest blocks that no matrix couples, in the order of their first components."""
+def _blocks(agent: AnyAgent) -> list[Block]:
+    """Return the finest blocks that no matrix couples, in the order of their first components.
+
+    Agents whose dynamics are expressions are left whole.
+    """
     d = agent.n_states
+    if not isinstance(agent, LinearAgent):
+        return [(list(range(d)), list(range(agent.n_inputs)), list(range(agent.n_outputs)))]
     # Two components are linked if an entry of A or of the covariance couples them, or if one input acts on both or one
     # output reads both.
     linked = (agent.A != 0) | (agent.noise_covariance != 0)
@@ -178,15 +185,16 @@ def _output(agent: LinearAgent, block: Block) -> np.ndarray:
     return agent.output_matrix[np.ix_(outputs, components)] * _scale(agent, block)
 
 
-def _scale(agent: LinearAgent, block: Block) -> float:
+def _scale(agent: AnyAgent, block: Block) -> float:
     """Return the factor on outputs and regions of a block, 1 or 2."""
+    assert isinstance(agent, LinearAgent)
     components, _, outputs = block
     block_matrix = agent.output_matrix[np.ix_(outputs, components)]
     return 2.0 if not agent.has_identity_output and np.array_equal(block_matrix, np.eye(len(components))) else 1.0
 
 
 def _sides(
-    agent: LinearAgent, blocks: list[Block], replacements: list[LinearAgent], proposition: Proposition
+    agent: AnyAgent, blocks: list[Block], replacements: list[AnyAgent], proposition: Proposition
 ) -> list[tuple[Block, Proposition]]:
     """Return the sides of a region on the blocks of its agent, without those that hold in the whole workspace."""
     sides = []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from ..agents import LinearAgent, box_text, counted, names_text, tree_text
+from ..agents import AnyAgent, box_text, counted, names_text, tree_text
 
 MOST_KINDS = 4
 """Kinds of agents that are written out: with the other rows they stay within a dozen lines."""
@@ -30,7 +30,7 @@ class AgentKind:
     workspace: str
 
 
-def agent_kinds(agents: Sequence[LinearAgent]) -> list[AgentKind]:
+def agent_kinds(agents: Sequence[AnyAgent]) -> list[AgentKind]:
     """Return the kinds of the agents, in the order in which they first appear."""
     # Equal texts are equal enough here: what a reader cannot tell apart is one kind.
     names: dict[tuple[int, int, str], list[str]] = {}
@@ -40,7 +40,7 @@ def agent_kinds(agents: Sequence[LinearAgent]) -> list[AgentKind]:
     return [AgentKind(tuple(members), *kind) for kind, members in names.items()]
 
 
-def summary_text(title: str, agents: Sequence[LinearAgent], facts: Sequence[tuple[str, str]]) -> str:
+def summary_text(title: str, agents: Sequence[AnyAgent], facts: Sequence[tuple[str, str]]) -> str:
     """Return a title, one line per kind of agents and one per fact, name and value."""
     kinds = agent_kinds(agents)
     rows = [("agents", _agents_text(kind)) for kind in kinds[:MOST_KINDS]]
@@ -49,7 +49,7 @@ def summary_text(title: str, agents: Sequence[LinearAgent], facts: Sequence[tupl
     return tree_text(title, [*rows, *facts])
 
 
-def summary_html(title: str, agents: Sequence[LinearAgent], facts: Sequence[tuple[str, str]]) -> str:
+def summary_html(title: str, agents: Sequence[AnyAgent], facts: Sequence[tuple[str, str]]) -> str:
     """Return the same as a table for notebooks, every text escaped."""
     kinds = agent_kinds(agents)
     lines = [

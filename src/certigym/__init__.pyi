@@ -1,5 +1,6 @@
 """The public names of `certigym`, which are loaded when they are first used (SPEC 1, `lazy_loader`)."""
 
+from .envs.agents import Agent as Agent
 from .envs.agents import LinearAgent as LinearAgent
 from .envs.agents import Proposition as Proposition
 from .envs.logic import Automaton as Automaton
@@ -60,6 +61,7 @@ from .validation.verdicts import validate_horizons as validate_horizons
 __version__: str
 
 __all__ = [
+    "Agent",
     "Automaton",
     "AuditReport",
     "Certificate",

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray, Grid, corner_sides, hat_share_of, in_grid_coordinates, spread, to_places
 from ..models import AgentModel, Bends, JointModel, Kernel, hat_table
@@ -179,7 +179,7 @@ def _windows(
 def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy) -> float | None:
     """Return an upper bound on what any policy of the continuous system attains from the start (mean over a box).
 
-    None if the lattice of an agent would be too large.
+    None if the lattice of an agent would be too large, or its dynamics are expressions.
     """
     values: list[FloatArray] = []
     begins: list[FloatArray] = []
@@ -188,8 +188,10 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        arrays = (agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_low, agent.input_high)
-        alike = (id(model), *(array.tobytes() for array in arrays))
+        if not isinstance(agent, LinearAgent):
+            return None
+        arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
+        alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))
         if alike not in optimists:
             optimists[alike] = Optimist.of(agent, model, joint.horizon * joint.n_states)
         optimist = optimists[alike]
@@ -223,7 +225,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     return min(1.0, (total + unread) * (1.0 + 4.0 * n * UNIT) + 1e-12)
 
 
-def _hats(agent: LinearAgent, model: AgentModel) -> FloatArray:
+def _hats(agent: AnyAgent, model: AgentModel) -> FloatArray:
     """Return the mean hat of every place (2^d S,) of an agent's grid at its start."""
     return hat_share_of(model.grid, model.relation.coordinates, agent.initial.low, agent.initial.high)
 

@@ -3,10 +3,10 @@
 from .agent_grids import DEFAULT_TARGETS, CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
-from .grid_dynamics import GridDynamics, in_grid_coordinates
+from .grid_dynamics import GridDynamics, grid_covariance, in_grid_coordinates
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
-from .refusal import RelationRefused
+from .refusal import RelationRefused, linear_agent
 from .sizes import alike_text, shape_text
 
 __all__ = [
@@ -27,8 +27,10 @@ __all__ = [
     "error_labels",
     "hat_share_of",
     "hats",
+    "grid_covariance",
     "in_grid_coordinates",
     "label_room",
+    "linear_agent",
     "of_cells",
     "region_boundaries",
     "shape_text",

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from .grid import FloatArray, Grid, aligned_edges
 from .refusal import RelationRefused
@@ -57,7 +57,7 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
     return Grid(tuple(edges)), coordinates
 
 
-def _noise_coordinates(agent: LinearAgent) -> FloatArray:
+def _noise_coordinates(agent: AnyAgent) -> FloatArray:
     """Return the unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance.
 
     Of all coordinates in which the noise is diagonal these keep the first axis aligned.
@@ -86,10 +86,11 @@ def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
     for proposition in problem.propositions.values():
         if proposition.agent != agent.name:
             continue
-        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
+        for k, (low, high) in enumerate(zip(proposition.low, proposition.high, strict=True)):
             # A region bounds a single state where its output is a multiple of that state.
-            if np.count_nonzero(row) == 1 and row[axis] != 0:
-                boundaries += [float(low / row[axis]), float(high / row[axis])]
+            found = agent.output_axis(k)
+            if found is not None and found[0] == axis:
+                boundaries += [float(low / found[1]), float(high / found[1])]
     return boundaries
 
 
@@ -105,11 +106,12 @@ def label_room(problem: Problem, i: int) -> FloatArray:
     for proposition in problem.propositions.values():
         if proposition.agent != agent.name:
             continue
-        for row, low, high in zip(agent.output_matrix, proposition.low, proposition.high, strict=True):
-            if np.count_nonzero(row) == 1:
-                k = int(np.flatnonzero(row)[0])
+        for output, (low, high) in enumerate(zip(proposition.low, proposition.high, strict=True)):
+            found = agent.output_axis(output)
+            if found is not None:
+                k, factor = found
                 inside = np.clip(
-                    np.sort([low / row[k], high / row[k]]), agent.workspace.low[k], agent.workspace.high[k]
+                    np.sort([low / factor, high / factor]), agent.workspace.low[k], agent.workspace.high[k]
                 )
                 if inside[1] > inside[0]:
                     room[k] = min(room[k], 0.5 * float(inside[1] - inside[0]))
@@ -119,12 +121,12 @@ def label_room(problem: Problem, i: int) -> FloatArray:
     return np.asarray(np.minimum(room, np.maximum(near, LEAST_ROOM_SHARE * room)))
 
 
-def cells_of_agent(agent: LinearAgent, cells: CellCounts) -> tuple[int, ...]:
+def cells_of_agent(agent: AnyAgent, cells: CellCounts) -> tuple[int, ...]:
     """Return the cells per axis of one agent, or raise ValueError if they are no positive whole numbers."""
     wanted = cells.get(agent.name) if isinstance(cells, Mapping) else cells
     if wanted is None:
         wanted = DEFAULT_CELLS.get(agent.n_states, 10)
-        if agent.n_states == 2 and np.linalg.matrix_rank(agent.B) == 2:
+        if agent.n_states == 2 and isinstance(agent, LinearAgent) and np.linalg.matrix_rank(agent.B) == 2:
             wanted = DEFAULT_CELLS_IN_THE_PLANE
     per_axis = tuple(wanted) if isinstance(wanted, Sequence) else (wanted,) * agent.n_states
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in per_axis)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from .grid import FloatArray
 
 
@@ -29,6 +29,12 @@ class GridDynamics:
     offset: FloatArray
     covariance: FloatArray
     inverse: FloatArray
+
+
+def grid_covariance(agent: AnyAgent, coordinates: FloatArray) -> FloatArray:
+    """Return the covariance (d, d) of the noise of any agent in grid coordinates (exact up to rounding)."""
+    inverse = np.linalg.inv(coordinates)
+    return np.asarray(inverse @ agent.noise_covariance @ inverse.T)
 
 
 def in_grid_coordinates(agent: LinearAgent, coordinates: FloatArray) -> GridDynamics:

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from ...envs.agents import AnyAgent, LinearAgent
+
 
 class RelationRefused(ValueError):
     """No relation of the kind that was asked for ties this agent to these cells; the text says what to try.
 
     A search over relations or cells catches it and continues; other errors are mistakes of the caller and end it.
     """
+
+
+def linear_agent(agent: AnyAgent, relation: str) -> LinearAgent:
+    """Return an agent whose dynamics are matrices, or refuse a relation that needs them."""
+    if not isinstance(agent, LinearAgent):
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{relation}` is for linear dynamics (A and B), got "
+            "expressions; ask for `boxes`"
+        )
+    return agent

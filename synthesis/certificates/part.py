@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, tree_text
+from ...envs.agents import AnyAgent, tree_text
 from ..cells import FloatArray, Grid, hats, shape_text, spread
 from ..relations import Relation, relation_from
 
@@ -55,7 +55,7 @@ class AgentPart:
         ]
         return tree_text(f"AgentPart: {self.relation['kind']} relation", rows)
 
-    def relation_of(self, agent: LinearAgent) -> Relation:
+    def relation_of(self, agent: AnyAgent) -> Relation:
         """Return the relation of ``agent`` that is described, its numbers computed anew."""
         return relation_from(self.relation, agent, self.grid, self.coordinates)
 

@@ -1,11 +1,12 @@
 """The relation ``boxes``, once more: enclosures of means, the charge of the lattice and least values over boxes.
 
 From every x of a closed cell the mean is ``A x + B (u_a + K_a (x - c)) + c_0``, affine in x; its box is the mean from
-the centre, give or take ``|A + B K_a| h`` and what is rounded. On a lattice of steps eta, with ``g(z) = E v(z + w)``, a
-multilinear interpolant of g is above g by at most ``sum_k eta_k^2 / 8 sup (d_k^2 g)^+``, and the supremum over a small
-box is found from second differences at its corners, up to fourth derivatives (docs/theory/boxes.md, "The charge").
-Taking both off at lattice points leaves an interpolant below g. It is least over a box at a point each of whose
-coordinates is an end of the box or a lattice point between the ends; here all of them are tried.
+the centre, give or take ``|A + B K_a| h`` and what is rounded. Boxes of expressions are those of ``own_intervals``. On
+a lattice of steps eta, with ``g(z) = E v(z + w)``, a multilinear interpolant of g is above g by at most ``sum_k eta_k^2
+/ 8 sup (d_k^2 g)^+``, and the supremum over a small box is found from second differences at its corners, up to fourth
+derivatives (docs/theory/boxes.md, "The charge"). Taking both off at lattice points leaves an interpolant below g. It is
+least over a box at a point each of whose coordinates is an end of the box or a lattice point between the ends; here all
+of them are tried.
 
 Nothing of the kernels, choices and minima of the search is used.
 """
@@ -19,9 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart, axis_tables, grid_noise, lost_to_rounding, smooth
+from .geometry import cell_boxes
+from .own_intervals import mean_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
@@ -36,6 +39,9 @@ OUTWARD = 1.0 + 1e-13
 
 MOST_POINTS = 100_000
 """Most points of a box, as they are tried one by one; larger boxes are worth nothing."""
+
+CELLS_AT_ONCE = 100_000
+"""Boxes of expressions that are made at once."""
 
 CHUNK = 2_000_000
 """Numbers that are formed at once."""
@@ -53,15 +59,48 @@ class BoxTables:
         What is taken off besides second differences, per unit of the largest value.
     off : (d,) array
         What means are off by in floating point, at most.
+    written : WrittenBoxes or None
+        Boxes of all cells and choices that policies use, where dynamics are expressions.
     """
 
     masses: list[FloatArray]
     slack: float
     off: FloatArray
+    written: WrittenBoxes | None
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenBoxes:
+    """Corners (K, d) of boxes in grid coordinates, by increasing numbers ``cell * A + choice`` (K,)."""
+
+    numbers: NDArray[np.int64]
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, agent: Agent, part: AgentPart) -> WrittenBoxes:
+        """Boxes around the means of every cell under every choice that a policy makes there."""
+        menu = np.array(part.relation["menu"], dtype=float)
+        cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
+        asked = part.policy >= 0
+        numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
+        cell, choice = np.divmod(numbers, len(menu))
+        low, high = cell_boxes(part)
+        corners = []
+        for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
+            here, inputs = cell[some], menu[choice[some]]
+            parts = int(part.relation["parts"])
+            corners.append(mean_spans(agent, low[here], high[here], inputs, part.coordinates, parts))
+        return cls(numbers, *(np.concatenate(ends) for ends in zip(*corners, strict=True)))
+
+    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Corners (C, d) of the boxes with some numbers (C,)."""
+        places = np.searchsorted(self.numbers, numbers)
+        return self.low[places], self.high[places]
 
 
 def box_tables(
-    agent: LinearAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
+    agent: AnyAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
 ) -> BoxTables:
     """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
@@ -72,19 +111,18 @@ def box_tables(
         slack += STRAIGHT * own**4 / 96.0
         slack += sum((STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist()))
     slack += ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent.noise_covariance, part)
-    return BoxTables(axis_tables(agent.noise_covariance, part, known), slack, off)
+    written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
+    return BoxTables(axis_tables(agent.noise_covariance, part, known), slack, off, written)
 
 
-def box_values(
-    agent: LinearAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int
-) -> FloatArray:
+def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int) -> FloatArray:
     """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0."""
     values = np.zeros((len(factors), part.grid.n_cells))
     if not len(factors):
         return values
     policy = part.policy[min(t, len(part.policy) - 1), q]
     cells = np.flatnonzero(policy >= 0)
-    low, high = mean_positions(agent, part, tables.off, cells, policy[cells])
+    low, high = mean_positions(agent, part, tables, cells, policy[cells])
     last = np.array([len(axis) - 1 for axis in part.lattice])
     # Second differences are not known at the border of the lattice: what comes nearer is worth nothing.
     inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=1)
@@ -98,9 +136,15 @@ def box_values(
 
 
 def mean_positions(
-    agent: LinearAgent, part: AgentPart, off: FloatArray, cells: NDArray[np.int64], choices: NDArray[np.integer]
+    agent: AnyAgent, part: AgentPart, tables: BoxTables, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (C, d), in lattice steps, of boxes that hold the means from all points of cells under choices."""
+    first = np.array([axis[0] for axis in part.lattice])
+    step = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    if tables.written is not None:
+        low, high = tables.written.at(cells * len(part.relation["menu"]) + choices)
+        return (low - tables.off - first) / step, (high + tables.off - first) / step
+    assert isinstance(agent, LinearAgent)
     inverse = np.linalg.inv(part.coordinates)
     plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
     A, B, offset = agent.A, agent.B, agent.offset
@@ -115,8 +159,7 @@ def mean_positions(
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
         reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
-    first = np.array([axis[0] for axis in part.lattice])
-    step = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    off = tables.off
     return (mean - reach - off - first) / step, (mean + reach + off - first) / step
 
 

@@ -264,9 +264,14 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
-        arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
+        arrays = [agent.noise_covariance, agent.input_box.low, agent.input_box.high]
         arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
-        key = (id(part.grid), json.dumps(part.relation, sort_keys=True), *(own.tobytes() for own in arrays))
+        key = (
+            *agent.motion_key,
+            id(part.grid),
+            json.dumps(part.relation, sort_keys=True),
+            *(own.tobytes() for own in arrays),
+        )
         if key not in verified:
             relation = controller.relation
             execution = execution_of(agent, part, relation)

@@ -21,7 +21,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..controllers import AgentController
@@ -83,7 +83,7 @@ class _Setting:
     unit: float
 
 
-def execution_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> Execution:
+def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
     """How far the controller with this relation may be off."""
     setting = _setting(agent, part)
     if isinstance(relation, ExactRelation):
@@ -95,21 +95,25 @@ def execution_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> Exe
     return _coupled(setting, part, relation)
 
 
-def _setting(agent: LinearAgent, part: AgentPart) -> _Setting:
+def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
     d, m = agent.n_states, agent.n_inputs
+    # Means of expressions are enclosed where they are used: here counts only how states are read.
+    moves = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
+    if isinstance(agent, LinearAgent):
+        moves = agent.A, agent.B, agent.offset
     unit = (4.0 * (d + m) + 16.0) * UNIT
     x = np.array([max(abs(edges[0]), abs(edges[-1])) for edges in part.grid.edges])
     u = np.maximum(np.abs(agent.input_box.low), np.abs(agent.input_box.high))
     C = part.coordinates
     if np.array_equal(C, np.eye(d)):
         inverse, wrong = np.eye(d), np.zeros((d, d))
-        read, A, B, c = np.zeros(d), agent.A, agent.B, agent.offset
+        read, (A, B, c) = np.zeros(d), moves
     else:
         inverse = np.linalg.inv(C)
         # |C^-1 - inverse| <= 2 |inverse| |C inverse - I|, as long as the last is small
         wrong = np.abs(inverse) @ (np.abs(C @ inverse - np.eye(d)) + unit * np.abs(C) @ np.abs(inverse)) * 2.0
         read = (wrong + unit * np.abs(inverse)) @ np.abs(C) @ x
-        A, B, c = inverse @ agent.A @ C, inverse @ agent.B, inverse @ agent.offset
+        A, B, c = inverse @ moves[0] @ C, inverse @ moves[1], inverse @ moves[2]
     off = wrong + (unit * np.abs(inverse) if np.any(wrong) else 0.0)
     noise = inverse @ agent.noise_covariance @ inverse.T
     noise_off = 2.0 * off @ np.abs(agent.noise_covariance) @ (np.abs(inverse) + off).T
@@ -117,7 +121,7 @@ def _setting(agent: LinearAgent, part: AgentPart) -> _Setting:
     noise_off += np.abs(noise - np.diag(np.diag(noise)))
     return _Setting(
         A=A, B=B, c=c,
-        A_off=off @ np.abs(agent.A) @ np.abs(C), B_off=off @ np.abs(agent.B), c_off=off @ np.abs(agent.offset),
+        A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),
         x=x, u=u, read=read,
         deviations=deviations * (1.0 - 1e-9),
         law=float(np.linalg.norm(noise_off / np.outer(deviations, deviations))),
@@ -203,7 +207,7 @@ NEAR = 1e-9
 """Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
 
 
-def wrong_actions(agent: LinearAgent, part: AgentPart, controller: AgentController, execution: Execution) -> list[str]:
+def wrong_actions(agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution) -> list[str]:
     """What a controller is seen to do otherwise than its certificate says, on points of every kind.
 
     Parameters
@@ -216,7 +220,7 @@ def wrong_actions(agent: LinearAgent, part: AgentPart, controller: AgentControll
         What it may be off by.
     """
     rng, relation = np.random.default_rng(0), controller.relation
-    if isinstance(relation, CoupledRelation):
+    if isinstance(relation, CoupledRelation) and isinstance(agent, LinearAgent):
         return _wrong_memory(agent, part, controller, relation, execution, rng)
     for t in range(len(part.policy)):
         failures = _wrong_means(agent, part, controller, execution, t, rng)
@@ -226,7 +230,7 @@ def wrong_actions(agent: LinearAgent, part: AgentPart, controller: AgentControll
 
 
 def _wrong_means(
-    agent: LinearAgent, part: AgentPart, controller: AgentController, execution: Execution, t: int, rng: Generator
+    agent: AnyAgent, part: AgentPart, controller: AgentController, execution: Execution, t: int, rng: Generator
 ) -> list[str]:
     """Inputs at time t outside their box, or means of the next state off the lattice point of the policy."""
     count = max(64, PROBES // len(part.policy))
@@ -244,8 +248,12 @@ def _wrong_means(
     # Where cells are so narrow that they cannot be told apart, all that is claimed is charged for misread cells.
     if execution.loss >= 1.0:
         return []
-    mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     choice = part.policy[t, q, cells]
+    if not isinstance(agent, LinearAgent):
+        asked = np.array(part.relation["menu"], dtype=float)[choice].T
+        wrong = np.any((inputs != asked) & (choice >= 0))
+        return ["its controller was seen to do something else than its policy says"] if wrong else []
+    mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
     if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]

@@ -13,10 +13,11 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPart
+from .own_intervals import output_spans
 
 OUTWARD = 2.0**-47
 """Relative widening of boxes that went through a matrix: some sixty times the rounding of one operation."""
@@ -67,11 +68,15 @@ def classes_in_boxes(
         return np.zeros((1, 0), dtype=bool), np.ones((len(low), 1), dtype=bool)
     region_low = np.array([r.low for r in regions]).reshape(len(regions), -1)  # (P, p)
     region_high = np.array([r.high for r in regions]).reshape(len(regions), -1)
-    if is_identity(model.output_matrix):
+    if model.has_identity_output:
         region_high = np.where(region_high >= model.workspace.high, np.inf, region_high)  # closed at the workspace
     else:
-        low, high = box_image(low, high, model.output_matrix)
         closed = True
+        if isinstance(model, LinearAgent):
+            low, high = box_image(low, high, model.output_matrix)
+        else:
+            assert isinstance(model, Agent)
+            low, high = output_spans(model, low, high)
     axes = []  # per axis: (S, 1 + E) coordinates, (S, 1 + E) whether the box reaches them
     for k in range(low.shape[1]):
         edges = np.unique(np.concatenate([region_low[:, k], region_high[:, k]]))
@@ -98,7 +103,7 @@ def classes_in_boxes(
     return np.array(list(found.values())), np.array([meets[key] for key in found]).T
 
 
-def start_shares(agent: LinearAgent, part: AgentPart) -> FloatArray:
+def start_shares(agent: AnyAgent, part: AgentPart) -> FloatArray:
     """Lower bounds (S,), up to rounding, on the probability of each cell under the start of an agent."""
     low, high = agent.initial.low, agent.initial.high
     if not is_identity(part.coordinates):

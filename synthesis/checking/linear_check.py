@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
@@ -161,7 +161,7 @@ def _below(at: FloatArray, corners: FloatArray, between: FloatArray, lacking: Fl
     return np.where(take[:, :, None], moved, result)
 
 
-def hat_weights(agent: LinearAgent, part: AgentPart) -> FloatArray:
+def hat_weights(agent: AnyAgent, part: AgentPart) -> FloatArray:
     """Weights (places,) that give the mean of a multilinear factor over the start of an agent, up to rounding."""
     low, high = agent.initial.low, agent.initial.high
     if not np.array_equal(part.coordinates, np.eye(len(low))):

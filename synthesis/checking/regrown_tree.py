@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray
+from ..cells import FloatArray, linear_agent
 from ..certificates import Certificate, axis_tables, smooth
 from ..values import Merges, Terms
 from .boxes_check import box_tables, box_values
@@ -40,7 +40,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
     kernels = [axis_tables(a.noise_covariance, p, tables) if p.is_additive else [] for a, p in pairs]
-    linear = [linear_tables(a, p) if p.is_linear else None for a, p in pairs]
+    linear = [linear_tables(linear_agent(a, "linear"), p) if p.is_linear else None for a, p in pairs]
     boxes = [
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
         for a, p in pairs
@@ -74,7 +74,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                         # The stored factors need not be those that are best here, but must be below the truth.
                         distinct, where = vertex[kept], np.arange(len(kept))
                         stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
-                    agent = certificate.problem.agents[i]
+                    agent = linear_agent(certificate.problem.agents[i], "linear")
                     values, proved = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
                     if not np.all(proved):
                         raise BrokenTreeError(

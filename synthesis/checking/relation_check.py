@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..relations import (
@@ -43,12 +43,12 @@ WIDENED = 1.0 + 1e-9
 """Widening of the interval of a ``paper`` relation, which leaves room for rounding; its margins are as wide."""
 
 
-def verify_relation(agent: LinearAgent, part: AgentPart, relation: Relation, execution: Execution) -> list[str]:
+def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execution: Execution) -> list[str]:
     """What is wrong with the relation of one agent; an empty list if it holds.
 
     Parameters
     ----------
-    agent : LinearAgent
+    agent : AnyAgent
         The continuous agent.
     part : AgentPart
         Grid, lattice and policy to be verified.
@@ -57,12 +57,14 @@ def verify_relation(agent: LinearAgent, part: AgentPart, relation: Relation, exe
     execution : Execution
         What its controller may be off by.
     """
+    if isinstance(relation, BoxRelation):
+        return _verify_boxes(agent, part, execution)
+    if not isinstance(agent, LinearAgent):
+        return ["its relation is for linear dynamics, which it has not"]
     if isinstance(relation, ExactRelation):
         return _verify_targets(agent, part, relation, part.policy, execution)
     if isinstance(relation, LinearRelation):
         return _verify_affine(agent, part, relation, execution)
-    if isinstance(relation, BoxRelation):
-        return _verify_boxes(agent, part, execution)
     return _verify_coupled(agent, part, relation, execution)
 
 
@@ -98,9 +100,11 @@ def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation
     return failures
 
 
-def _verify_boxes(agent: LinearAgent, part: AgentPart, execution: Execution) -> list[str]:
+def _verify_boxes(agent: AnyAgent, part: AgentPart, execution: Execution) -> list[str]:
     """Every input that is chosen is admissible at every point of its cells, with what is fed back there."""
     menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    if not isinstance(agent, LinearAgent) and np.any(gains):
+        return ["it feeds states back inside its cells, which boxes of expressions do not know of"]
     low, high = cell_boxes(part)
     rows = part.policy.reshape(-1, part.policy.shape[-1])
     for choice in np.unique(rows[rows >= 0]):

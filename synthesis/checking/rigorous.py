@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.suite import as_problem
+from ..cells import linear_agent
 from ..certificates import AgentPart, Certificate, ProductCertificate, as_certificate
 from .certificate_check import check
 
@@ -123,6 +124,7 @@ def _ball_of(certificate: Certificate) -> tuple[Any, list[str]]:
     known: dict[object, BallFacts] = {}
     problem = certificate.problem
     for agent, part, own in zip(problem.agents, certificate.agents, certificate.controller.agents, strict=True):
+        agent = linear_agent(agent, own.relation.kind)
         arrays = [agent.A, agent.B, agent.offset, agent.noise_covariance, agent.input_box.low, agent.input_box.high]
         key = (id(part.grid), part.policy.tobytes(), str(part.relation), *(array.tobytes() for array in arrays))
         if key not in known:

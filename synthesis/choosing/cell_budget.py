@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from ..cells import DEFAULT_TARGETS, region_boundaries
-from ..models import BAND_BYTES, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS
+from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS, has_full_rank
 from ..relations import coupling_failure
 
 Shape = tuple[int, ...]
@@ -41,6 +41,9 @@ MOST_CELLS_PER_AXIS = 4000
 
 MOST_NUMBERS = 24
 """Most numbers of cells per axis that are compared: for three axes they make some ten thousand combinations."""
+
+POINTS_OF_BOXES = 4
+"""Lattice points per cell and axis under the relation ``boxes``, about."""
 
 UNKNOWN_STATES = 3
 """Automaton states assumed for independent tasks, where the automaton of the whole is not built."""
@@ -84,8 +87,9 @@ def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[
     """
     alike: dict[tuple[Any, ...], list[int]] = {}
     for i, agent in enumerate(problem.agents):
-        arrays = (agent.A, agent.B, agent.noise_covariance, agent.state_low, agent.state_high, agent.input_low)
-        alike.setdefault((kinds[i], *(a.tobytes() for a in arrays), agent.input_high.tobytes()), []).append(i)
+        corners = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
+        key = (kinds[i], *agent.motion_key, *(a.tobytes() for a in (agent.noise_covariance, *corners)))
+        alike.setdefault(key, []).append(i)
     cells_of: dict[int, AgentCells] = {}
     for (kind, *_), members in alike.items():
         first = problem.agents[members[0]]
@@ -124,7 +128,7 @@ def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
 
 
 def _agent_cells(
-    problem: Problem, agent: LinearAgent, boundaries: Sequence[list[float]], resolution: float, relation: str
+    problem: Problem, agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str
 ) -> AgentCells:
     """Return the cells of one agent: of the numbers near the resolution those with the fewest lattice points."""
     span = agent.state_high - agent.state_low
@@ -135,12 +139,14 @@ def _agent_cells(
         for low, high, inside, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)
     ]
     automatic = ("auto", "best", "quick")
-    by_target = relation == "exact" or (relation in automatic and np.linalg.matrix_rank(agent.B) == agent.n_states)
+    by_target = relation == "exact" or (relation in automatic and has_full_rank(agent))
     # Compare all combinations: fewest lattice points first, then most axes of equal cells, then nearest to the wish.
     scored = []
     for choice in product(*options):
         shape, even = tuple(n for n, _ in choice), tuple(e for _, e in choice)
-        if by_target:
+        if not isinstance(agent, LinearAgent):
+            per_cell = (POINTS_OF_BOXES,) * agent.n_states
+        elif by_target:
             per_cell = (DEFAULT_TARGETS.get(agent.n_states, 1),) * agent.n_states
         else:
             per_cell = _points_per_cell(agent, np.array(shape), even)
@@ -148,6 +154,8 @@ def _agent_cells(
         far = sum(abs(math.log(n / max(number, len(inside) + 1))) for n, number, inside in axes)
         scored.append((math.prod(per_cell), -sum(even), far, shape, per_cell))
     *_, shape, per_cell = min(scored)
+    if not isinstance(agent, LinearAgent):
+        return _boxes_sized(problem, agent, shape, per_cell)
     return _sized(problem, agent, shape, per_cell, by_target)
 
 
@@ -240,6 +248,17 @@ def _sized(
         choices = n_cells * inputs * (4 + 8 * (3 * d + 4))
     policy = 4.0 * problem.horizon * _n_states(problem) * n_cells
     return AgentCells(shape, per_cell, kernel + choices, policy, n_cells + lattice)
+
+
+def _boxes_sized(problem: Problem, agent: AnyAgent, shape: Shape, per_cell: tuple[int, ...]) -> AgentCells:
+    """Return the cells of an agent with expressions, with the bytes of boxes, lattice and policies (an estimate)."""
+    d, n_cells = agent.n_states, math.prod(shape)
+    lattice = float(math.prod(n * k for n, k in zip(shape, per_cell, strict=True)))
+    # Corners of boxes, the windows that cover them, and some lattice tables at a time.
+    inputs = INPUT_LEVELS.get(agent.n_inputs, 3) ** agent.n_inputs
+    tables = n_cells * inputs * (16.0 * d + 4.0 * 2**d + 2.0) + 64.0 * lattice
+    policy = 4.0 * problem.horizon * _n_states(problem) * n_cells
+    return AgentCells(shape, per_cell, tables, policy, n_cells + lattice)
 
 
 def _n_states(problem: Problem) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..certificates import AgentPart, Certificate, checked_certificate
 from ..models import Abstraction, AgentModel, InputMenu, Policies
@@ -49,7 +49,7 @@ def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstr
     return by_name if certificate.problem.horizon != problem.horizon else dict([by_name.popitem()])
 
 
-def _moves(agent: LinearAgent) -> dict[str, Any]:
+def _moves(agent: AnyAgent) -> dict[str, Any]:
     """Return all of an agent but its name and its start: what its choices are admissible for."""
     return {key: value for key, value in agent.to_dict().items() if key != "name" and not key.startswith("initial")}
 

@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import region_boundaries
 from ..models import Abstraction, AffineChoices, AgentModel, Policies
@@ -63,7 +63,7 @@ def level_cells(problem: Problem, width: float) -> dict[str, tuple[int, ...]]:
     return {agent.name: _cells(problem, i, agent, width) for i, agent in enumerate(problem.agents)}
 
 
-def _cells(problem: Problem, i: int, agent: LinearAgent, width: float) -> tuple[int, ...]:
+def _cells(problem: Problem, i: int, agent: AnyAgent, width: float) -> tuple[int, ...]:
     """Return cells per axis of about ``width`` standard deviations; equal ones, if boundaries allow for them."""
     span, deviations = agent.state_high - agent.state_low, np.sqrt(np.diag(agent.noise_covariance))
     numbers = []

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import CellCounts, RelationRefused, cells_of_agent
 from ..certificates import Synthesis, rounded_up
@@ -127,8 +128,11 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     """Return the group with its models under all relations that are asked for and apply."""
     models: dict[str, dict[int, AgentModel]] = {}
     refused: dict[str, str] = {}
-    automatic = ALL_RELATIONS[:3] if has_full_rank(problem.agents[members[0]]) else ALL_RELATIONS[1:3]
-    wanted = {"auto": automatic, "best": ALL_RELATIONS}
+    first = problem.agents[members[0]]
+    automatic = ALL_RELATIONS[:3] if has_full_rank(first) else ALL_RELATIONS[1:3]
+    wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
+    if not isinstance(first, LinearAgent):
+        wanted = dict.fromkeys(wanted, ("boxes",))
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)

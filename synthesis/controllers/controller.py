@@ -160,7 +160,7 @@ class BatchController:
             for k, i in enumerate(block.agents):
                 groups.setdefault(_signature(agents[i]), []).append(k)
             blocks.append(tuple(_group(agents, block.agents, members) for members in groups.values()))
-            shapes.append((block.B.shape[1], len(block.agents)))
+            shapes.append((block.n_inputs, len(block.agents)))
         return cls(tuple(blocks), tuple(shapes))
 
     def begin(self, worlds: Worlds, rng: Draws) -> BatchMemory:

@@ -21,7 +21,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, counted
+from ...envs.agents import AnyAgent, counted
 from ...envs.problem import Problem
 from ..cells import FloatArray, Grid
 from .agent_controller import AgentController
@@ -107,11 +107,11 @@ class CheckedPolicies:
 
     Parameters
     ----------
-    agents : tuple of LinearAgent
+    agents : tuple of AnyAgent
     policies : tuple of AgentPolicy
     """
 
-    agents: tuple[LinearAgent, ...]
+    agents: tuple[AnyAgent, ...]
     policies: tuple[AgentPolicy, ...]
 
     def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
@@ -191,7 +191,7 @@ def decentralised(problem: Problem, policy: Policy) -> Decentralised:
     return CheckedPolicies(problem.agents, policies)
 
 
-def _check_table(problem: Problem, agent: LinearAgent, table: InputTable) -> None:
+def _check_table(problem: Problem, agent: AnyAgent, table: InputTable) -> None:
     """Raise ValueError unless a table has the sizes of an agent and of the automaton."""
     expected = (agent.n_states, problem.automaton.n_states, agent.n_inputs)
     got = (len(table.grid.edges), table.inputs.shape[1], table.inputs.shape[3])

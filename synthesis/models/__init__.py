@@ -19,6 +19,7 @@ from .agent_models import SNAPPED_POINTS
 from .bends import Bends
 from .box_choices import BoxChoices
 from .box_kernel import BoxKernel
+from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
@@ -33,6 +34,7 @@ __all__ = [
     "BoxChoices",
     "BoxKernel",
     "Choices",
+    "INPUT_LEVELS",
     "InputMenu",
     "JointModel",
     "Kernel",

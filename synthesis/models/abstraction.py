@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, checked_count, counted, tree_text
+from ...envs.agents import AnyAgent, LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
     DEFAULT_TARGETS,
@@ -35,6 +35,7 @@ from ..cells import (
     error_labels,
     hat_share_of,
     label_room,
+    linear_agent,
     of_cells,
     shape_text,
     spread,
@@ -337,16 +338,18 @@ def models_of(
 
 
 def _shared_model(
-    agent: LinearAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
+    # Of agents whose dynamics are expressions no more is known than boxes.
+    if kind == "boxes" or (kind in ("auto", "quick") and not isinstance(agent, LinearAgent)):
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
+    agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
     if kind == "linear":
         return linear_model(agent, grid, coordinates, settings.targets_per_cell)
-    if kind == "boxes":
-        return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
         return tube_model(agent, grid, coordinates, room)
     if kind == "ellipsoid":
@@ -376,13 +379,13 @@ def check_settings(settings: Mapping[str, object]) -> None:
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
 
 
-def alike_arrays(agent: LinearAgent) -> tuple[bytes, ...]:
-    """Return the arrays that determine the model of an agent apart from its relation, grid and labels, as bytes."""
+def alike_arrays(agent: AnyAgent) -> tuple[bytes, ...]:
+    """Return what determines the model of an agent apart from its relation, grid and labels, as bytes."""
     box, inputs = agent.workspace, agent.input_box
-    arrays = (agent.A, agent.B, agent.offset, agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
-    return tuple(array.tobytes() for array in arrays)
+    arrays = (agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
+    return (*agent.motion_key, *(array.tobytes() for array in arrays))
 
 
-def has_full_rank(agent: LinearAgent) -> bool:
-    """Return whether B has full row rank: every mean can be commanded."""
-    return bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
+def has_full_rank(agent: AnyAgent) -> bool:
+    """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
+    return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)

@@ -1,4 +1,4 @@
-"""Relation, lattice, kernel and choices of a linear agent under the relation ``boxes``."""
+"""Relation, lattice, kernel and choices of an agent under the relation ``boxes``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 from scipy.linalg import qr
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
+from ...envs.agents import AnyAgent, Box, LinearAgent
+from ..cells import FloatArray, Grid, RelationRefused, grid_covariance, in_grid_coordinates
 from ..relations import BoxRelation, box_relation
 from .box_choices import BoxChoices, box_choices
 from .box_kernel import BoxKernel, box_kernel, box_lattice, points_per_cell
@@ -23,6 +23,12 @@ LEAST_RANGE = 0.05
 RANK = 1e-9
 """Relative size, after scaling, of pivots that count as 0."""
 
+PARTS, LEAST_SHRINKAGE = (1, 2, 4), 0.03
+"""Parts into which cells are cut along each axis to enclose expressions, and by how much that must shrink boxes."""
+
+SAMPLED_CELLS = 500
+"""Cells by which that is judged."""
+
 MOST_BOXES = 20_000_000
 """Most boxes of an agent, cells times choices: 1 GB in two dimensions."""
 
@@ -31,17 +37,19 @@ MOST_LATTICE = 50_000_000
 
 
 def box_model(
-    agent: LinearAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
     """Return relation, lattice, kernel and choices under the relation ``boxes``."""
-    menu, gains = input_menu(agent, grid, coordinates)
-    relation = box_relation(agent, coordinates, menu, gains)
-    deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
+    relation = relation_of(agent, grid, coordinates)
+    menu, gains = relation.menu, relation.gains
+    deviations = np.sqrt(np.diag(grid_covariance(agent, coordinates)))
     points = points_per_cell(grid, deviations) if per_cell is None else (per_cell,) * agent.n_states
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
     low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
+    # Where expressions have no bound on the whole grid, the lattice goes as far as it ever does.
+    low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if grid.n_cells * len(menu) > MOST_BOXES or count > MOST_LATTICE:
         raise RelationRefused(
@@ -50,6 +58,35 @@ def box_model(
         )
     lattice = box_lattice(grid, deviations, points, low, high)
     return relation, lattice, box_kernel(grid, lattice, deviations), box_choices(grid, lattice, relation)
+
+
+def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
+    """Return the relation with the choices that are offered by default."""
+    if isinstance(agent, LinearAgent):
+        menu, gains = input_menu(agent, grid, coordinates)
+        return box_relation(agent, coordinates, menu, gains)
+    menu = with_rest(agent.input_box)
+    # Cut cells into as many parts as make their boxes noticeably smaller, judged by some of them.
+    some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
+    best, width = box_relation(agent, coordinates, menu), np.inf
+    for parts in PARTS:
+        relation = box_relation(agent, coordinates, menu, parts=parts)
+        boxes = relation.mean_boxes(grid.low[some], grid.high[some])
+        widths = (boxes.high - boxes.low)[boxes.admissible]
+        mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf
+        if not mean < width * (1.0 - LEAST_SHRINKAGE):
+            break
+        best, width = relation, mean
+    return best
+
+
+def with_rest(box: Box) -> FloatArray:
+    """Return evenly spaced inputs (A, m) of a box: its corners, and 0 on every axis on which it is admissible."""
+    levels, axes = INPUT_LEVELS.get(box.dimension, 3), []
+    for low, high in zip(box.low.tolist(), box.high.tolist(), strict=True):
+        axis = np.linspace(low, high, levels) if high > low else np.array([low])
+        axes.append(np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis)
+    return np.clip(np.array(list(product(*axes))), box.low, box.high)
 
 
 def input_menu(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:

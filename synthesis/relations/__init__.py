@@ -1,6 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
-from .boxes import BoxRelation, Enclosing, MeanBoxes, box_relation
+from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, box_relation
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -10,6 +10,7 @@ from .linear import LinearRelation, linear_relation
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
+from .written_means import WrittenMeans
 
 __all__ = [
     "BoxRelation",
@@ -17,10 +18,12 @@ __all__ = [
     "Ellipsoid",
     "Enclosing",
     "ExactRelation",
+    "LinearMeans",
     "LinearRelation",
     "MeanBoxes",
     "Relation",
     "Row",
+    "WrittenMeans",
     "best_feedback",
     "box_relation",
     "check_description",

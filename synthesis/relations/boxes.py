@@ -8,7 +8,7 @@ cell s with centre c, choice a applies the input
 which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
 made, and an agent needs no more than ``Enclosing``: boxes for all points of a cell, and inputs. Here they are made for
-linear agents; a nonlinear, disturbed or learned agent has other enclosures and the same kernel, search and tree.
+linear agents, in ``written_means`` for those whose dynamics are expressions; kernel, search and tree are the same.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, counted
-from ..cells import FloatArray, RelationRefused
+from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
+from ..cells import FloatArray, RelationRefused, linear_agent
 from .exact import INPUT_MARGIN
-from .rounding import missed_cells, sizes_of
+from .rounding import missed_cells, reading_of, sizes_of
+from .written_means import WrittenMeans
 
 ROUNDED_TWICE = 2.0
 """Factor on the rounding of a mean: it is computed here, and by the agent itself."""
@@ -61,9 +62,9 @@ class Enclosing(Protocol):
         """Return the inputs (m, ...) of choices (...) at states ``offsets`` (d, ...) from the centres of cells."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class BoxRelation:
-    """Mean boxes of a linear agent (delta = 0, no memory); it is ``Enclosing``. Matrices are in grid coordinates.
+@dataclass(frozen=True, eq=False)
+class LinearMeans:
+    """Boxes around the means of a linear agent. Matrices are in grid coordinates.
 
     Parameters
     ----------
@@ -71,6 +72,44 @@ class BoxRelation:
         Dynamics.
     offset : (d,) array
         Mean from the origin under the input 0.
+    rounding : (d,) array
+        Upper bounds on what means are off by in floating point, the controller's input included.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    offset: FloatArray
+    rounding: FloatArray
+
+    def around(
+        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
+
+        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + (A + B K_a) e``: it is off its centre by
+        ``|A + B K_a| h`` at most, and by what is rounded.
+        """
+        centre = 0.5 * (low + high)
+        half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
+        closed = np.abs(self.A + self.B @ gains)  # (A, d, d)
+        middle = (centre @ self.A.T + self.offset)[:, None] + (menu @ self.B.T)[None]
+        extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
+        return middle - extent, middle + extent
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that boxes depend on, for comparing relations."""
+        return (self.A, self.B, self.offset)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BoxRelation:
+    """Mean boxes of an agent (delta = 0, no memory); it is ``Enclosing``.
+
+    Parameters
+    ----------
+    means : LinearMeans or WrittenMeans
+        What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
     menu : (A, m) array
@@ -79,25 +118,20 @@ class BoxRelation:
         Feedback K_a of each choice inside its cell.
     input_low, input_high : (m,) arrays
         Input box.
-    rounding : (d,) array
-        Upper bounds on what means are off by in floating point, the controller's input included.
     """
 
-    A: FloatArray
-    B: FloatArray
-    offset: FloatArray
+    means: LinearMeans | WrittenMeans
     coordinates: FloatArray
     menu: FloatArray
     gains: FloatArray
     input_low: FloatArray
     input_high: FloatArray
-    rounding: FloatArray
 
     kind = "boxes"
     delta = 0.0
 
     def __repr__(self) -> str:
-        d, m = self.B.shape
+        d, m = len(self.coordinates), len(self.input_low)
         return (
             f"BoxRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}, delta 0)"
         )
@@ -110,21 +144,19 @@ class BoxRelation:
     def mean_boxes(self, low: FloatArray, high: FloatArray) -> MeanBoxes:
         """Return boxes around the means from the closed cells ``[low, high]``, (n, d) each (outer bounds).
 
-        With ``x = c + e``, ``|e| <= h``, the mean is ``A c + B u_a + offset + (A + B K_a) e``: it is off its centre by
-        ``|A + B K_a| h`` at most, and by what is rounded.
+        A choice is not admissible, either, where nothing is known of its mean.
         """
+        first, last = self.means.around(low, high, self.menu, self.gains)
+        # Inputs: u_a is a number of the menu; what feedback adds to it is rounded.
         centre = 0.5 * (low + high)
         half = np.maximum(high - centre, centre - low) * (1.0 + INPUT_MARGIN)
-        closed = np.abs(self.A + self.B @ self.gains)  # (A, d, d)
-        middle = (centre @ self.A.T + self.offset)[:, None] + (self.menu @ self.B.T)[None]
-        extent = np.einsum("aij,nj->nai", closed, half) + self.rounding
-        # Inputs: u_a is a number of the menu; what feedback adds to it is rounded.
         need = np.einsum("aij,nj->nai", np.abs(self.gains), half)
         moves = np.any(self.gains, axis=2)
         scale = np.maximum(np.abs(self.input_low), np.abs(self.input_high))
         need = need + moves * (INPUT_MARGIN * (scale + need))
         inside = (self.input_low <= self.menu - need) & (self.menu + need <= self.input_high)
-        return MeanBoxes(middle - extent, middle + extent, np.all(inside, axis=2))
+        known = np.all(np.isfinite(first) & np.isfinite(last), axis=2)
+        return MeanBoxes(first, last, np.all(inside, axis=2) & known)
 
     def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
         """Return the inputs ``u_a + K_a e`` (m, ...) of choices (...) at states e (d, ...) from centres of cells.
@@ -168,30 +200,32 @@ class BoxRelation:
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
-        return (self.A, self.B, self.offset, self.coordinates, self.menu, self.gains, self.input_low, self.input_high)
+        return (*self.means.arrays, self.coordinates, self.menu, self.gains, self.input_low, self.input_high)
 
-    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
         What means are off by is in the boxes; there remain cells that are misread where coordinates are not the state.
         """
-        sizes = sizes_of(agent, self.coordinates)
-        return missed_cells(sizes, sizes.read, edges)
+        reading = reading_of(agent, self.coordinates)
+        return missed_cells(reading, reading.read, edges)
 
 
 def box_relation(
-    agent: LinearAgent, coordinates: FloatArray, menu: FloatArray, gains: FloatArray | None = None
+    agent: AnyAgent, coordinates: FloatArray, menu: FloatArray, gains: FloatArray | None = None, parts: int = 1
 ) -> BoxRelation:
     """Return the relation of mean boxes of an agent in the given grid coordinates.
 
     Parameters
     ----------
-    agent : LinearAgent
+    agent : AnyAgent
     coordinates : (d, d) array
     menu : (A, m) array
         Inputs to choose from, at the centres of cells.
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
+    parts : int
+        Parts into which cells are cut, along each axis, to enclose expressions.
 
     Raises
     ------
@@ -204,6 +238,17 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
+    means: LinearMeans | WrittenMeans
+    if isinstance(agent, Agent):
+        if np.any(gains):
+            raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
+        means = WrittenMeans(agent, coordinates, parts)
+    else:
+        means = _linear_means(linear_agent(agent, "boxes"), coordinates, gains)
+    return BoxRelation(means, coordinates, menu, gains, box.low, box.high)
+
+
+def _linear_means(agent: LinearAgent, coordinates: FloatArray, gains: FloatArray) -> LinearMeans:
     sizes = sizes_of(agent, coordinates)
     # Of the input: the centre of a cell, the difference to it, and a product for each state.
     largest = np.abs(gains).max(axis=0)
@@ -214,4 +259,4 @@ def box_relation(
     mean_off = ROUNDED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
     moves = sizes.moves
     rounding = mean_off + sizes.spread @ np.abs(moves.B) @ input_off
-    return BoxRelation(moves.A, moves.B, moves.offset, coordinates, menu, gains, box.low, box.high, rounding)
+    return LinearMeans(moves.A, moves.B, moves.offset, rounding)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...envs.agents import LinearAgent, box_text, counted, tree_text
-from ..cells import FloatArray
+from ...envs.agents import AnyAgent, box_text, counted, tree_text
+from ..cells import FloatArray, linear_agent
 from .rounding import COUPLING, error_rounding, missed_cells, sizes_of
 from .rows import Row, product, rows_of, times
 
@@ -127,9 +127,9 @@ class CoupledRelation:
             return np.array(states, dtype=float)
         return product(rows_of(np.linalg.inv(self.coordinates)), states)
 
-    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
-        sizes = sizes_of(agent, self.coordinates)
+        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
         off = error_rounding(sizes, self.feedback, self.coupling)
         if self.is_cell:  # what is left of the error where both land in one cell
             off = off + np.abs(self.A + self.B @ self.feedback - self.coupling) @ self.reach

@@ -1,9 +1,10 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}``, ``{"kind": "linear", "menu", "parts"}``,
-``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind": "tube", "feedback", "inputs", "snap"}`` and
-``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling", "inputs", "snap", "delta"}``; matrices are
-nested lists in grid coordinates. They come from files, and nothing in them is trusted.
+``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` where dynamics are expressions),
+``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
+"tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
+"inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
+is trusted.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid
+from ...envs.agents import Agent, AnyAgent
+from ..cells import FloatArray, Grid, linear_agent
 from .boxes import BoxRelation, box_relation
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -21,6 +22,7 @@ from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
 from .scalar import paper_relation
 from .tube import tube_relation
+from .written_means import WrittenMeans
 
 Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation
 """What ties one agent to its cells."""
@@ -58,7 +60,8 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     if isinstance(relation, ExactRelation):
         return {"kind": "exact"}
     if isinstance(relation, BoxRelation):
-        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist()}
+        parts = {"parts": relation.means.parts} if isinstance(relation.means, WrittenMeans) else {}
+        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **parts}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
     if relation.kind == "paper":
@@ -74,7 +77,7 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     return {"kind": relation.kind, **arrays, **numbers}
 
 
-def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> Relation:
+def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> Relation:
     """Return the relation of ``agent`` that is described, its margins and delta computed anew (upper bounds).
 
     Raises
@@ -83,11 +86,12 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
         If there is no such relation.
     """
     kind = description["kind"]
-    if kind == "exact":
-        return exact_relation(agent, coordinates)
     if kind == "boxes":
         menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
-        return box_relation(agent, coordinates, menu, gains)
+        return box_relation(agent, coordinates, menu, gains, int(description.get("parts", 1)))
+    agent = linear_agent(agent, kind)
+    if kind == "exact":
+        return exact_relation(agent, coordinates)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
         return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
@@ -104,7 +108,7 @@ def relation_from(description: dict[str, Any], agent: LinearAgent, grid: Grid, c
     )
 
 
-def check_description(description: Any, agent: LinearAgent) -> None:
+def check_description(description: Any, agent: AnyAgent) -> None:
     """Raise ValueError unless a value describes a relation of ``agent``.
 
     Raises
@@ -117,7 +121,10 @@ def check_description(description: Any, agent: LinearAgent) -> None:
     numbers = [description[name] for name in NUMBER_ENTRIES[description["kind"]]]
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
-    if description["kind"] == "linear" and description["parts"] not in range(1, MOST_PARTS + 1):
+    is_written = isinstance(agent, Agent)
+    if is_written != (description["kind"] == "boxes" and "parts" in description):
+        raise ValueError("it has a relation that is not for the dynamics of its agent")
+    if (description["kind"] == "linear" or is_written) and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.

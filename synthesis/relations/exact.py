@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import LinearAgent, counted
-from ..cells import FloatArray, RelationRefused
+from ...envs.agents import AnyAgent, LinearAgent, counted
+from ..cells import FloatArray, RelationRefused, linear_agent
 from .rounding import sizes_of, target_loss, target_rounding
 from .rows import Row, product, rows_of, times
 
@@ -84,9 +84,9 @@ class ExactRelation:
         scale = np.abs(self.input_centre) + self.input_half_width
         return self.input_half_width - need * (1 + INPUT_MARGIN) - INPUT_MARGIN * (scale + need) - self.rounding
 
-    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
-        sizes = sizes_of(agent, self.coordinates)
+        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
         return target_loss(sizes, edges, self.right_inverse, self.drift, self.input_centre)
 
     @cached_property

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import LinearAgent, counted
-from ..cells import FloatArray, RelationRefused, in_grid_coordinates
+from ...envs.agents import AnyAgent, LinearAgent, counted
+from ..cells import FloatArray, RelationRefused, in_grid_coordinates, linear_agent
 from .exact import ExactRelation, exact_relation
 from .rounding import DENSITY, missed_cells, sizes_of
 
@@ -85,12 +85,12 @@ class LinearRelation:
         of_steers = [array for steer in self.steers for array in (*steer.arrays, np.array([steer.gain]))]
         return (self.A, self.B, self.offset, self.coordinates, self.menu, np.array([self.parts]), *of_steers)
 
-    def execution_loss(self, agent: LinearAgent, edges: Sequence[FloatArray]) -> float:
+    def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
         if self.steers:
             return CARRIED_OUT_TWICE * self.steers[0].execution_loss(agent, edges)
         # The input is a number of the menu; only the means themselves are computed, here and by the agent.
-        sizes = sizes_of(agent, self.coordinates)
+        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
         off = CARRIED_OUT_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
         moved = DENSITY * float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
         return moved + missed_cells(sizes, sizes.read, edges)

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray, GridDynamics, in_grid_coordinates
+from ...envs.agents import AnyAgent, LinearAgent
+from ..cells import FloatArray, GridDynamics, grid_covariance, in_grid_coordinates
 
 DENSITY = 0.4
 """Upper bound on the density of the standard normal law."""
@@ -57,9 +57,41 @@ class Sizes:
     unit: float
 
     @property
+    def covariance(self) -> FloatArray:
+        """Covariance (d, d) of the noise."""
+        return self.moves.covariance
+
+    @property
     def deviations(self) -> FloatArray:
         """Standard deviations (d,) of the noise along the grid axes."""
         return np.asarray(np.sqrt(np.diag(self.moves.covariance)))
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """How well a controller reads the grid coordinates of a state, of any agent; fields as in `Sizes`."""
+
+    covariance: FloatArray
+    spread: FloatArray
+    read: FloatArray
+    unit: float
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations (d,) of the noise along the grid axes."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def reading_of(agent: AnyAgent, coordinates: FloatArray) -> Reading:
+    """Return how well controllers of an agent read grid coordinates."""
+    d, m = agent.n_states, agent.n_inputs
+    unit = (4.0 * (d + m) + 40.0) * 2.0**-53
+    inverse = np.linalg.inv(coordinates)
+    plain = np.array_equal(coordinates, np.eye(d))
+    spread = np.eye(d) if plain else np.abs(inverse) @ np.abs(coordinates)
+    states = np.abs(inverse) @ np.maximum(np.abs(agent.workspace.low), np.abs(agent.workspace.high))
+    read = np.zeros(d) if plain else 8.0 * unit * spread @ spread @ states
+    return Reading(grid_covariance(agent, coordinates), spread, read, unit)
 
 
 def sizes_of(agent: LinearAgent, coordinates: FloatArray) -> Sizes:
@@ -115,14 +147,14 @@ def target_loss(
     return mean + missed_cells(sizes, sizes.read, edges)
 
 
-def missed_cells(sizes: Sizes, off: FloatArray, edges: Sequence[FloatArray]) -> float:
+def missed_cells(sizes: Sizes | Reading, off: FloatArray, edges: Sequence[FloatArray]) -> float:
     """Return an upper bound on what misreading states by ``off`` (d,) costs per step, and on what coordinates cost.
 
     It is the mass of the noise within ``off`` of cell edges, and what the noise lacks, in total variation, to be
     independent along the axes.
     """
     narrow = np.array([np.min(np.diff(axis)) for axis in edges])
-    covariance, spread = sizes.moves.covariance, sizes.spread
+    covariance, spread = sizes.covariance, sizes.spread
     size = np.outer(sizes.deviations, sizes.deviations)
     dependent = np.abs(covariance - np.diag(np.diag(covariance)))
     if not np.array_equal(spread, np.eye(len(spread))):

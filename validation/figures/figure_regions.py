@@ -31,8 +31,8 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
         if region.agent != agent.name:
             continue
         # An output that is the coordinate itself restricts it; other outputs are no intervals of one coordinate.
-        for row, a, b in zip(agent.output_matrix, region.low, region.high, strict=True):
-            if row[axis] == 1.0 and np.count_nonzero(row) == 1:
+        for output, (a, b) in enumerate(zip(region.low, region.high, strict=True)):
+            if agent.output_axis(output) == (axis, 1.0):
                 cut = max(low, float(a)), min(high, float(b))
                 if cut != (low, high):
                     intervals_of_regions[name] = cut

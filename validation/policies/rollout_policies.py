@@ -48,7 +48,7 @@ class LocalBatch:
         going = np.flatnonzero(~(worlds.failed | worlds.accepted))
         q, time, result = worlds.q[going], int(worlds.time), []
         for block, states in zip(self.dynamics.blocks, worlds.states, strict=True):
-            inputs = np.zeros((block.B.shape[1], len(block.agents), worlds.n_worlds))
+            inputs = np.zeros((block.n_inputs, len(block.agents), worlds.n_worlds))
             for k, agent in enumerate(block.agents):
                 inputs[:, k, going] = self.policy.inputs(int(agent), states[:, k, going], q, time)
             result.append(inputs)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ...synthesis.controllers import LOCAL
 
@@ -153,14 +153,14 @@ View = SharedView | CentralView
 """Of a decentralised policy (``TeamView`` is one, too), or of one that sees all states."""
 
 
-def inputs_of(agent: LinearAgent, actions: Array) -> Array:
+def inputs_of(agent: AnyAgent, actions: Array) -> Array:
     """Return the inputs (m, N) within the input box for which actions (m, N) in [-1, 1] stand."""
     low, high = agent.input_box.low[:, None], agent.input_box.high[:, None]
     middle, half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
     return np.clip(middle + half * np.clip(actions, -1.0, 1.0), low, high)
 
 
-def _scaled(agent: LinearAgent, states: Array) -> Array:
+def _scaled(agent: AnyAgent, states: Array) -> Array:
     """Return states (d, N) moved into the workspace and scaled to [-1, 1]; NaN counts as the lower corner."""
     low, high = agent.workspace.low[:, None], agent.workspace.high[:, None]
     inside = np.clip(np.where(np.isnan(states), low, states), low, high)

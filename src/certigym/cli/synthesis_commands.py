@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import LinearAgent, counted
+from ..envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
@@ -138,17 +138,26 @@ def _list_suite(options: Namespace) -> int:
     return 0
 
 
-def _agent_lines(agent: LinearAgent) -> list[str]:
+def _agent_lines(agent: AnyAgent) -> list[str]:
     """Return dynamics, boxes and start of one agent in words."""
     low, high = agent.initial.low, agent.initial.high
     start = _vector(low) if np.array_equal(low, high) else f"{_vector(low)} .. {_vector(high)}"
     workspace = f"{_vector(agent.workspace.low)} .. {_vector(agent.workspace.high)}"
     inputs = f"{_vector(agent.input_box.low)} .. {_vector(agent.input_box.high)}"
     return [
-        f"agent {agent.name}: x' = A x + B u + c + w, A = {agent.A.tolist()}, B = {agent.B.tolist()}, "
-        f"c = {_vector(agent.offset)}, covariance of w {agent.noise_covariance.tolist()}",
+        f"agent {agent.name}: {_motion(agent)}, covariance of w {agent.noise_covariance.tolist()}",
         f"    workspace {workspace}, inputs {inputs}, start {start}",
     ]
+
+
+def _motion(agent: AnyAgent) -> str:
+    """Return how an agent moves, in symbols."""
+    if isinstance(agent, LinearAgent):
+        return f"x' = A x + B u + c + w, A = {agent.A.tolist()}, B = {agent.B.tolist()}, c = {_vector(agent.offset)}"
+    assert isinstance(agent, Agent)
+    numbers = [f"{name} = {value:g}" for name, value in agent.parameters.items()]
+    numbers += [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
+    return ", ".join([*(f"{x}' = {text} + w" for x, text in zip(agent.states, agent.dynamics, strict=True)), *numbers])
 
 
 def _automaton_line(problem: Problem) -> str:

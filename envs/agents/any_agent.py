@@ -1,0 +1,199 @@
+"""What all agents have: a name, boxes, a start and Gaussian noise. `LinearAgent` and `Agent` say how they move."""
+
+from __future__ import annotations
+
+import copy
+import re
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from .box import Box
+from .checks import float_array, read_only, shown
+from .printing import box_text, shortened
+
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+"""Names of agents and propositions: what can stand in a formula."""
+
+
+class AnyAgent(ABC):
+    """An agent, however it moves: `x' = mean(x, u) + w` with Gaussian noise w, outputs, boxes and a start.
+
+    Attributes
+    ----------
+    name : str
+    noise_covariance : np.ndarray, shape (d, d)
+    state_low, state_high : np.ndarray, shape (d,)
+        Workspace, a closed box.
+    input_low, input_high : np.ndarray, shape (m,)
+        Input box, closed.
+    initial_low, initial_high : np.ndarray, shape (d,), or None
+        Box of the start, which is drawn uniformly from it.
+    """
+
+    name: str
+    noise_covariance: np.ndarray
+    state_low: np.ndarray
+    state_high: np.ndarray
+    input_low: np.ndarray
+    input_high: np.ndarray
+    initial_low: np.ndarray | None
+    initial_high: np.ndarray | None
+
+    @property
+    def n_states(self) -> int:
+        """Number of state components d."""
+        return int(self.state_low.size)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of input components m."""
+        return int(self.input_low.size)
+
+    @property
+    @abstractmethod
+    def n_outputs(self) -> int:
+        """Number of output components p."""
+
+    @property
+    @abstractmethod
+    def has_identity_output(self) -> bool:
+        """Whether y = x exactly."""
+
+    @property
+    @abstractmethod
+    def motion_key(self) -> tuple[bytes, ...]:
+        """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+
+    @property
+    @abstractmethod
+    def output_key(self) -> tuple[bytes, ...]:
+        """What determines its outputs."""
+
+    @abstractmethod
+    def mean(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded)."""
+
+    @abstractmethod
+    def outputs(self, x: np.ndarray) -> np.ndarray:
+        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+
+    @abstractmethod
+    def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
+
+    @abstractmethod
+    def output_axis(self, k: int) -> tuple[int, float] | None:
+        """Return state and factor of output k if it is a multiple of a single state, or None."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return the agent as plain values, keyed as in problem files (exact)."""
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some constructor arguments changed; a new start replaces the whole old one."""
+        # A new start may be a point or a box: drop both old corners, not just the one that is named.
+        data = self.to_dict()
+        if any(key.startswith("initial_") for key in changes):
+            data.pop("initial_low", None)
+            data.pop("initial_high", None)
+        return type(self)(**{**data, **changes})
+
+    @cached_property
+    def workspace(self) -> Box:
+        """Closed box of admissible states."""
+        return Box(self.state_low, self.state_high)
+
+    @cached_property
+    def input_box(self) -> Box:
+        """Closed box of admissible inputs."""
+        return Box(self.input_low, self.input_high, allow_flat=True)
+
+    @cached_property
+    def initial(self) -> Box:
+        """Start: a point, or a box from which it is drawn uniformly; ValueError if the agent has none."""
+        if self.initial_low is None:
+            raise ValueError(f"`initial_state`: expected a start for agent {self.name!r}, got none")
+        return Box(self.initial_low, self.initial_high, allow_flat=True)
+
+    @cached_property
+    def noise_factor(self) -> np.ndarray:
+        """L, shape (d, d), with `L L' = Sigma` up to rounding; exact square roots where Sigma is diagonal."""
+        # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
+        covariance = self.noise_covariance
+        if (covariance == np.diag(np.diag(covariance))).all():
+            # the check of covariances lets variances through that rounding has pushed a little below zero
+            return read_only(np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0))))
+        try:
+            factor = np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:  # a singular covariance has no Cholesky factor, but it has eigenvectors
+            spectrum, vectors = np.linalg.eigh(covariance)
+            factor = vectors * np.sqrt(np.maximum(spectrum, 0.0))
+        return read_only(factor)
+
+    def copies(self, n: int) -> tuple[Self, ...]:
+        """Return `n` agents that differ in their names alone: `name_0`, `name_1`, ..."""
+        # A shallow copy shares the checked arrays, so that a thousand agents cost the memory of one.
+        clones = tuple(copy.copy(self) for _ in range(n))
+        for index, clone in enumerate(clones):
+            object.__setattr__(clone, "name", f"{self.name}_{index}")
+        return clones
+
+
+def checked_name(name: Any, argument: str) -> str:
+    """Return `name` if it can name an agent or a proposition; raise ValueError otherwise."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise ValueError(
+            f"`{argument}`: expected letters, digits and underscores, not starting with a digit, got {shown(name)}"
+        )
+    return name
+
+
+def checked_covariance(value: Any, d: int) -> np.ndarray:
+    """Return a covariance if it is symmetric and positive semidefinite; raise ValueError otherwise."""
+    covariance = float_array(value, "noise_covariance", (d, d), f"{np.eye(d).tolist()}")
+    if (covariance != covariance.T).any():
+        raise ValueError(
+            f"`noise_covariance`: expected a symmetric matrix, got {shown(covariance.tolist())}; use (S + S.T) / 2"
+        )
+    spectrum = np.linalg.eigvalsh(covariance)
+    # Rounding may push the zero eigenvalues of a singular covariance a little below zero.
+    if spectrum[0] < -4.0 * d * np.finfo(float).eps * max(spectrum[-1], 0.0):
+        raise ValueError(
+            f"`noise_covariance`: expected a positive semidefinite matrix, got the eigenvalue {spectrum[0]:g}"
+        )
+    return covariance
+
+
+def checked_start(state: Any, low: Any, high: Any, d: int) -> Box | None:
+    """Return the box of the start, from a point or from two corners; None if there is no start."""
+    if state is not None:
+        if low is not None or high is not None:
+            raise ValueError("`initial_state`: expected a point or a box `initial_low`, `initial_high`, got both")
+        return Box.point(state, "initial_state", length=d)
+    if (low is None) != (high is None):
+        missing = "initial_low" if low is None else "initial_high"
+        raise ValueError(f"`{missing}`: expected both corners of the start box, got one; give `{missing}` as well")
+    if low is None:
+        return None
+    return Box(low, high, allow_flat=True, names=("initial_low", "initial_high"), length=d)
+
+
+def _start_text(start: Box) -> str:
+    if start.is_point:
+        return shortened(f"({', '.join(f'{x:g}' for x in start.low)})")
+    return f"uniform in {box_text(start.low, start.high)}"
+
+
+def summary_rows(agent: AnyAgent) -> list[tuple[str, object]]:
+    """Return the rows of an agent's `repr` that all agents have."""
+    deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(agent.noise_covariance), 0.0))]
+    each = deviations[:1] if len(set(deviations)) == 1 else deviations
+    return [
+        ("workspace", box_text(agent.state_low, agent.state_high)),
+        ("inputs", box_text(agent.input_low, agent.input_high)),
+        ("start", "none" if agent.initial_low is None else _start_text(agent.initial)),
+        ("noise", f"standard deviation {shortened(', '.join(each))}"),
+    ]

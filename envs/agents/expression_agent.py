@@ -1,0 +1,331 @@
+"""One continuous stochastic agent whose dynamics are written as expressions.
+
+Model (docs/theory/boxes.md, "Boxes of expressions"), with `w ~ N(0, Sigma)` independent over time and agents:
+
+    x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
+
+`f` and `g` are functions of real numbers; simulations compute them in double precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression
+from .any_agent import AnyAgent, checked_covariance, checked_name, checked_start, summary_rows
+from .box import Box
+from .checks import float_array, read_only, shown
+from .noise import covariance_of
+from .printing import counted, shortened, tree_text
+
+MOST_STATES = 30
+"""Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
+
+_ARRAYS = (
+    "noise_covariance",
+    "state_low",
+    "state_high",
+    "input_low",
+    "input_high",
+    "initial_low",
+    "initial_high",
+)
+"""Fields that hold arrays, in the order of problem files."""
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Agent(AnyAgent):
+    """An agent whose dynamics are expressions, with Gaussian noise, a workspace and an input box.
+
+    Expressions hold numbers, names, `+ - * / **`, brackets, `pi`, and `sin cos tan atan exp log sqrt tanh abs min max
+    clip`. They are read, never run.
+
+    Parameters
+    ----------
+    name : str
+        Letters, digits and underscores, not starting with a digit.
+    states, inputs : sequence of str
+        Names of the d states and m inputs, at least one of each.
+    dynamics : sequence of str
+        The mean of each state one step later, in states, inputs, parameters and disturbances.
+    parameters : mapping from str to float, optional
+        Numbers by name.
+    disturbances : mapping from str to (low, high), optional
+        Bounded unknowns by name: anything in the closed interval, at every step anew. Certificates hold for all of
+        them; environments say how they behave.
+    noise : sequence of mappings, optional
+        One law per state, `{"law": "gaussian", "std": 0.05}`. Alternatively give a covariance.
+    noise_covariance : array_like, shape (d, d), optional
+        **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
+    state_low, state_high : array_like, shape (d,)
+        Workspace, a closed box. An agent that leaves it violates every task.
+    input_low, input_high : array_like, shape (m,)
+        Input box, closed.
+    initial_state : array_like, shape (d,), optional
+        Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
+    outputs : sequence of str, optional
+        Expressions in states and parameters that propositions are about; the states by default.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong. The message names it; for expressions it points at the place.
+
+    Examples
+    --------
+    >>> agent = Agent(
+    ...     name="pendulum", states=["angle", "rate"], inputs=["torque"], parameters={"damping": 0.2},
+    ...     dynamics=["angle + 0.1*rate", "rate + 0.1*(sin(angle) - damping*rate + 2*torque)"],
+    ...     noise=[{"law": "gaussian", "std": 0.05}, {"law": "gaussian", "std": 0.05}],
+    ...     state_low=[-1.5, -2], state_high=[1.5, 2], input_low=[-1], input_high=[1], initial_state=[0.8, 0],
+    ... )
+    >>> agent.mean(np.array([0.0, 1.0]), np.array([0.5]))
+    array([0.1 , 1.08])
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    dynamics: tuple[str, ...]
+    parameters: Mapping[str, float]
+    disturbances: Mapping[str, tuple[float, float]]
+    noise_covariance: np.ndarray
+    state_low: np.ndarray
+    state_high: np.ndarray
+    input_low: np.ndarray
+    input_high: np.ndarray
+    initial_low: np.ndarray | None
+    initial_high: np.ndarray | None
+    output_expressions: tuple[str, ...]
+
+    # Seventeen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    def __init__(
+        self,
+        *,
+        name: str,
+        states: Any,
+        inputs: Any,
+        dynamics: Any,
+        state_low: Any,
+        state_high: Any,
+        input_low: Any,
+        input_high: Any,
+        parameters: Any = None,
+        disturbances: Any = None,
+        noise: Any = None,
+        noise_covariance: Any = None,
+        initial_state: Any = None,
+        initial_low: Any = None,
+        initial_high: Any = None,
+        outputs: Any = None,
+    ) -> None:
+        state_names, input_names = _names(states, "states"), _names(inputs, "inputs")
+        d, m = len(state_names), len(input_names)
+        workspace = Box(state_low, state_high, names=("state_low", "state_high"), length=d)
+        input_box = Box(input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=m)
+        if (noise is None) == (noise_covariance is None):
+            raise ValueError("`noise`: expected either `noise` or `noise_covariance`, got both or none; give one")
+        covariance = checked_covariance(covariance_of(noise, d) if noise_covariance is None else noise_covariance, d)
+        start = checked_start(initial_state, initial_low, initial_high, d)
+        values = {
+            "name": checked_name(name, "name"),
+            "states": state_names,
+            "inputs": input_names,
+            "dynamics": _texts(dynamics, "dynamics", d),
+            "parameters": MappingProxyType(_numbers(parameters)),
+            "disturbances": MappingProxyType(_ranges(disturbances)),
+            "noise_covariance": covariance,
+            "state_low": workspace.low,
+            "state_high": workspace.high,
+            "input_low": input_box.low,
+            "input_high": input_box.high,
+            "initial_low": None if start is None else start.low,
+            "initial_high": None if start is None else start.high,
+            "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)  # the record is frozen
+        self._check_names()
+        # Read all expressions now, so that mistakes show where they are made.
+        assert self.trees and self.output_trees
+
+    def _check_names(self) -> None:
+        """Raise ValueError if a name means two things."""
+        seen: set[str] = set()
+        for argument in ("states", "inputs", "parameters", "disturbances"):
+            for name in getattr(self, argument):
+                if name in seen:
+                    raise ValueError(f"`{argument}`: expected different names, got {name!r} twice; rename one")
+                seen.add(name)
+
+    # Copy and pickle the arguments alone: what is cached can be computed again.
+    def __getstate__(self) -> dict[str, Any]:
+        return self.to_dict()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
+    def __repr__(self) -> str:
+        sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
+        rows = [(f"{state}'", shortened(text, 80)) for state, text in zip(self.states, self.dynamics)]
+        rows += [(name, f"{value:g}") for name, value in self.parameters.items()]
+        rows += [(name, f"anything in [{low:g}, {high:g}]") for name, (low, high) in self.disturbances.items()]
+        return tree_text(f"Agent {self.name!r}: {', '.join(sizes)}", [*rows, *summary_rows(self)])
+
+    @cached_property
+    def trees(self) -> tuple[Tree, ...]:
+        """Dynamics as expression trees, the parameters put in."""
+        names = (*self.states, *self.inputs, *self.disturbances)
+        return tuple(self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
+
+    @cached_property
+    def output_trees(self) -> tuple[Tree, ...]:
+        """Outputs as expression trees, the parameters put in."""
+        return tuple(self._tree(text, "outputs", k, self.states) for k, text in enumerate(self.output_expressions))
+
+    def _tree(self, text: str, argument: str, k: int, names: Sequence[str]) -> Tree:
+        try:
+            return read_expression(text, names, self.parameters)
+        except ValueError as error:
+            raise ValueError(f"`{argument}[{k}]`: {error}") from None
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of output components p."""
+        return len(self.output_expressions)
+
+    @cached_property
+    def has_identity_output(self) -> bool:
+        """Whether y = x exactly."""
+        return self.output_trees == tuple(Name(state) for state in self.states)
+
+    @property
+    def disturbance_low(self) -> np.ndarray:
+        """Lower ends of the disturbances, shape (k,)."""
+        return np.array([low for low, _ in self.disturbances.values()], dtype=float)
+
+    @property
+    def disturbance_high(self) -> np.ndarray:
+        """Upper ends of the disturbances, shape (k,)."""
+        return np.array([high for _, high in self.disturbances.values()], dtype=float)
+
+    @cached_property
+    def motion_key(self) -> tuple[bytes, ...]:
+        """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+        parts = (
+            self.states,
+            self.inputs,
+            self.dynamics,
+            tuple(self.parameters.items()),
+            tuple(self.disturbances.items()),
+        )
+        return (b"expressions", repr(parts).encode())
+
+    @cached_property
+    def output_key(self) -> tuple[bytes, ...]:
+        """What determines its outputs."""
+        return (b"expressions", repr((self.states, self.output_expressions, tuple(self.parameters.items()))).encode())
+
+    def mean(self, x: np.ndarray, u: np.ndarray, disturbances: np.ndarray | None = None) -> np.ndarray:
+        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded).
+
+        `disturbances` (k, *S) are those of the step; by default each is the number of its interval nearest to 0.
+        """
+        if disturbances is None:
+            calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)
+            disturbances = np.broadcast_to(calm.reshape(-1, *[1] * (x.ndim - 1)), (len(calm), *x.shape[1:]))
+        values = {
+            name: _one_axis(row) for names, rows in self._rows(x, u, disturbances) for name, row in zip(names, rows)
+        }
+        return np.stack(computed(self.trees, values)).reshape(x.shape)
+
+    def _rows(self, *arrays: np.ndarray) -> list[tuple[Sequence[str], np.ndarray]]:
+        return list(zip((self.states, self.inputs, tuple(self.disturbances)), arrays))
+
+    def outputs(self, x: np.ndarray) -> np.ndarray:
+        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+        if self.has_identity_output:
+            return x
+        values = {name: _one_axis(row) for name, row in zip(self.states, x)}
+        return np.stack(computed(self.output_trees, values)).reshape(self.n_outputs, *x.shape[1:])
+
+    def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p).
+
+        They are infinite where an output is not defined on the whole box.
+        """
+        names = {state: Affine(np.zeros(1), {k: np.ones(1)}) for k, state in enumerate(self.states)}
+        ranges = enclosed(self.output_trees, names, [*zip(low.T, high.T)])
+        lows, highs = (np.stack([np.broadcast_to(ends[side], len(low)) for ends in ranges], axis=1) for side in (0, 1))
+        return np.where(np.isnan(lows), -np.inf, lows), np.where(np.isnan(highs), np.inf, highs)
+
+    def output_axis(self, k: int) -> tuple[int, float] | None:
+        """Return state and factor of output k if it is a single state, or None."""
+        tree = self.output_trees[k]
+        return (self.states.index(tree.name), 1.0) if isinstance(tree, Name) else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the agent as plain values, keyed as in problem files (exact)."""
+        data: dict[str, Any] = {"name": self.name}
+        data |= {key: list(getattr(self, key)) for key in ("states", "inputs", "dynamics")}
+        if self.parameters:
+            data["parameters"] = dict(self.parameters)
+        if self.disturbances:
+            data["disturbances"] = {name: list(ends) for name, ends in self.disturbances.items()}
+        data |= {key: getattr(self, key).tolist() for key in _ARRAYS if getattr(self, key) is not None}
+        if not self.has_identity_output:
+            data["outputs"] = list(self.output_expressions)
+        return data
+
+
+def _one_axis(row: np.ndarray) -> np.ndarray:
+    """Return numbers as an array of at least one axis, as expressions take them."""
+    return np.atleast_1d(np.asarray(row, dtype=float))
+
+
+def _texts(value: Any, argument: str, length: int | None) -> tuple[str, ...]:
+    """Return a list of strings, as many as there should be, or raise ValueError."""
+    is_list = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(t, str) for t in value)
+    if not is_list or not 0 < len(value) <= MOST_STATES or (length is not None and len(value) != length):
+        wanted = f"{length} strings, one for each state" if length else f"1 to {MOST_STATES} strings"
+        raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}")
+    return tuple(value)
+
+
+def _names(value: Any, argument: str) -> tuple[str, ...]:
+    """Return names that can stand in expressions, or raise ValueError."""
+    return tuple(checked_variable(name, argument) for name in _texts(value, argument, None))
+
+
+def _numbers(value: Any) -> dict[str, float]:
+    """Return parameters by name, or raise ValueError."""
+    named = _named(value, "parameters", "{'damping': 0.2}")
+    return {
+        name: float(float_array([number], f"parameters.{name}", (1,), "[0.2]")[0]) for name, number in named.items()
+    }
+
+
+def _ranges(value: Any) -> dict[str, tuple[float, float]]:
+    """Return the ends of disturbances by name, or raise ValueError."""
+    ranges = {}
+    for name, ends in _named(value, "disturbances", "{'wind': [-0.1, 0.1]}").items():
+        low, high = read_only(float_array(ends, f"disturbances.{name}", (2,), "[-0.1, 0.1]")).tolist()
+        if low > high:
+            raise ValueError(f"`disturbances.{name}`: expected low and high, got {low:g} > {high:g}; exchange the two")
+        ranges[name] = (low, high)
+    return ranges
+
+
+def _named(value: Any, argument: str, example: str) -> dict[str, Any]:
+    """Return a mapping from names of expressions, or raise ValueError."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or len(value) > MOST_STATES:
+        raise ValueError(f"`{argument}`: expected a mapping such as {example}, got {shown(value)}")
+    return {checked_variable(name, argument): item for name, item in value.items()}

@@ -1,0 +1,24 @@
+"""Expressions that say how agents move: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
+
+from .enclosure import Affine, enclosed
+from .evaluation import computed
+from .expression_tree import Name, Number, Operation, Tree, names_in, whole_exponent
+from .intervals import Interval
+from .reading import RESERVED, ExpressionError, checked_variable, read_expression
+
+__all__ = [
+    "Affine",
+    "ExpressionError",
+    "Interval",
+    "Name",
+    "Number",
+    "Operation",
+    "RESERVED",
+    "Tree",
+    "checked_variable",
+    "computed",
+    "enclosed",
+    "names_in",
+    "read_expression",
+    "whole_exponent",
+]

@@ -1,0 +1,365 @@
+"""Intervals around expressions on boxes, written a second time: the search's are not used (``expressions.enclosure``).
+
+A ``Span`` holds, for each of n boxes, the least and the largest value of an expression and of its partial derivatives.
+The rules of interval arithmetic and of derivatives are the operators of the class. Ends are moved outward by one unit
+in the last place after each sum, product, quotient and root, and by 2^-48 of their size after other functions, which
+numpy computes to less than 2^-50. Ends that are not numbers say that nothing is known.
+
+Three enclosures are intersected, as the search does: that of the operations, that of the mean value theorem, and that
+of the corners at which a monotone function is extreme (docs/theory/boxes.md, "Boxes of expressions").
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import Agent
+from ...envs.expressions import Name, Number, Tree, whole_exponent
+from ..cells import FloatArray
+
+OFF = 2.0**-48
+"""Relative error of elementary functions, with room to spare."""
+
+TURN = 1e-12
+"""Share of a turn within which an extreme of a sine counts as reached."""
+
+LARGE = 1e6
+"""Angles beyond are not reduced."""
+
+ROTATED = 1e-13
+"""Widening, relative to their size, of boxes in coordinates that are not the state."""
+
+Leaves = Mapping[str, "Span"]
+
+
+def _down(x: FloatArray) -> FloatArray:
+    return np.asarray(np.nextafter(x, -np.inf))
+
+
+def _up(x: FloatArray) -> FloatArray:
+    return np.asarray(np.nextafter(x, np.inf))
+
+
+def _products(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Least and largest products (2, ..) of numbers between the ends ``a`` and ``b``, (2, ..) each."""
+    four = np.stack([a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]])
+    low, high = _down(four.min(axis=0)), _up(four.max(axis=0))
+    # Products of nonnegative numbers are nonnegative, whatever is rounded.
+    return np.stack([np.where((a[0] >= 0.0) & (b[0] >= 0.0), np.maximum(low, 0.0), low), high])
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """Ends (2, n) of values, and ends (2, v, n) of the partial derivatives by v variables."""
+
+    ends: FloatArray
+    slopes: FloatArray
+
+    @classmethod
+    def of(cls, low: FloatArray, high: FloatArray, like: Span) -> Span:
+        """A span of values with the slopes of a constant."""
+        return cls(np.stack(np.broadcast_arrays(low, high)), np.zeros_like(like.slopes))
+
+    def scaled(self, ends: FloatArray, factor: FloatArray) -> Span:
+        """The span of a function with values ``ends`` (2, n) and derivative ``factor`` (2, n): the chain rule."""
+        return Span(ends, _times(factor, self.slopes))
+
+    def __add__(self, other: Span) -> Span:
+        return Span(_sum(self.ends, other.ends), _sum(self.slopes, other.slopes))
+
+    def __neg__(self) -> Span:
+        return Span(-self.ends[::-1], -self.slopes[::-1])
+
+    def __mul__(self, other: Span) -> Span:
+        slopes = _sum(_times(other.ends, self.slopes), _times(self.ends, other.slopes))
+        return Span(_products(self.ends, other.ends), slopes)
+
+    def __truediv__(self, other: Span) -> Span:
+        below = _inverse(other.ends)
+        ends = _products(self.ends, below)
+        # (f / g)' = f' / g - (f / g) g' / g
+        slopes = _sum(_times(below, self.slopes), _times(-_products(ends, below)[::-1], other.slopes))
+        return Span(ends, slopes)
+
+
+def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.stack([np.where(b[0] == 0.0, a[0], np.where(a[0] == 0.0, b[0], _down(a[0] + b[0]))),
+                     np.where(b[1] == 0.0, a[1], np.where(a[1] == 0.0, b[1], _up(a[1] + b[1])))])  # fmt: skip
+
+
+def _times(factor: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Products (2, v, n); slopes that are 0 stay 0, whatever the factor is."""
+    zero = (slopes[0] == 0.0) & (slopes[1] == 0.0)
+    return np.where(zero, 0.0, _products(factor[:, None], slopes))
+
+
+def _inverse(ends: FloatArray) -> FloatArray:
+    known = (ends[0] > 0.0) | (ends[1] < 0.0)
+    return np.stack([_down(1.0 / np.where(known, ends[1], np.nan)), _up(1.0 / np.where(known, ends[0], np.nan))])
+
+
+def _power(ends: FloatArray, n: int) -> FloatArray:
+    """Ends (2, n) of a whole power."""
+    if n < 0:
+        return _inverse(_power(ends, -n))
+    size = np.stack([np.where(ends[0] * ends[1] <= 0.0, 0.0, np.abs(ends).min(axis=0)), np.abs(ends).max(axis=0)])
+    size = size + 0.0 * (ends[0] + ends[1])  # not a number stays so
+    if n % 2:
+        corners = []
+        for end, move in zip(ends, (_down, _up), strict=True):
+            least, most = np.abs(end), np.abs(end)
+            low, high = np.ones_like(end), np.ones_like(end)
+            for _ in range(n):
+                low, high = np.maximum(_down(low * least), 0.0), _up(high * most)
+            corners.append(np.where(end < 0, -(high if move is _down else low), low if move is _down else high))
+        return np.stack(corners)
+    low, high = np.ones_like(size[0]), np.ones_like(size[1])
+    for _ in range(n):
+        low, high = np.maximum(_down(low * size[0]), 0.0), _up(high * size[1])
+    return np.stack([low, high])
+
+
+def _grown(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Ends that went through an elementary function, moved outward."""
+    tiny = np.finfo(float).tiny
+    return np.stack([low - OFF * np.abs(low) - tiny, high + OFF * np.abs(high) + tiny])
+
+
+def _sine(ends: FloatArray, quarter: float) -> FloatArray:
+    """Ends of ``sin(x + quarter turns)``, for the sine (0) and the cosine (1)."""
+    function = np.sin if quarter == 0.0 else np.cos
+    at = function(ends)
+    low, high = at.min(axis=0) - OFF, at.max(axis=0) + OFF
+    turns = ends / (2.0 * np.pi) + 0.25 * quarter
+    # The sine is 1 a quarter into each turn, and -1 three quarters into it.
+    reaches = [np.floor(turns[1] - place + TURN) >= turns[0] - place - TURN for place in (0.25, 0.75)]
+    far = np.abs(ends).max(axis=0) >= LARGE
+    high = np.where(reaches[0] | far, 1.0, np.minimum(high, 1.0))
+    low = np.where(reaches[1] | far, -1.0, np.maximum(low, -1.0))
+    unknown = np.isnan(ends).any(axis=0)
+    return np.where(unknown, np.nan, np.stack([low, high]))
+
+
+def _sin(f: Span) -> Span:
+    return f.scaled(_sine(f.ends, 0.0), _sine(f.ends, 1.0))
+
+
+def _cos(f: Span) -> Span:
+    return f.scaled(_sine(f.ends, 1.0), -_sine(f.ends, 0.0)[::-1])
+
+
+def _tan(f: Span) -> Span:
+    halves = f.ends / np.pi - 0.5
+    known = np.floor(halves[1] + TURN) < halves[0] - TURN
+    inside = np.where(known & (np.abs(f.ends).max(axis=0) < LARGE), f.ends, np.nan)
+    ends = _grown(*np.tan(inside))
+    return f.scaled(ends, _sum(np.ones_like(ends), _power(ends, 2)))
+
+
+def _exp(f: Span) -> Span:
+    ends = np.maximum(_grown(*np.exp(f.ends)), 0.0)
+    return f.scaled(ends, ends)
+
+
+def _log(f: Span) -> Span:
+    return f.scaled(_grown(*np.log(np.where(f.ends[0] > 0.0, f.ends, np.nan))), _inverse(f.ends))
+
+
+def _sqrt(f: Span) -> Span:
+    root = np.sqrt(np.where(f.ends[0] >= 0.0, f.ends, np.nan))
+    ends = np.stack([np.maximum(_down(root[0]), 0.0), _up(root[1])])
+    return f.scaled(ends, _inverse(_sum(ends, ends)))
+
+
+def _atan(f: Span) -> Span:
+    square = _power(f.ends, 2)
+    return f.scaled(_grown(*np.arctan(f.ends)), _inverse(_sum(np.ones_like(square), square)))
+
+
+def _tanh(f: Span) -> Span:
+    ends = np.clip(_grown(*np.tanh(f.ends)), -1.0, 1.0)
+    return f.scaled(ends, np.maximum(_sum(np.ones_like(ends), -_power(ends, 2)[::-1]), 0.0))
+
+
+def _abs(f: Span) -> Span:
+    low, high = f.ends
+    ends = np.stack([np.maximum(np.maximum(low, -high), 0.0), np.maximum(-low, high)])
+    return f.scaled(ends, np.stack([np.where(low >= 0.0, 1.0, -1.0), np.where(high <= 0.0, -1.0, 1.0)]) + 0.0 * ends)
+
+
+def _larger(f: Span, g: Span) -> Span:
+    """The larger one of two; where either may be, its derivative is between theirs, and 0 counts as one of them."""
+    share = np.stack([np.where(g.ends[1] < f.ends[0], 1.0, 0.0), np.where(f.ends[1] < g.ends[0], 0.0, 1.0)])
+    share = share + 0.0 * (f.ends.sum(axis=0) + g.ends.sum(axis=0))
+    slopes = _sum(_times(share, f.slopes), _times((1.0 - share)[::-1], g.slopes))
+    return Span(np.maximum(f.ends, g.ends), slopes)
+
+
+_FUNCTIONS: dict[str, Any] = {
+    "+": lambda f, g: f + g,
+    "-": lambda f, g: f + (-g),
+    "*": lambda f, g: f * g,
+    "/": lambda f, g: f / g,
+    "negative": lambda f: -f,
+    "abs": _abs,
+    "max": _larger,
+    "min": lambda f, g: -_larger(-f, -g),
+    "sin": _sin,
+    "cos": _cos,
+    "tan": _tan,
+    "exp": _exp,
+    "log": _log,
+    "sqrt": _sqrt,
+    "atan": _atan,
+    "tanh": _tanh,
+}
+
+
+def span(tree: Tree, leaves: Leaves) -> Span:
+    """Values and derivatives of an expression, from those of its names."""
+    if isinstance(tree, Name):
+        return leaves[tree.name]
+    if isinstance(tree, Number):
+        number = np.full(next(iter(leaves.values())).ends.shape[1], tree.value)
+        return Span.of(number, number, next(iter(leaves.values())))
+    if tree.name == "**" or (tree.name == "*" and tree.arguments[0] == tree.arguments[1]):
+        return _raised(tree.arguments[0], tree.arguments[1] if tree.name == "**" else Number(2.0), leaves)
+    return _FUNCTIONS[tree.name](*(span(argument, leaves) for argument in tree.arguments))
+
+
+def _raised(base: Tree, exponent: Tree, leaves: Leaves) -> Span:
+    """A power; bases of powers that are not whole must be positive, or nonnegative under a number."""
+    f, n = span(base, leaves), whole_exponent(exponent)
+    if n is not None:
+        times = np.full_like(f.ends, float(n))
+        return f.scaled(_power(f.ends, n), _products(times, _power(f.ends, n - 1)) if n else np.zeros_like(f.ends))
+    if not isinstance(exponent, Number):
+        return _exp(span(exponent, leaves) * _log(f))
+    p = exponent.value
+    inside = np.where(f.ends[0] >= 0.0, f.ends, np.nan)
+    ends = np.maximum(_grown(*(inside ** abs(p))), 0.0)
+    ends = ends if p > 0.0 else _inverse(ends)
+    return f.scaled(ends, _products(_products(np.full_like(ends, p), ends), _inverse(f.ends)))
+
+
+def mean_spans(
+    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, parts: int
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
+
+    Parameters
+    ----------
+    agent : Agent
+    low, high : (n, d) arrays
+        Corners of cells, in grid coordinates.
+    inputs : (n, m) array
+        Input in each cell.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    parts : int
+        Parts into which cells are cut along each axis.
+    """
+    shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
+    rows = None if plain else np.linalg.inv(coordinates)
+    first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
+    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
+    calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
+    with np.errstate(all="ignore"):
+        for part in itertools.product(range(parts), repeat=shape[1]):
+            box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
+            outputs = partial(_means, agent, inputs, coordinates, rows)
+            ends = np.stack(_bounds(outputs, np.array(box)), axis=-1)
+            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+    if rows is not None:
+        size = np.maximum(np.abs(first), np.abs(last)) @ (np.abs(rows) @ np.abs(coordinates)).T
+        first, last = first - ROTATED * size, last + ROTATED * size
+    return first, last
+
+
+def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, p) of boxes around outputs from closed boxes (n, d) of states; infinite where nothing is known."""
+    box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
+
+    def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
+        leaves = _leaves(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
+        return [span(tree, leaves) for tree in agent.output_trees]
+
+    with np.errstate(all="ignore"):
+        ends = np.stack(_bounds(outputs, box), axis=-1)
+    return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
+
+
+def _leaves(
+    agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
+) -> dict[str, Span]:
+    """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then the disturbances."""
+    v, d, n = len(box), agent.n_states, box.shape[2]
+    unit = np.zeros((v, 2, v if with_slopes else 0, n))
+    for k in range(v if with_slopes else 0):
+        unit[k, :, k] = 1.0
+    variables = [Span(ends, slopes) for ends, slopes in zip(box, unit, strict=True)]
+    leaves = {}
+    for name, row in zip(agent.states, coordinates, strict=True):
+        total = None
+        for k in np.flatnonzero(row).tolist():
+            factor = np.full((2, n), row[k])
+            term = variables[k] if row[k] == 1.0 else variables[k].scaled(_products(factor, box[k]), factor)
+            total = term if total is None else total + term
+        assert total is not None
+        leaves[name] = total
+    for name, column in zip(agent.inputs, inputs.T, strict=False):  # outputs read no inputs
+        leaves[name] = Span.of(column, column, variables[0])
+    return leaves | dict(zip(agent.disturbances, variables[d:], strict=False))
+
+
+def _means(
+    agent: Agent,
+    inputs: FloatArray,
+    coordinates: FloatArray,
+    rows: FloatArray | None,
+    on: FloatArray,
+    with_slopes: bool = False,
+) -> list[Span]:
+    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
+    leaves = _leaves(agent, on, inputs, coordinates, with_slopes)
+    values = [span(tree, leaves) for tree in agent.trees]
+    if rows is None:
+        return values
+    weighted = []
+    for row in rows:
+        factors = [np.full_like(f.ends, factor) for f, factor in zip(values, row, strict=True)]
+        terms = [f.scaled(_products(a, f.ends), a) for f, a in zip(values, factors, strict=True) if np.any(a)]
+        weighted.append(sum(terms[1:], terms[0]))
+    return weighted
+
+
+def _bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[FloatArray]:
+    """Ends (2, n) of outputs on boxes (v, 2, n) of variables: what the three enclosures have in common.
+
+    ``outputs(box, with_slopes)`` gives their spans.
+    """
+    middle = np.repeat((0.5 * (box[:, 0] + box[:, 1]))[:, None], 2, axis=1)
+    values, centres, result = outputs(box, True), outputs(middle), []
+    for k, value in enumerate(values):
+        least, most = value.ends
+        # The mean value theorem: f(c) and the slopes times the way from c.
+        about = centres[k].ends
+        for slope, side, centre in zip(np.moveaxis(value.slopes, 1, 0), box, middle, strict=True):
+            way = np.stack([_down(side[0] - centre[1]), _up(side[1] - centre[0])])
+            about = _sum(about, np.where((slope == 0.0).all(axis=0), 0.0, _products(slope, way)))
+        # Corners: along an axis with a slope of one sign, only the end at which f is least, or largest.
+        rises, falls = value.slopes[0] >= 0.0, value.slopes[1] <= 0.0
+        at_least = np.stack([np.where(falls & ~rises, box[:, 1], box[:, 0]), np.where(rises, box[:, 0], box[:, 1])], 1)
+        at_most = np.stack([np.where(rises & ~falls, box[:, 1], box[:, 0]), np.where(falls, box[:, 0], box[:, 1])], 1)
+        low = np.fmax(np.fmax(least, about[0]), outputs(at_least)[k].ends[0])
+        high = np.fmin(np.fmin(most, about[1]), outputs(at_most)[k].ends[1])
+        unknown = np.isnan(value.ends).any(axis=0)
+        result.append(np.where(unknown, np.nan, np.stack([low, high])))
+    return result

@@ -1,0 +1,261 @@
+"""Certificates of agents by expressions are below the truth, survive files and rollouts, and wrong ones are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+import certigym as cg
+from certigym.envs.agents import Agent
+from certigym.synthesis.relations import MeanBoxes, WrittenMeans
+from written_problems import bent_team, oscillator, oscillator_reach
+
+FALSE_ALARM = 1e-6
+"""Probability that rollouts refute a true certificate."""
+
+
+@cache
+def of_oscillator() -> cg.Certificate:
+    return cg.synthesize(oscillator_reach(), 30).certificate
+
+
+@cache
+def of_team() -> cg.Certificate:
+    return cg.synthesize(bent_team(4), 30).certificate
+
+
+@cache
+def of_rotated() -> cg.Certificate:
+    """Correlated noise: cells are no boxes of states."""
+    problem = oscillator_reach(15, noise_covariance=[[0.2, 0.08], [0.08, 0.2]])
+    return cg.synthesize(problem, 40).certificate
+
+
+@cache
+def of_ring() -> cg.Certificate:
+    """Propositions about the distance from the origin: cells may or may not be in their regions."""
+    agent = oscillator(outputs=["x**2 + y**2"], initial_state=[-0.4, 0.4], noise_covariance=[[0.02, 0], [0, 0.02]])
+    problem = cg.Problem(
+        name="disk",
+        horizon=4,
+        agents=[agent],
+        propositions={"near": cg.Proposition("vdp", [-1.0], [2.0])},
+        specification=cg.Specification("G near", "finite-trace"),
+    )
+    return cg.synthesize(problem, 60).certificate
+
+
+CERTIFICATES = {"oscillator": of_oscillator, "team": of_team, "rotated": of_rotated, "ring": of_ring}
+
+
+@pytest.mark.parametrize("name", CERTIFICATES)
+def test_files_checks_and_rollouts_agree(name: str, tmp_path: Path) -> None:
+    """40,000 episodes notice a claim that is too large by about .01 at a false-alarm rate of 1e-6."""
+    certificate = CERTIFICATES[name]()
+    assert certificate.agents[0].relation["kind"] == "boxes" and certificate.gap is None
+    cg.save_certificate(certificate, tmp_path / "certificate.npz")
+    loaded = cg.load_certificate(tmp_path / "certificate.npz")
+    assert isinstance(loaded, cg.Certificate) and isinstance(loaded.problem.agents[0], cg.Agent)
+    report = cg.check(loaded, certificate.problem)
+    assert report, report
+    assert loaded.lower_bound == certificate.lower_bound > {"oscillator": 0.3, "rotated": 0.1}.get(name, 0.4)
+    validated = cg.validate(loaded, 40_000, seed=1, confidence=1 - FALSE_ALARM)
+    assert validated.verdict != "refuted" and validated.details["inadmissible"] == 0
+    assert not cg.audit(loaded, 2_000, seed=2, confidence=1 - FALSE_ALARM).refuted
+
+
+def masses(edges: NDArray, mean: float, std: float) -> NDArray:
+    return np.diff(norm.cdf((edges - mean) / std))
+
+
+def test_values_stay_below_dense_programming_with_an_adversary() -> None:
+    """The adversary chooses all states of the cells after it has seen the joint cell; no products, no lattice.
+
+    Means at 41 states of each cell; between them a mean of this agent moves by less than is allowed for.
+    """
+    problem = bent_team(3)
+    certificate = cg.synthesize(problem, 8).certificate
+    assert cg.check(certificate) and certificate.rank >= 1
+    edges = [part.grid.edges[0] for part in certificate.agents]
+    automaton, terms = problem.automaton, certificate.tree
+    centres = [0.5 * (axis[1:] + axis[:-1]) for axis in edges]
+    n = [len(c) for c in centres]
+    holds = [problem.labeling.class_at(i, c[None]) for i, c in enumerate(centres)]
+    letters = np.concatenate([np.repeat(holds[0], n[1], axis=1), np.tile(holds[1], n[0])])
+    value = np.repeat(automaton.accepting.astype(float)[:, None], n[0] * n[1], axis=1)
+    for t in reversed(range(problem.horizon)):
+        before = value.copy()
+        for q in np.flatnonzero(~automaton.finished):
+            following = automaton.next_state(np.full(n[0] * n[1], q), letters)
+            arriving = value[following, np.arange(n[0] * n[1])].reshape(n)
+            for s in np.ndindex(*n):
+                tables = []
+                for i, part in enumerate(certificate.agents):
+                    choice = part.policy[t, q, s[i]]
+                    states = np.linspace(edges[i][s[i]], edges[i][s[i] + 1], 41)
+                    u = part.relation["menu"][choice][0]
+                    means = states - 0.2 * np.tanh(states) + u / (1 + 0.2 * states**2)
+                    tables.append(np.array([masses(edges[i], m, 0.6) for m in means]))
+                before[q, s[0] * n[1] + s[1]] = (tables[0] @ arriving @ tables[1].T).min()
+        value = before
+    for state in range(automaton.n_states):
+        tree = sum(
+            (np.multiply.outer(terms.factors[0][a], terms.factors[1][b]) for a, b in terms.index[state]),
+            np.zeros(n),
+        )
+        assert np.all(tree.ravel() <= value[state] + 2e-4)
+        if not automaton.dead[state]:
+            assert tree.max() > 0.5 * value[state].max()
+
+
+# --- sabotage: searches that are wrong about one thing --------------------------------------------------------
+
+
+def shrunk(boxes: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
+    """Boxes that are too small by a hundredth."""
+    middle, half = 0.5 * (boxes[0] + boxes[1]), 0.5 * (boxes[1] - boxes[0])
+    return middle - 0.99 * half, middle + 0.99 * half
+
+
+def without_wind(means: WrittenMeans) -> WrittenMeans:
+    calm = Agent(**{**means.agent.to_dict(), "disturbances": {name: [0.0, 0.0] for name in means.agent.disturbances}})
+    return replace(means, agent=calm)
+
+
+def middle_only(boxes: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
+    centre = 0.5 * (boxes[0] + boxes[1])
+    return centre, centre
+
+
+def windy() -> cg.Problem:
+    problem = oscillator_reach(12)
+    dynamics = ["x + step*y + wind", "y + step*(-x + (1 - x**2)*y) + u"]
+    agent = problem.agents[0].replace(dynamics=dynamics, disturbances={"wind": [-0.05, 0.05]})
+    return cg.Problem(
+        name="windy",
+        horizon=12,
+        agents=[agent],
+        propositions=problem.declared,
+        specification=problem.specification,
+    )
+
+
+SABOTAGE: dict[str, Callable[..., Any]] = {
+    "boxes that are too small by 1 %": lambda around: lambda self, *a: shrunk(around(self, *a)),
+    "means of the centres": lambda around: lambda self, *a: middle_only(around(self, *a)),
+    "a disturbance left out": lambda around: lambda self, *a: around(without_wind(self), *a),
+    "other dynamics": lambda around: lambda self, low, high, *a: around(self, low + 0.05, high + 0.05, *a),
+}
+
+
+@pytest.mark.parametrize("name", SABOTAGE)
+def test_certificates_of_wrong_enclosures_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = windy()
+    honest = cg.synthesize(problem, 25)
+    assert cg.check(honest)
+    with monkeypatch.context() as patch:
+        patch.setattr(WrittenMeans, "around", SABOTAGE[name](WrittenMeans.around))
+        broken = cg.synthesize(problem, 25).certificate
+    assert broken.lower_bound > 0.0
+    report = cg.check(broken)
+    assert not report and "exceed" in str(report)
+
+
+def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search believes in less noise than there is."""
+    from certigym.synthesis.models import box_model
+
+    problem = oscillator_reach(12)
+    truth = box_model.grid_covariance
+    with monkeypatch.context() as patch:
+        patch.setattr(box_model, "grid_covariance", lambda agent, c: truth(agent, c) ** 2)
+        broken = cg.synthesize(problem, 25).certificate
+    report = cg.check(broken)
+    assert not report and "exceed" in str(report)
+
+
+def changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
+    part = certificate.agents[0]
+    return replace(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.agents[1:]))
+
+
+def test_forged_relations_are_refused(tmp_path: Path) -> None:
+    certificate = of_oscillator()
+    menu = np.array(certificate.agents[0].relation["menu"])
+    gains = np.zeros((len(menu), 1, 2))
+    gains[:, 0, 1] = -0.5
+    for forged in (
+        changed(certificate, menu=(1.01 * menu).tolist()),
+        changed(certificate, menu=menu[::-1].tolist()),
+        changed(certificate, gains=gains.tolist()),
+        replace(certificate, lower_bound=certificate.lower_bound + 1e-6),
+    ):
+        assert not cg.check(forged)
+    for description in ({"parts": 99}, {"parts": 0}, {"kind": "exact"}, {"parts": "two"}):
+        forged = changed(certificate, **description)
+        cg.save_certificate(forged, tmp_path / "forged.npz")
+        with pytest.raises(ValueError, match="expected a certigym certificate"):
+            cg.load_certificate(tmp_path / "forged.npz")
+
+
+def test_what_is_for_linear_agents_is_refused_in_words() -> None:
+    problem = oscillator_reach(3)
+    for relation in ("exact", "tube", "ellipsoid", "linear"):
+        with pytest.raises(ValueError, match="is for linear dynamics"):
+            cg.synthesize(problem, 10, relation=relation)
+    with pytest.raises(ValueError, match="relations `exact` and `tube`, got boxes"):
+        cg.check_rigorous(of_oscillator())
+    for relation in ("auto", "quick", "best", "boxes"):
+        assert cg.synthesize(problem, 10, relation=relation).certificate.agents[0].relation["kind"] == "boxes"
+    assert cg.synthesize(problem, memory=2e8, accuracy=0.2).certificate.lower_bound >= 0.0
+
+
+def test_cells_where_a_mean_is_not_defined_are_given_up() -> None:
+    """The agent has no mean left of 0, and keeps away from there: a bound, and a controller that never fails on it."""
+    agent = oscillator(
+        states=["x", "y"],
+        dynamics=["x + 0.2*u", "y + 0.05*log(x)"],
+        state_low=[-0.5, -3],
+        initial_state=[1.5, 0.0],
+        noise_covariance=[[0.01, 0], [0, 0.01]],
+    )
+    problem = cg.Problem(
+        name="log",
+        horizon=6,
+        agents=[agent],
+        propositions={"goal": cg.Proposition("vdp", [2.0, -3.0], [3.0, 3.0])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
+    certificate = cg.synthesize(problem, 28).certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.5
+    assert cg.validate(certificate, 4_000, seed=1, confidence=1 - FALSE_ALARM).verdict != "refuted"
+    part = certificate.agents[0]
+    left = part.grid.high[:, 0] <= 0.0
+    assert left.any() and np.all(part.policy[:, 0, left] < 0)
+
+
+def test_given_policies_are_certified_on_boxes() -> None:
+    """A policy written by hand: its bound holds, and improving it gains."""
+    problem = oscillator_reach(12)
+
+    def push(x: Any, q: int, t: int) -> Any:
+        return np.array([-1.0 if x[0] > -1.5 else 0.0])
+
+    certified = cg.certify(problem, push, 25).certificate
+    assert cg.check(certified)
+    assert cg.improve(problem, push, 25).certificate.lower_bound >= certified.lower_bound
+
+
+def test_boxes_are_mean_boxes() -> None:
+    """What the relation hands to the kernel is what the protocol asks for."""
+    controller: Any = of_oscillator().controller.agents[0]
+    boxes = controller.relation.mean_boxes(np.array([[0.0, 0.0]]), np.array([[0.1, 0.1]]))
+    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 17, 2) and boxes.admissible.all()
