@@ -17,7 +17,8 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks envs.agents.expression_agent "
-        "envs.agents.labeling envs.agents.noise envs.agents.products envs.expressions.evaluation "
+        "envs.agents.labeling envs.agents.composed_laws envs.agents.laws envs.agents.noise envs.agents.products "
+        "envs.expressions.evaluation "
         "envs.expressions.reading envs.expressions.expression_tree envs.problem.families "
         "envs.problem.groups envs.problem.problem_file envs.problem.record envs.problem.specification"
     ),
@@ -39,7 +40,8 @@ TRUSTED = {
         "synthesis.relations.boxes synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows"
     ),
     "The check": (
-        "synthesis.certificates.checked_kernel synthesis.checking.certificate_check synthesis.checking.execution "
+        "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
+        "synthesis.checking.certificate_check synthesis.checking.execution "
         "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.guard_check "
         "synthesis.checking.boxes_check synthesis.checking.linear_check synthesis.checking.linear_tables "
         "synthesis.checking.own_intervals synthesis.checking.regrown_tree synthesis.checking.relation_check "

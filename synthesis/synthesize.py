@@ -245,7 +245,7 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
-    if not all(isinstance(agent, LinearAgent) for agent in problem.agents):
+    if not all(isinstance(agent, LinearAgent) and agent.laws is None for agent in problem.agents):
         return False
     few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 import certigym as cg
+from certigym.envs.agents import Gaussian
 from certigym.synthesis.cells.grid import Grid
 from certigym.synthesis.checking import boxes_check
 from certigym.synthesis.checking.regrown_tree import regrow
@@ -52,7 +53,7 @@ def test_interpolants_are_below_the_expectation_everywhere(d: int, ratio: float)
     deviations = rng.uniform(0.2, 0.5, d)
     grid = Grid(tuple(edges))
     lattice = tuple(np.arange(-12, 13) * ratio * s for s in deviations)
-    kernel = box_kernel(grid, lattice, deviations)
+    kernel = box_kernel(grid, lattice, [Gaussian(float(deviation)) for deviation in deviations])
     factors = rng.uniform(0.0, 1.0, (4, grid.n_cells)) * (rng.random((4, grid.n_cells)) < 0.6)
     charged, bare = kernel.smooth(factors), Kernel.smooth(kernel, factors)
     wrong = 0

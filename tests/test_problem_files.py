@@ -85,7 +85,10 @@ BAD = [
     ("", "task.toml: the problem: `name` is missing"),
     (TOML.replace("horizon = 12", "horizn = 12"), "the problem: unknown key 'horizn'; did you mean `horizon`?"),
     (TOML.replace("horizon = 12", "horizon = 1.5"), "task.toml: `horizon`: expected a whole number"),
-    (TOML.replace("noise_covariance = [[0.25]]", ""), "number 1 ('left'): `noise_covariance` is missing"),
+    (
+        TOML.replace("noise_covariance = [[0.25]]", ""),
+        "number 1 ('left'): `noise`: expected either `noise` or",
+    ),
     (TOML.replace("A = [[0.9]]", "A = [['0.9']]"), "task.toml: [[agents]] number 1 ('left'): `A`: expected numbers"),
     (TOML.replace("input_low", "input_lo", 1), "unknown key 'input_lo'; did you mean `input_low`?"),
     (TOML.replace("copies = 3", "copies = 0"), "number 2 ('drone'): `copies`: expected a whole number from 1 to 9999"),

@@ -222,7 +222,7 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, m
     usual, problem = attained(certificate), certificate.problem
     assert usual is not None
     pairs = zip(problem.agents, certificate.agents, strict=True)
-    assert all(1e-15 < lost_to_rounding(agent.noise_covariance, part) < 1e-11 for agent, part in pairs)
+    assert all(1e-15 < lost_to_rounding(agent, part) < 1e-11 for agent, part in pairs)
     if certificate.rounding is None:
         *_, last = masses(certificate, 0.0, MOST)
         accepted = last.accepted + last.totals[problem.automaton.accepting[last.states]].sum()

@@ -174,9 +174,9 @@ def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyP
     from certigym.synthesis.models import box_model
 
     problem = oscillator_reach(12)
-    truth = box_model.grid_covariance
+    truth = box_model.grid_laws
     with monkeypatch.context() as patch:
-        patch.setattr(box_model, "grid_covariance", lambda agent, c: truth(agent, c) ** 2)
+        patch.setattr(box_model, "grid_laws", lambda agent, c: [law.scaled(law.std) for law in truth(agent, c)])
         broken = cg.synthesize(problem, 25).certificate
     report = cg.check(broken)
     assert not report and "exceed" in str(report)

@@ -15,6 +15,7 @@ from .checks import (
 )
 from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
+from .laws import Gaussian, Law
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .saving import write_bytes, write_json, write_text
@@ -23,7 +24,9 @@ __all__ = [
     "Agent",
     "AnyAgent",
     "Box",
+    "Gaussian",
     "Labeling",
+    "Law",
     "LinearAgent",
     "MOST_AGENTS",
     "Proposition",

@@ -1,6 +1,6 @@
 """One continuous linear stochastic agent.
 
-Model (docs/theory/setting.md, "Agents"), with `w ~ N(0, Sigma)` independent over time and agents:
+Model (docs/theory/setting.md, "Agents"), with noise w independent over time and agents, `w ~ N(0, Sigma)` as a rule:
 
     x' = A x + B u + c + w,        y = C x,        x in the workspace,        u in the input box.
 """
@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from .any_agent import AnyAgent, checked_covariance, checked_name, checked_start, summary_rows
+from .any_agent import AnyAgent, checked_name, checked_start, summary_rows
 from .box import Box
 from .checks import float_array, read_only
+from .laws import Law
+from .noise import declared_noise
 from .printing import counted, tree_text
 from .products import linear
 
@@ -37,7 +39,7 @@ _ARRAYS = (
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LinearAgent(AnyAgent):
-    """A linear agent with Gaussian noise, a workspace and an input box.
+    """A linear agent with noise, a workspace and an input box.
 
     Parameters
     ----------
@@ -47,8 +49,12 @@ class LinearAgent(AnyAgent):
         State matrix.
     B : array_like, shape (d, m)
         Input matrix.
-    noise_covariance : array_like, shape (d, d)
-        **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
+    noise_covariance : array_like, shape (d, d), optional
+        **Covariance** (not standard deviation) of Gaussian noise: exactly symmetric, positive semidefinite.
+    noise : sequence of d mappings or laws, optional
+        Laws of independent components instead, such as `{"law": "uniform", "low": -0.1, "high": 0.1}`.
+    noise_axes : array_like, shape (d, d), optional
+        Directions of those components, as columns; the states by default.
     state_low, state_high : array_like, shape (d,)
         Workspace, a closed box. An agent that leaves it violates every task.
     input_low, input_high : array_like, shape (m,)
@@ -79,6 +85,8 @@ class LinearAgent(AnyAgent):
     A: np.ndarray
     B: np.ndarray
     noise_covariance: np.ndarray
+    laws: tuple[Law, ...] | None
+    noise_axes: np.ndarray
     state_low: np.ndarray
     state_high: np.ndarray
     input_low: np.ndarray
@@ -88,14 +96,14 @@ class LinearAgent(AnyAgent):
     output_matrix: np.ndarray
     offset: np.ndarray
 
-    # Fourteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Sixteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
         name: str,
         A: Any,
         B: Any,
-        noise_covariance: Any,
+        noise_covariance: Any = None,
         state_low: Any,
         state_high: Any,
         input_low: Any,
@@ -105,6 +113,8 @@ class LinearAgent(AnyAgent):
         initial_high: Any = None,
         output_matrix: Any = None,
         offset: Any = None,
+        noise: Any = None,
+        noise_axes: Any = None,
     ) -> None:
         # A fixes the number of states d, B the number of inputs m; all other lengths follow.
         matrix = float_array(A, "A", (None, None), "[[0.9]]")
@@ -118,11 +128,14 @@ class LinearAgent(AnyAgent):
         )
         identity, zero = np.eye(d), np.zeros(d)
         start = checked_start(initial_state, initial_low, initial_high, d)
+        declared = declared_noise(noise, noise_covariance, noise_axes, d)
         values = {
             "name": checked_name(name, "name"),
             "A": matrix,
             "B": inputs,
-            "noise_covariance": checked_covariance(noise_covariance, d),
+            "noise_covariance": declared.covariance,
+            "laws": declared.laws,
+            "noise_axes": declared.axes,
             "state_low": workspace.low,
             "state_high": workspace.high,
             "input_low": input_box.low,
@@ -139,7 +152,7 @@ class LinearAgent(AnyAgent):
 
     # Copy and pickle the fields alone: what is cached can be computed again.
     def __getstate__(self) -> dict[str, Any]:
-        return {"name": self.name, **{key: getattr(self, key) for key in _ARRAYS}}
+        return {key: getattr(self, key) for key in ("name", "laws", "noise_axes", *_ARRAYS)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
@@ -201,6 +214,8 @@ class LinearAgent(AnyAgent):
         data: dict[str, Any] = {"name": self.name}
         for key in _ARRAYS:
             value = getattr(self, key)
-            if value is not None:
+            if key == "noise_covariance":
+                data |= self.noise_data()
+            elif value is not None:
                 data[key] = value.tolist()
         return data

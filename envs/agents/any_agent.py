@@ -1,4 +1,4 @@
-"""What all agents have: a name, boxes, a start and Gaussian noise. `LinearAgent` and `Agent` say how they move."""
+"""What all agents have: a name, boxes, a start and noise. `LinearAgent` and `Agent` say how they move."""
 
 from __future__ import annotations
 
@@ -11,20 +11,28 @@ from typing import Any, Self
 import numpy as np
 
 from .box import Box
-from .checks import float_array, read_only, shown
+from .checks import read_only, shown
+from .laws import Law
 from .printing import box_text, shortened
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 """Names of agents and propositions: what can stand in a formula."""
 
 
+NOISE_KEYS = {"noise", "noise_covariance", "noise_axes"}
+"""Arguments that declare noise."""
+
+
 class AnyAgent(ABC):
-    """An agent, however it moves: `x' = mean(x, u) + w` with Gaussian noise w, outputs, boxes and a start.
+    """An agent, however it moves: `x' = mean(x, u) + w` with noise w, outputs, boxes and a start.
 
     Attributes
     ----------
     name : str
     noise_covariance : np.ndarray, shape (d, d)
+    laws : tuple of Law, or None
+        Laws of the independent components e of the noise `w = noise_axes @ e`; None where it is Gaussian.
+    noise_axes : np.ndarray, shape (d, d)
     state_low, state_high : np.ndarray, shape (d,)
         Workspace, a closed box.
     input_low, input_high : np.ndarray, shape (m,)
@@ -35,6 +43,8 @@ class AnyAgent(ABC):
 
     name: str
     noise_covariance: np.ndarray
+    laws: tuple[Law, ...] | None
+    noise_axes: np.ndarray
     state_low: np.ndarray
     state_high: np.ndarray
     input_low: np.ndarray
@@ -93,12 +103,16 @@ class AnyAgent(ABC):
         """Return the agent as plain values, keyed as in problem files (exact)."""
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with some constructor arguments changed; a new start replaces the whole old one."""
+        """Return a copy with some constructor arguments changed; a new start or noise replaces the whole old one."""
         # A new start may be a point or a box: drop both old corners, not just the one that is named.
         data = self.to_dict()
         if any(key.startswith("initial_") for key in changes):
             data.pop("initial_low", None)
             data.pop("initial_high", None)
+        if self.laws is not None:
+            data["noise"] = self.laws
+        if NOISE_KEYS & {*changes}:
+            data = {key: value for key, value in data.items() if key not in NOISE_KEYS}
         return type(self)(**{**data, **changes})
 
     @cached_property
@@ -120,7 +134,12 @@ class AnyAgent(ABC):
 
     @cached_property
     def noise_factor(self) -> np.ndarray:
-        """L, shape (d, d), with `L L' = Sigma` up to rounding; exact square roots where Sigma is diagonal."""
+        """L, shape (d, d), with `w = L e`: the axes of laws, else `L L' = Sigma` up to rounding, e standard normal.
+
+        Square roots are exact where Sigma is diagonal.
+        """
+        if self.laws is not None:
+            return self.noise_axes
         # Diagonal covariances are the common case, and square roots are exact where Cholesky would round.
         covariance = self.noise_covariance
         if (covariance == np.diag(np.diag(covariance))).all():
@@ -132,6 +151,36 @@ class AnyAgent(ABC):
             spectrum, vectors = np.linalg.eigh(covariance)
             factor = vectors * np.sqrt(np.maximum(spectrum, 0.0))
         return read_only(factor)
+
+    @property
+    def noise_key(self) -> tuple[bytes, ...]:
+        """What determines the noise, for comparisons."""
+        laws = b"" if self.laws is None else repr([law.to_dict() for law in self.laws]).encode()
+        return (self.noise_covariance.tobytes(), self.noise_axes.tobytes(), laws)
+
+    def noise_data(self) -> dict[str, Any]:
+        """Return the keys of problem files that declare the noise."""
+        if self.laws is None:
+            return {"noise_covariance": self.noise_covariance.tolist()}
+        data: dict[str, Any] = {"noise": [law.to_dict() for law in self.laws]}
+        if (self.noise_axes != np.eye(self.n_states)).any():
+            data["noise_axes"] = self.noise_axes.tolist()
+        return data
+
+    def with_noise_times(self, factor: float) -> Self:
+        """Return a copy whose noise is multiplied by a factor of at least 0."""
+        if self.laws is None or factor == 0.0:
+            return self.replace(noise_covariance=factor * factor * self.noise_covariance)
+        return self.replace(noise=[law.scaled(factor) for law in self.laws], noise_axes=self.noise_axes)
+
+    def components(self, z: Any) -> Any:
+        """Return the components e (d, *S) of noise for standard normal numbers (d, *S); Gaussian ones stay as they are.
+
+        A quantile of each law is taken, the same bits for one number and for many.
+        """
+        if self.laws is None:
+            return z
+        return np.stack([law.from_normal(np.asarray(row)) for law, row in zip(self.laws, z)])
 
     def copies(self, n: int) -> tuple[Self, ...]:
         """Return `n` agents that differ in their names alone: `name_0`, `name_1`, ..."""
@@ -149,22 +198,6 @@ def checked_name(name: Any, argument: str) -> str:
             f"`{argument}`: expected letters, digits and underscores, not starting with a digit, got {shown(name)}"
         )
     return name
-
-
-def checked_covariance(value: Any, d: int) -> np.ndarray:
-    """Return a covariance if it is symmetric and positive semidefinite; raise ValueError otherwise."""
-    covariance = float_array(value, "noise_covariance", (d, d), f"{np.eye(d).tolist()}")
-    if (covariance != covariance.T).any():
-        raise ValueError(
-            f"`noise_covariance`: expected a symmetric matrix, got {shown(covariance.tolist())}; use (S + S.T) / 2"
-        )
-    spectrum = np.linalg.eigvalsh(covariance)
-    # Rounding may push the zero eigenvalues of a singular covariance a little below zero.
-    if spectrum[0] < -4.0 * d * np.finfo(float).eps * max(spectrum[-1], 0.0):
-        raise ValueError(
-            f"`noise_covariance`: expected a positive semidefinite matrix, got the eigenvalue {spectrum[0]:g}"
-        )
-    return covariance
 
 
 def checked_start(state: Any, low: Any, high: Any, d: int) -> Box | None:
@@ -191,9 +224,12 @@ def summary_rows(agent: AnyAgent) -> list[tuple[str, object]]:
     """Return the rows of an agent's `repr` that all agents have."""
     deviations = [f"{x:g}" for x in np.sqrt(np.maximum(np.diag(agent.noise_covariance), 0.0))]
     each = deviations[:1] if len(set(deviations)) == 1 else deviations
+    noise = f"standard deviation {shortened(', '.join(each))}"
+    if agent.laws is not None:
+        noise = f"{', '.join(law.name for law in agent.laws)}; {noise}"
     return [
         ("workspace", box_text(agent.state_low, agent.state_high)),
         ("inputs", box_text(agent.input_low, agent.input_high)),
         ("start", "none" if agent.initial_low is None else _start_text(agent.initial)),
-        ("noise", f"standard deviation {shortened(', '.join(each))}"),
+        ("noise", noise),
     ]

@@ -1,6 +1,6 @@
 """One continuous stochastic agent whose dynamics are written as expressions.
 
-Model (docs/theory/boxes.md, "Boxes of expressions"), with `w ~ N(0, Sigma)` independent over time and agents:
+Model (docs/theory/boxes.md, "Boxes of expressions"), with noise w independent over time and agents:
 
     x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
 
@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 
 from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression
-from .any_agent import AnyAgent, checked_covariance, checked_name, checked_start, summary_rows
+from .any_agent import AnyAgent, checked_name, checked_start, summary_rows
 from .box import Box
 from .checks import float_array, read_only, shown
-from .noise import covariance_of
+from .laws import Law
+from .noise import declared_noise
 from .printing import counted, shortened, tree_text
 
 MOST_STATES = 30
 """Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
 
 _ARRAYS = (
-    "noise_covariance",
     "state_low",
     "state_high",
     "input_low",
@@ -41,7 +41,7 @@ _ARRAYS = (
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Agent(AnyAgent):
-    """An agent whose dynamics are expressions, with Gaussian noise, a workspace and an input box.
+    """An agent whose dynamics are expressions, with noise, a workspace and an input box.
 
     Expressions hold numbers, names, `+ - * / **`, brackets, `pi`, and `sin cos tan atan exp log sqrt tanh abs min max
     clip`. They are read, never run.
@@ -59,8 +59,10 @@ class Agent(AnyAgent):
     disturbances : mapping from str to (low, high), optional
         Bounded unknowns by name: anything in the closed interval, at every step anew. Certificates hold for all of
         them; environments say how they behave.
-    noise : sequence of mappings, optional
-        One law per state, `{"law": "gaussian", "std": 0.05}`. Alternatively give a covariance.
+    noise : sequence of mappings or laws, optional
+        One law per state, such as `{"law": "gaussian", "std": 0.05}`. Alternatively give a covariance.
+    noise_axes : array_like, shape (d, d), optional
+        Directions of the components with those laws, as columns; the states by default.
     noise_covariance : array_like, shape (d, d), optional
         **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
     state_low, state_high : array_like, shape (d,)
@@ -96,6 +98,8 @@ class Agent(AnyAgent):
     parameters: Mapping[str, float]
     disturbances: Mapping[str, tuple[float, float]]
     noise_covariance: np.ndarray
+    laws: tuple[Law, ...] | None
+    noise_axes: np.ndarray
     state_low: np.ndarray
     state_high: np.ndarray
     input_low: np.ndarray
@@ -104,7 +108,7 @@ class Agent(AnyAgent):
     initial_high: np.ndarray | None
     output_expressions: tuple[str, ...]
 
-    # Seventeen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Eighteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -120,6 +124,7 @@ class Agent(AnyAgent):
         disturbances: Any = None,
         noise: Any = None,
         noise_covariance: Any = None,
+        noise_axes: Any = None,
         initial_state: Any = None,
         initial_low: Any = None,
         initial_high: Any = None,
@@ -129,9 +134,7 @@ class Agent(AnyAgent):
         d, m = len(state_names), len(input_names)
         workspace = Box(state_low, state_high, names=("state_low", "state_high"), length=d)
         input_box = Box(input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=m)
-        if (noise is None) == (noise_covariance is None):
-            raise ValueError("`noise`: expected either `noise` or `noise_covariance`, got both or none; give one")
-        covariance = checked_covariance(covariance_of(noise, d) if noise_covariance is None else noise_covariance, d)
+        declared = declared_noise(noise, noise_covariance, noise_axes, d)
         start = checked_start(initial_state, initial_low, initial_high, d)
         values = {
             "name": checked_name(name, "name"),
@@ -140,7 +143,9 @@ class Agent(AnyAgent):
             "dynamics": _texts(dynamics, "dynamics", d),
             "parameters": MappingProxyType(_numbers(parameters)),
             "disturbances": MappingProxyType(_ranges(disturbances)),
-            "noise_covariance": covariance,
+            "noise_covariance": declared.covariance,
+            "laws": declared.laws,
+            "noise_axes": declared.axes,
             "state_low": workspace.low,
             "state_high": workspace.high,
             "input_low": input_box.low,
@@ -278,6 +283,7 @@ class Agent(AnyAgent):
             data["parameters"] = dict(self.parameters)
         if self.disturbances:
             data["disturbances"] = {name: list(ends) for name, ends in self.disturbances.items()}
+        data |= self.noise_data()
         data |= {key: getattr(self, key).tolist() for key in _ARRAYS if getattr(self, key) is not None}
         if not self.has_identity_output:
             data["outputs"] = list(self.output_expressions)

@@ -51,6 +51,8 @@ class Block:
         Positions of the agents in the problem.
     motion : LinearMotion or WrittenMotion
     noise_factor : np.ndarray, shape (d, d, n, 1)
+    noise_of : AnyAgent
+        An agent with the laws of noise that all of them have.
     state_low, state_high, initial_low, initial_high : np.ndarray, shape (d, n, 1)
     input_low, input_high : np.ndarray, shape (m, n, 1)
     identity_output : bool
@@ -65,6 +67,7 @@ class Block:
     agents: np.ndarray
     motion: LinearMotion | WrittenMotion
     noise_factor: np.ndarray
+    noise_of: AnyAgent
     state_low: np.ndarray
     state_high: np.ndarray
     initial_low: np.ndarray
@@ -137,6 +140,7 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         agents=read_only(np.array(group)),
         motion=_motion(agents, stacked),
         noise_factor=stacked([a.noise_factor for a in agents]),
+        noise_of=agents[0],
         state_low=stacked([a.state_low for a in agents]),
         state_high=stacked([a.state_high for a in agents]),
         initial_low=stacked([a.initial_low for a in agents]),

@@ -41,9 +41,13 @@ class AgentNumbers(NamedTuple):
     """Positions of the agent's components among the numbers drawn in one step."""
     written: Agent | None
     """The agent itself, if its dynamics are expressions."""
+    lawful: AnyAgent | None
+    """The agent itself, if its noise is not Gaussian."""
 
     def moved(self, x: Any, u: Any, z: Any) -> list[float]:
         """Return the next state from state x under the input u with standard normal numbers z."""
+        if self.lawful is not None:
+            z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
         if self.written is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
         means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None])
@@ -227,4 +231,5 @@ def _numbers(
         regions=tuple((1 << int(p), a.tolist(), b.tolist()) for p, a, b in zip(propositions, low, high)),
         draws=draws,
         written=agent if isinstance(agent, Agent) else None,
+        lawful=None if agent.laws is None else agent,
     )

@@ -70,13 +70,16 @@ class Dynamics:
 
     @classmethod
     def of(cls, problem: Problem) -> Dynamics:
-        """Return the dynamics of a problem; linear agents of equal sizes, and equal expressions, share a block."""
+        """Return the dynamics of a problem.
+
+        Linear agents of equal sizes, and equal expressions, share a block if their noise has the same laws.
+        """
         # Blocks come in the order of their first agents, which fixes the order of all random numbers.
         members: dict[object, list[int]] = {}
         for i, agent in enumerate(problem.agents):
             sizes = (agent.n_states, agent.n_inputs, agent.n_outputs)
             written = (agent.motion_key, agent.output_key) if isinstance(agent, Agent) else None
-            members.setdefault((sizes, written), []).append(i)
+            members.setdefault((sizes, written, agent.laws), []).append(i)
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
         blocks = tuple(block_of(problem, group) for group in members.values())
         automaton = problem.automaton
@@ -226,6 +229,7 @@ def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.n
     Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []
+    z = block.noise_of.components(z)
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
             return np.stack(noisy(block.motion.agent.mean(x, u), block.noise_factor, z))

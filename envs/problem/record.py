@@ -297,11 +297,11 @@ class Problem:
             changes["agents"] = tuple(agents)
         if disturbance_scale is not None:
             # Scale the agents with their new starts, so that both changes apply.
-            factor = float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0]
+            factor = float(float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0])
             if factor < 0.0:
                 raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
             agents = changes.get("agents", self.agents)
-            changes["agents"] = tuple(a.replace(noise_covariance=factor * factor * a.noise_covariance) for a in agents)
+            changes["agents"] = tuple(agent.with_noise_times(factor) for agent in agents)
         return self._with(changes)
 
     def _with(self, changes: Mapping[str, Any]) -> Problem:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def _blocks(agent: AnyAgent) -> list[Block]:
         return [(list(range(d)), list(range(agent.n_inputs)), list(range(agent.n_outputs)))]
     # Two components are linked if an entry of A or of the covariance couples them, or if one input acts on both or one
     # output reads both.
-    linked = (agent.A != 0) | (agent.noise_covariance != 0)
+    linked = (agent.A != 0) | (agent.noise_covariance != 0) | (agent.noise_axes != 0)
     for columns in (agent.B.T, agent.output_matrix):
         for row in columns != 0:
             linked |= row[:, None] & row[None]
@@ -162,7 +163,7 @@ def _agent_of_block(agent: LinearAgent, block: Block, taken: set[str]) -> Linear
         name=_fresh(f"{agent.name}_{_axes(block)}", taken),
         A=agent.A[np.ix_(components, components)],
         B=agent.B[np.ix_(components, inputs)] if inputs else np.zeros((len(components), 1)),
-        noise_covariance=agent.noise_covariance[np.ix_(components, components)],
+        **_noise(agent, components),
         state_low=agent.state_low[components],
         state_high=agent.state_high[components],
         input_low=agent.input_low[inputs] if inputs else [0.0],
@@ -172,6 +173,14 @@ def _agent_of_block(agent: LinearAgent, block: Block, taken: set[str]) -> Linear
         output_matrix=_output(agent, block) if outputs else None,
         offset=agent.offset[components],
     )
+
+
+def _noise(agent: LinearAgent, components: list[int]) -> dict[str, Any]:
+    """Return the noise of a block: no entry of covariance or axes links it to another one."""
+    square = np.ix_(components, components)
+    if agent.laws is None:
+        return {"noise_covariance": agent.noise_covariance[square]}
+    return {"noise": [agent.laws[k] for k in components], "noise_axes": agent.noise_axes[square]}
 
 
 def _output(agent: LinearAgent, block: Block) -> np.ndarray:

@@ -179,7 +179,7 @@ def _windows(
 def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy) -> float | None:
     """Return an upper bound on what any policy of the continuous system attains from the start (mean over a box).
 
-    None if the lattice of an agent would be too large, or its dynamics are expressions.
+    None if the lattice of an agent would be too large, its dynamics are expressions, or its noise is not Gaussian.
     """
     values: list[FloatArray] = []
     begins: list[FloatArray] = []
@@ -188,7 +188,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        if not isinstance(agent, LinearAgent):
+        if not isinstance(agent, LinearAgent) or agent.laws is not None:
             return None
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))

@@ -3,7 +3,7 @@
 from .agent_grids import DEFAULT_TARGETS, CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
-from .grid_dynamics import GridDynamics, grid_covariance, in_grid_coordinates
+from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
 from .refusal import RelationRefused, linear_agent
@@ -28,6 +28,8 @@ __all__ = [
     "hat_share_of",
     "hats",
     "grid_covariance",
+    "grid_laws",
+    "sharpness",
     "in_grid_coordinates",
     "label_room",
     "linear_agent",

@@ -60,8 +60,10 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
 def _noise_coordinates(agent: AnyAgent) -> FloatArray:
     """Return the unit lower triangular L with ``Sigma = L D L'``; the identity for a diagonal covariance.
 
-    Of all coordinates in which the noise is diagonal these keep the first axis aligned.
+    Of all coordinates in which Gaussian noise is diagonal these keep the first axis aligned. Laws have their own axes.
     """
+    if agent.laws is not None:
+        return agent.noise_axes
     covariance = agent.noise_covariance
     # Units of the states do not matter: what counts are the correlations.
     deviations = np.sqrt(np.diag(covariance))

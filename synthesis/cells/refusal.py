@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from ...envs.agents import AnyAgent, LinearAgent
 
+LAWFUL = ("exact", "boxes")
+"""Relations that hold for noise of any law."""
+
 
 class RelationRefused(ValueError):
     """No relation of the kind that was asked for ties this agent to these cells; the text says what to try.
@@ -13,10 +16,15 @@ class RelationRefused(ValueError):
 
 
 def linear_agent(agent: AnyAgent, relation: str) -> LinearAgent:
-    """Return an agent whose dynamics are matrices, or refuse a relation that needs them."""
+    """Return an agent whose dynamics are matrices, or refuse a relation that needs them, or Gaussian noise."""
     if not isinstance(agent, LinearAgent):
         raise RelationRefused(
             f"agent `{agent.name}`: the relation `{relation}` is for linear dynamics (A and B), got "
             "expressions; ask for `boxes`"
+        )
+    if agent.laws is not None and relation not in LAWFUL:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{relation}` is for Gaussian noise, got other laws; ask for "
+            f"{' or '.join(f'`{name}`' for name in LAWFUL)}"
         )
     return agent

@@ -3,6 +3,7 @@
 from .certificate import Certificate, checked_certificate
 from .certificate_file import load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
+from .checked_laws import law_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import as_certificate, of_one_task
@@ -25,6 +26,7 @@ __all__ = [
     "grid_noise",
     "joint_states",
     "load_certificate",
+    "law_charge",
     "lost_to_rounding",
     "nameless",
     "of_one_task",

@@ -1,4 +1,4 @@
-"""The kernel once more, for checks: cell masses from the complementary error function."""
+"""The kernel once more, for checks: cell masses from the complementary error function, and from formulas of laws."""
 
 from __future__ import annotations
 
@@ -8,19 +8,28 @@ import numpy as np
 from scipy.special import erfc
 
 from ..cells import FloatArray
+from .checked_laws import law_error, lawful_masses
 
 if TYPE_CHECKING:
+    from ...envs.agents import AnyAgent
     from .part import AgentPart
 
 
-def axis_tables(
-    covariance: FloatArray, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]
-) -> list[FloatArray]:
+def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]) -> list[FloatArray]:
     """Cell masses around every lattice point, per axis, from the complementary error function of the smaller tail."""
-    deviations = np.sqrt(np.diag(grid_noise(covariance, part.coordinates)))
-    key = (deviations.tobytes(), *(e.tobytes() for e in part.grid.edges), *(a.tobytes() for a in part.lattice))
+    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    key = (
+        *agent.noise_key,
+        deviations.tobytes(),
+        *(e.tobytes() for e in part.grid.edges),
+        *(a.tobytes() for a in part.lattice),
+    )
     if key not in known:
         known[key] = []
+        if agent.laws is not None:
+            triples = zip(part.grid.edges, part.lattice, agent.laws, strict=True)
+            known[key] = [lawful_masses(law, edges, axis) for edges, axis, law in triples]
+            return known[key]
         for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
             x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))
             right, left = 0.5 * erfc(x), 0.5 * erfc(-x)
@@ -30,12 +39,14 @@ def axis_tables(
     return known[key]
 
 
-def lost_to_rounding(covariance: FloatArray, part: AgentPart) -> float:
+def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
     """Upper bound on the mass per step that ``axis_tables`` take off to be lower bounds, twice over.
 
     The complementary error function is accurate to a few units in the last place of the tail it stands for.
     """
-    total, deviations = 0.0, np.sqrt(np.diag(grid_noise(covariance, part.coordinates)))
+    if agent.laws is not None:
+        return sum(2.0 * law_error(law) * n for law, n in zip(agent.laws, part.grid.shape, strict=True))
+    total, deviations = 0.0, np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
         x = np.abs(edges - axis[:, None]) / (deviation * np.sqrt(2.0))
         total += 8e-15 * float(np.max(np.sum(0.5 * erfc(x) * (1.0 + x * x), axis=1)))

@@ -61,7 +61,7 @@ def regrow_trains(
     visited = rounding.visited
     ways = routes(guards, guards.masks, automaton.n_states)
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    kernels = [axis_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
+    kernels = [axis_tables(a, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
     smooths = [partial(smooth, tables=axes) for axes in kernels]
     shapes = [[table.shape[1] for table in axes] for axes in kernels]
     value = Trains(tuple(ones(n_cells, visited[-1]) if yes else None for yes in automaton.accepting))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, axis_tables, grid_noise, lost_to_rounding, smooth
+from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, smooth
 from .geometry import cell_boxes
 from .own_intervals import mean_spans
 
@@ -104,15 +104,19 @@ def box_tables(
 ) -> BoxTables:
     """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-    r = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice]) / deviations
-    slack = 0.0
-    for k, own in enumerate(r.tolist()):
+    steps = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    r, slack = steps / deviations, 0.0
+    if agent.laws is not None:
+        # What positions are off by counts by the height of the density; that of a normal one is .4 / sigma.
+        r = np.maximum(r, 2.6 * steps * np.array([law.height for law in agent.laws]))
+        slack = sum(law_charge(law, step) for law, step in zip(agent.laws, steps.tolist(), strict=True))
+    for k, own in enumerate(r.tolist() if agent.laws is None else []):
         # Of eta^2/8: second differences are off by a twelfth of fourth ones, and more between the corners.
         slack += STRAIGHT * own**4 / 96.0
         slack += sum((STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist()))
-    slack += ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent.noise_covariance, part)
+    slack += ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
     written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
-    return BoxTables(axis_tables(agent.noise_covariance, part, known), slack, off, written)
+    return BoxTables(axis_tables(agent, part, known), slack, off, written)
 
 
 def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int) -> FloatArray:
@@ -129,7 +133,10 @@ def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: Flo
     inside &= np.prod(high - low + 3.0, axis=1) <= MOST_POINTS
     cells, low, high = cells[inside], low[inside], high[inside]
     for row, factor in zip(values, factors, strict=True):
-        table = below(smooth(factor[None], tables.masses)[0].reshape(last + 1), tables.slack * factor.max(initial=0.0))
+        smoothed = smooth(factor[None], tables.masses)[0].reshape(last + 1)
+        slack = tables.slack * factor.max(initial=0.0)
+        # The charge of other laws than the normal one is constant.
+        table = below(smoothed, slack) if agent.laws is None else smoothed - slack
         for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
             row[cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
     return values

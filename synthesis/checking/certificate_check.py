@@ -216,6 +216,9 @@ def _check_grids(certificate: Certificate) -> list[str]:
             failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
         if not identity and not _covers(agent.workspace, part.coordinates, low, high):
             failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
+        if agent.laws is not None and not np.array_equal(part.coordinates, agent.noise_axes):
+            failures.append(f"the grid axes of agent `{agent.name}` are not those of its noise")
+            continue
         noise = grid_noise(agent.noise_covariance, part.coordinates)
         variances = np.diag(noise)
         off = np.abs(noise - np.diag(variances))
@@ -268,6 +271,7 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
         arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (
             *agent.motion_key,
+            *agent.noise_key,
             id(part.grid),
             json.dumps(part.relation, sort_keys=True),
             *(own.tobytes() for own in arrays),

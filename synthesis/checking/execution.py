@@ -119,6 +119,11 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
     noise_off = 2.0 * off @ np.abs(agent.noise_covariance) @ (np.abs(inverse) + off).T
     deviations = np.sqrt(np.diag(noise))
     noise_off += np.abs(noise - np.diag(np.diag(noise)))
+    if agent.laws is not None:
+        # Along their own axes components are independent; shifted by off, a density of this height changes by
+        # off times it, and d of them by the sum of all.
+        noise_off = np.full((d, d), 0.0 if np.array_equal(C, agent.noise_axes) else np.inf)
+        deviations = np.array([0.39 / (law.height * np.sqrt(d)) for law in agent.laws])
     return _Setting(
         A=A, B=B, c=c,
         A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),

@@ -77,7 +77,7 @@ def masses(certificate: Certificate, share: float, most: int) -> Iterator[Mass]:
     """
     problem, agents = certificate.problem, certificate.agents
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    kernels = [axis_tables(a.noise_covariance, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
+    kernels = [axis_tables(a, p, tables) for a, p in zip(problem.agents, agents, strict=True)]
     mass = _settled(certificate, mass_at_start(certificate), share, most)
     yield mass
     for t in range(problem.horizon):

@@ -39,7 +39,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     n_agents = len(certificate.agents)
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
-    kernels = [axis_tables(a.noise_covariance, p, tables) if p.is_additive else [] for a, p in pairs]
+    kernels = [axis_tables(a, p, tables) if p.is_additive else [] for a, p in pairs]
     linear = [linear_tables(linear_agent(a, "linear"), p) if p.is_linear else None for a, p in pairs]
     boxes = [
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None

@@ -87,7 +87,7 @@ def regrown_trains(certificate: Certificate, upper: bool = False) -> Value:
     assert certificate.rounding is not None
     tolerance = CAREFUL * certificate.rounding.tolerance / problem.horizon
     memory: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    tables = [axis_tables(a.noise_covariance, part, memory) for a, part in zip(problem.agents, agents, strict=True)]
+    tables = [axis_tables(a, part, memory) for a, part in zip(problem.agents, agents, strict=True)]
     sizes = [part.grid.n_cells for part in agents]
     value: Value = tuple(_ones(sizes, visited[-1]) if accepted else None for accepted in automaton.accepting)
     for t in reversed(range(problem.horizon)):

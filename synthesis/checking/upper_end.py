@@ -66,7 +66,7 @@ def attained(certificate: Certificate) -> float | None:
         If it should have tensor trains, but has none that can be grown again.
     """
     problem, agents = certificate.problem, certificate.agents
-    lost = sum(lost_to_rounding(a.noise_covariance, p) for a, p in zip(problem.agents, agents, strict=True))
+    lost = sum(lost_to_rounding(a, p) for a, p in zip(problem.agents, agents, strict=True))
     lost *= problem.horizon
     if certificate.rounding is not None:
         value = regrown_trains(certificate, upper=True)

@@ -88,7 +88,7 @@ def cells_at(problem: Problem, resolution: float, kinds: Sequence[str]) -> dict[
     alike: dict[tuple[Any, ...], list[int]] = {}
     for i, agent in enumerate(problem.agents):
         corners = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
-        key = (kinds[i], *agent.motion_key, *(a.tobytes() for a in (agent.noise_covariance, *corners)))
+        key = (kinds[i], *agent.motion_key, *agent.noise_key, *(a.tobytes() for a in corners))
         alike.setdefault(key, []).append(i)
     cells_of: dict[int, AgentCells] = {}
     for (kind, *_), members in alike.items():

@@ -133,6 +133,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
         wanted = dict.fromkeys(wanted, ("boxes",))
+    elif first.laws is not None:
+        wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)

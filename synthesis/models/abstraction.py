@@ -343,8 +343,12 @@ def _shared_model(
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Of agents whose dynamics are expressions no more is known than boxes.
-    if kind == "boxes" or (kind in ("auto", "quick") and not isinstance(agent, LinearAgent)):
+    is_any = kind in ("auto", "quick")
+    if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
+    if is_any and agent.laws is not None:
+        kind = "exact" if has_full_rank(agent) else "boxes"
+        return _shared_model(agent, kind, grid, coordinates, room, settings)
     agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
@@ -382,8 +386,8 @@ def check_settings(settings: Mapping[str, object]) -> None:
 def alike_arrays(agent: AnyAgent) -> tuple[bytes, ...]:
     """Return what determines the model of an agent apart from its relation, grid and labels, as bytes."""
     box, inputs = agent.workspace, agent.input_box
-    arrays = (agent.noise_covariance, box.low, box.high, inputs.low, inputs.high)
-    return (*agent.motion_key, *(array.tobytes() for array in arrays))
+    arrays = (box.low, box.high, inputs.low, inputs.high)
+    return (*agent.motion_key, *agent.noise_key, *(array.tobytes() for array in arrays))
 
 
 def has_full_rank(agent: AnyAgent) -> bool:

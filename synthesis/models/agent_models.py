@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...envs.agents import LinearAgent
-from ..cells import FloatArray, Grid, RelationRefused, in_grid_coordinates
+from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import (
     CoupledRelation,
     Relation,
@@ -25,7 +25,7 @@ from ..relations import (
 from .affine_choices import Choices
 from .choices import InputMenu, target_windows
 from .ellipsoid_search import find_ellipsoid
-from .kernel import Kernel, gaussian_table
+from .kernel import Kernel, gaussian_table, law_table
 
 SharedModel = tuple[Relation, tuple[FloatArray, ...], Kernel, Choices]
 """Relation, lattice axes, kernel and choices: what agents share whose labels may differ."""
@@ -79,12 +79,12 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
     reach = np.abs(relation.B) @ relation.input_half_width
     _refuse_many(agent.name, "targets_per_cell", grid.n_cells * targets_per_cell ** len(grid.edges))
     means = relation.means(grid.centres)
-    deviations = np.sqrt(np.diag(in_grid_coordinates(agent, coordinates).covariance))
+    laws = grid_laws(agent, coordinates)
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
         lowest, highest = means[:, k].min() - reach[k], means[:, k].max() + reach[k]
-        axis = _lattice_axis(edges, targets_per_cell, lowest, highest, BEYOND_GRID * deviations[k])
-        table, missing = gaussian_table(axis, edges, float(deviations[k]))
+        axis = _lattice_axis(edges, targets_per_cell, lowest, highest, BEYOND_GRID * laws[k].std)
+        table, missing = law_table(axis, edges, laws[k])
         lattice.append(axis)
         tables.append(table)
         loss += missing

@@ -13,20 +13,23 @@ second differences of g itself, ``D_k = g(z + eta_k) - 2 g(z) + g(z - eta_k)``. 
 
 where c_4 = c_kk and c_ke are half the L1 norms of phi'''' and of phi'' phi'' (docs/theory/boxes.md, "The charge"). What
 is stored at a point takes off the largest D_k of all its neighbours. So the interpolant of the stored numbers is below
-g everywhere, and so is its least value over a box.
+g everywhere, and so is its least value over a box. Where an axis has another law than the normal one, what
+interpolation adds along each axis is bounded by the law alone (``Law.charge``), for factors of at most M.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import Gaussian, Law
 from ..cells import FloatArray, Grid
 from .bends import FOURTH, SQUARED
-from .kernel import Kernel, gaussian_table
+from .kernel import Kernel, law_table
 
 ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
@@ -40,6 +43,9 @@ POINTS_PER_CELL = {1: 16, 2: 4, 3: 2}
 
 MOST_PER_CELL = {1: 256, 2: 24, 3: 8}
 """The same, at most: where cells are wider than several deviations, boxes are, and a finer lattice gains nothing."""
+
+CHARGE = 2e-4
+"""What interpolation may add per axis and step where laws alone bound it, if memory allows."""
 
 MOST_POINTS = 4_000_000
 """Lattice points from which fewer are taken for each cell."""
@@ -57,10 +63,13 @@ class BoxKernel(Kernel):
     tables, loss
         See ``Kernel``.
     ratios : (d,) array
-        Lattice steps in standard deviations of the noise.
+        Lattice steps in standard deviations of the noise (or what counts as such, see ``ratio_of``).
+    charge : float or None
+        What interpolation adds, for factors of at most 1, where it is bounded by laws; None where all are normal.
     """
 
     ratios: FloatArray = field(default_factory=lambda: np.zeros(0))
+    charge: float | None = None
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
@@ -70,12 +79,17 @@ class BoxKernel(Kernel):
         values = super().smooth(factors)
         largest = factors.max(axis=1, initial=0.0)
         for row, most in zip(values, largest.tolist(), strict=True):
-            take_charge(row.reshape(self.lattice_shape), most * self.slack)
+            if self.charge is None:
+                take_charge(row.reshape(self.lattice_shape), most * self.slack)
+            else:
+                row -= most * self.slack
         return values
 
     @property
     def slack(self) -> float:
         """What is taken off besides second differences, for factors of at most 1."""
+        if self.charge is not None:
+            return self.charge + rounding_of(self.ratios) + self.loss
         return slack_of(self.ratios) + self.loss
 
 
@@ -84,7 +98,12 @@ def slack_of(ratios: FloatArray) -> float:
     squares = np.asarray(ratios) ** 2
     constants = np.where(np.eye(len(squares), dtype=bool), FOURTH, SQUARED)
     per_axis = FOURTH * squares**2 / 12.0 + squares * (constants @ squares) / 8.0
-    return float(np.sum(per_axis) / 8.0) * (1.0 + 1e-9) + ROUNDING * (1.0 + float(np.sum(ratios)))
+    return float(np.sum(per_axis) / 8.0) * (1.0 + 1e-9) + rounding_of(ratios)
+
+
+def rounding_of(ratios: FloatArray) -> float:
+    """Return what is taken off for rounding, for factors of at most 1."""
+    return ROUNDING * (1.0 + float(np.sum(ratios)))
 
 
 def take_charge(table: NDArray, slack: float) -> None:
@@ -112,13 +131,15 @@ def largest_of_neighbours(table: NDArray, axis: int) -> NDArray:
     return np.moveaxis(result, 0, axis)
 
 
-def points_per_cell(grid: Grid, deviations: FloatArray) -> tuple[int, ...]:
+def points_per_cell(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
     d = len(grid.shape)
     widths = np.array([(axis[-1] - axis[0]) / n for axis, n in zip(grid.edges, grid.shape, strict=True)])
     fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
     # Cells may be very wide: the smaller number is taken before it is rounded to a whole one.
-    needed = np.minimum(POINTS_PER_DEVIATION * widths / deviations, most)
+    normal = all(isinstance(law, Gaussian) for law in laws)
+    pitches = np.array([law.std / POINTS_PER_DEVIATION if normal else law.pitch(CHARGE) for law in laws])
+    needed = np.minimum(widths / pitches, most)
     wanted = [max(fewest, math.ceil(count)) for count in needed.tolist()]
     size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))
     share = min(1.0, (MOST_POINTS / size) ** (1.0 / d))
@@ -143,12 +164,23 @@ def box_lattice(
     return tuple(axes)
 
 
-def box_kernel(grid: Grid, lattice: tuple[FloatArray, ...], deviations: FloatArray) -> BoxKernel:
+def box_kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law]) -> BoxKernel:
     """Return the kernel on a lattice."""
-    tables, loss, ratios = [], 0.0, []
-    for axis, edges, deviation in zip(lattice, grid.edges, deviations, strict=True):
-        table, missing = gaussian_table(axis, edges, float(deviation))
+    tables, loss, ratios, charge = [], 0.0, [], 0.0
+    for axis, edges, law in zip(lattice, grid.edges, laws, strict=True):
+        table, missing = law_table(axis, edges, law)
         tables.append(table)
         loss += missing
-        ratios.append((axis[-1] - axis[0]) / (len(axis) - 1) / float(deviation))
-    return BoxKernel(tuple(tables), loss, np.array(ratios))
+        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        ratios.append(ratio_of(law, pitch))
+        charge += law.charge(pitch * (1.0 + 1e-9))
+    normal = all(isinstance(law, Gaussian) for law in laws)
+    return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge)
+
+
+def ratio_of(law: Law, pitch: float) -> float:
+    """Return a lattice step in deviations of the noise, in smaller ones where its density is higher.
+
+    What positions are off by moves g by that times the height of the density; a normal one has the height .4 / sigma.
+    """
+    return pitch / law.std if isinstance(law, Gaussian) else pitch * max(1.0 / law.std, 2.6 * law.height)

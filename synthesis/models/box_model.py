@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from ...envs.agents import AnyAgent, Box, LinearAgent
-from ..cells import FloatArray, Grid, RelationRefused, grid_covariance, in_grid_coordinates
+from ..cells import FloatArray, Grid, RelationRefused, grid_laws, in_grid_coordinates
 from ..relations import BoxRelation, box_relation
 from .box_choices import BoxChoices, box_choices
 from .box_kernel import BoxKernel, box_kernel, box_lattice, points_per_cell
@@ -42,8 +42,9 @@ def box_model(
     """Return relation, lattice, kernel and choices under the relation ``boxes``."""
     relation = relation_of(agent, grid, coordinates)
     menu, gains = relation.menu, relation.gains
-    deviations = np.sqrt(np.diag(grid_covariance(agent, coordinates)))
-    points = points_per_cell(grid, deviations) if per_cell is None else (per_cell,) * agent.n_states
+    laws = grid_laws(agent, coordinates)
+    deviations = np.array([law.std for law in laws])
+    points = points_per_cell(grid, laws) if per_cell is None else (per_cell,) * agent.n_states
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
@@ -57,7 +58,7 @@ def box_model(
             f"{grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
         )
     lattice = box_lattice(grid, deviations, points, low, high)
-    return relation, lattice, box_kernel(grid, lattice, deviations), box_choices(grid, lattice, relation)
+    return relation, lattice, box_kernel(grid, lattice, laws), box_choices(grid, lattice, relation)
 
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:

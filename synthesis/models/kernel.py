@@ -1,8 +1,9 @@
-"""Gaussian masses of grid cells, from below.
+"""Masses of grid cells around means, from below.
 
-The abstract agent moves from a mean ``z`` on a lattice to the cell that holds ``z + w`` with ``w ~ N(0, Sigma)``. With
-diagonal ``Sigma`` the mass of a cell is a product over axes, so that one table ``(Z_k, S_k)`` per axis is the whole
-kernel. It depends on the mean alone and serves all cells and inputs: a backup smooths once and gathers afterwards.
+The abstract agent moves from a mean ``z`` on a lattice to the cell that holds ``z + w``, as a rule with ``w ~ N(0,
+Sigma)``. Where the components of w are independent, the mass of a cell is a product over axes, so that one table
+``(Z_k, S_k)`` per axis is the whole kernel. It depends on the mean alone and serves all cells and inputs: a backup
+smooths once and gathers afterwards.
 
 Every entry is a **lower bound** on the true mass (docs/theory/numerics.md): the difference is taken between the tails
 that are small, the errors of the special function and of its argument are subtracted, and negative results become 0.
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ...envs.agents import Gaussian, Law
 from ..cells import FloatArray, shape_text
 from ..values import UNIT, Residents, add_rows, empty, multiply_into, namespace
 
@@ -191,6 +193,29 @@ def gaussian_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[Ax
         blocks.append((z0, z0 + len(block_means), s0, s1, masses))
         loss = max(loss, missing)
     return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss + BEYOND_REACH
+
+
+def law_table(means: FloatArray, edges: FloatArray, law: Law) -> tuple[AxisTable, float]:
+    """Return lower bounds on the cell masses of noise of any law, as ``gaussian_table`` does for Gaussian noise.
+
+    Masses are differences of the smaller tails, less four times their error: twice as much as they may be off by.
+    """
+    if isinstance(law, Gaussian):
+        return gaussian_table(means, edges, law.std)
+    error = 4.0 * law.cdf_error
+    blocks, loss = [], 0.0
+    for z0 in range(0, len(means), LATTICE_BLOCK):
+        below, above = law.tails(edges[None, :] - means[z0 : z0 + LATTICE_BLOCK, None])
+        # Of a cell in the upper half, the tails above its edges are the smaller ones.
+        upper_half = below[:, :-1] > 0.5
+        mass = np.where(upper_half, above[:, :-1] - above[:, 1:], below[:, 1:] - below[:, :-1]) - error
+        used = np.flatnonzero(np.any(mass > SMALLEST_MASS, axis=0))
+        s0, s1 = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+        entries = np.where(mass[:, s0:s1] > SMALLEST_MASS, mass[:, s0:s1], 0.0)
+        blocks.append((z0, z0 + len(below), s0, s1, entries))
+        # A cell lacks what was taken off, and what its mass may be larger than computed; or all of so small a mass.
+        loss = max(loss, 2.0 * error * (len(edges) - 1) + SMALLEST_MASS * (len(edges) - 1))
+    return AxisTable((len(means), len(edges) - 1), tuple(blocks)), loss
 
 
 @dataclass(frozen=True, eq=False, repr=False)

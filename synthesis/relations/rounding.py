@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ...envs.agents import AnyAgent, LinearAgent
-from ..cells import FloatArray, GridDynamics, grid_covariance, in_grid_coordinates
+from ..cells import FloatArray, GridDynamics, grid_covariance, in_grid_coordinates, sharpness
 
 DENSITY = 0.4
 """Upper bound on the density of the standard normal law."""
@@ -38,6 +38,8 @@ class Sizes:
     Parameters
     ----------
     moves : GridDynamics
+    deviations : (d,) array
+        What shifts are measured in: deviations of the noise along the grid axes (see ``sharpness``).
     spread : (d, d) array
         By what factors computing grid coordinates may enlarge errors; the identity in state coordinates.
     states, inputs, means : (d,), (m,), (d,) arrays
@@ -49,6 +51,7 @@ class Sizes:
     """
 
     moves: GridDynamics
+    deviations: FloatArray
     spread: FloatArray
     states: FloatArray
     inputs: FloatArray
@@ -61,25 +64,16 @@ class Sizes:
         """Covariance (d, d) of the noise."""
         return self.moves.covariance
 
-    @property
-    def deviations(self) -> FloatArray:
-        """Standard deviations (d,) of the noise along the grid axes."""
-        return np.asarray(np.sqrt(np.diag(self.moves.covariance)))
-
 
 @dataclass(frozen=True, eq=False)
 class Reading:
     """How well a controller reads the grid coordinates of a state, of any agent; fields as in `Sizes`."""
 
     covariance: FloatArray
+    deviations: FloatArray
     spread: FloatArray
     read: FloatArray
     unit: float
-
-    @property
-    def deviations(self) -> FloatArray:
-        """Standard deviations (d,) of the noise along the grid axes."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def reading_of(agent: AnyAgent, coordinates: FloatArray) -> Reading:
@@ -91,7 +85,7 @@ def reading_of(agent: AnyAgent, coordinates: FloatArray) -> Reading:
     spread = np.eye(d) if plain else np.abs(inverse) @ np.abs(coordinates)
     states = np.abs(inverse) @ np.maximum(np.abs(agent.workspace.low), np.abs(agent.workspace.high))
     read = np.zeros(d) if plain else 8.0 * unit * spread @ spread @ states
-    return Reading(grid_covariance(agent, coordinates), spread, read, unit)
+    return Reading(grid_covariance(agent, coordinates), sharpness(agent, coordinates), spread, read, unit)
 
 
 def sizes_of(agent: LinearAgent, coordinates: FloatArray) -> Sizes:
@@ -105,7 +99,7 @@ def sizes_of(agent: LinearAgent, coordinates: FloatArray) -> Sizes:
     means = np.abs(moves.A) @ states + np.abs(moves.B) @ inputs + np.abs(moves.offset)
     means += states + BEYOND * np.sqrt(np.diag(moves.covariance))
     read = np.zeros(d) if plain else 8.0 * unit * spread @ spread @ states
-    return Sizes(moves, spread, states, inputs, means, read, unit)
+    return Sizes(moves, sharpness(agent, coordinates), spread, states, inputs, means, read, unit)
 
 
 def target_rounding(sizes: Sizes, right_inverse: FloatArray, middle: FloatArray) -> FloatArray:
@@ -142,8 +136,9 @@ def target_loss(
     rounded = sizes.spread @ z + np.abs(moves.B) @ asked
     off += 8.0 * sizes.unit * sizes.spread @ sizes.spread @ rounded
     distance = float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
-    # For small distances the difference of tails would lose its digits.
-    mean = min(1.0, DENSITY * distance) if distance < 1e-3 else 1.0 - 2.0 * float(ndtr(-0.5 * distance))
+    # For small distances the difference of tails would lose its digits; laws that are not Gaussian have other tails.
+    is_small = distance < 1e-3 or sizes.moves.is_lawful
+    mean = min(1.0, DENSITY * distance) if is_small else 1.0 - 2.0 * float(ndtr(-0.5 * distance))
     return mean + missed_cells(sizes, sizes.read, edges)
 
 

@@ -1,0 +1,331 @@
+# ruff: noqa: D102 (the methods of each law are those that `Law` describes)
+"""Laws of noise along one axis: probabilities below and above a point, and a point for each standard normal number.
+
+Simulations turn standard normal numbers into noise by quantiles, so that every law is driven by the same random
+streams. Certificates only need the probabilities of intervals, ``P(left <= e < right)``, whose two tails every law
+gives with a bound on their error. How much a lattice of means may miss between its points follows from the density p:
+with ``g(m) = E v(m + e)``, ``0 <= v <= 1``, linear interpolation between points eta apart is above g by at most
+
+    eta / 4 * (sum of the jumps of p)  +  eta^2 / 8 * (integral of the positive part of p'') ,
+
+where p'' holds the jumps of p' as well (docs/theory/boxes.md, "Other laws").
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import expit, log_ndtr, ndtr, stdtr, stdtrit
+
+CLOSED_FORM = 2e-15
+"""Error of tails in closed form: a few units in the last place of 1, from their arguments and their functions."""
+
+STUDENT = 1e-12
+"""Error of the tails of Student's law, far above what was found in comparisons with fifty digits."""
+
+BENT = 0.48395
+"""Integral of the positive part of the second derivative of the standard normal density, 2 phi(1), rounded up."""
+
+LOGISTIC_BENT = 0.192451
+"""The same for the standard logistic density, sqrt(3) / 9, rounded up."""
+
+Tails = tuple[np.ndarray, np.ndarray]
+"""Probabilities of at most a point, and of more."""
+
+
+class Law(ABC):
+    """A continuous law of the noise along one axis, in units of the state.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in problem files.
+    std : float
+        Standard deviation (rounded).
+    cdf_error : float
+        Upper bound on the absolute error of both tails.
+    """
+
+    name = ""
+    cdf_error: float
+
+    if TYPE_CHECKING:
+
+        @property
+        def std(self) -> float:
+            """Standard deviation, positive (rounded)."""
+
+    @property
+    @abstractmethod
+    def height(self) -> float:
+        """Half the total variation of the density, from above: the height of its mode, if it has one."""
+
+    @property
+    @abstractmethod
+    def jumps(self) -> float:
+        """Sum of the jumps of the density, from above; infinite if that is not known."""
+
+    @property
+    @abstractmethod
+    def bend(self) -> float:
+        """Integral of the positive part of the density's second derivative, jumps of the first one included."""
+
+    @abstractmethod
+    def tails(self, x: np.ndarray) -> Tails:
+        """Return the probabilities of at most x, and of more than x, each with an error of ``cdf_error`` at most."""
+
+    @abstractmethod
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        """Return the quantiles (rounded) that standard normal numbers z are quantiles of, for simulation."""
+
+    @abstractmethod
+    def scaled(self, factor: float) -> Law:
+        """Return the law of the noise times a positive factor."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the law as in problem files."""
+        return {"law": self.name, **{field.name: getattr(self, field.name) for field in fields(self)}}  # type: ignore[arg-type]
+
+    def charge(self, pitch: float) -> float:
+        """Return an upper bound on what interpolation between lattice points ``pitch`` apart adds to a value."""
+        straight = 0.25 * pitch * self.jumps + 0.125 * pitch * pitch * self.bend
+        return min(1.0, straight * (1.0 + 1e-12))
+
+    def pitch(self, charge: float) -> float:
+        """Return about the widest pitch with this charge."""
+        # The positive root of a quadratic in the pitch.
+        a, b = 0.125 * self.bend, 0.25 * self.jumps
+        return 2.0 * charge / (b + math.sqrt(b * b + 4.0 * a * charge))
+
+
+@dataclass(frozen=True)
+class Gaussian(Law):
+    """Normal law with mean 0 and a standard deviation."""
+
+    std: float
+    name = "gaussian"
+    cdf_error = CLOSED_FORM
+
+    @property
+    def height(self) -> float:
+        return 0.39895 / self.std
+
+    @property
+    def jumps(self) -> float:
+        return 0.0
+
+    @property
+    def bend(self) -> float:
+        return BENT / (self.std * self.std)
+
+    def tails(self, x: np.ndarray) -> Tails:
+        return ndtr(x / self.std), ndtr(-x / self.std)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        return self.std * z
+
+    def scaled(self, factor: float) -> Law:
+        return Gaussian(factor * self.std)
+
+
+@dataclass(frozen=True)
+class Uniform(Law):
+    """Uniform law on an interval."""
+
+    low: float
+    high: float
+    name = "uniform"
+    cdf_error = CLOSED_FORM
+
+    @property
+    def std(self) -> float:
+        return (self.high - self.low) / math.sqrt(12.0)
+
+    @property
+    def height(self) -> float:
+        return (1.0 + 1e-15) / (self.high - self.low)
+
+    @property
+    def jumps(self) -> float:
+        return 2.0 / (self.high - self.low)
+
+    @property
+    def bend(self) -> float:
+        return 0.0
+
+    def tails(self, x: np.ndarray) -> Tails:
+        width = self.high - self.low
+        return np.clip((x - self.low) / width, 0.0, 1.0), np.clip((self.high - x) / width, 0.0, 1.0)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        return np.clip(self.low + (self.high - self.low) * ndtr(z), self.low, self.high)
+
+    def scaled(self, factor: float) -> Law:
+        return Uniform(factor * self.low, factor * self.high)
+
+
+@dataclass(frozen=True)
+class Triangular(Law):
+    """Triangular law: the density rises from `low` to `mode` and falls to `high`."""
+
+    low: float
+    mode: float
+    high: float
+    name = "triangular"
+    cdf_error = CLOSED_FORM
+
+    @property
+    def std(self) -> float:
+        a, m, b = self.low, self.mode, self.high
+        return math.sqrt(((b - a) ** 2 - (m - a) * (b - m)) / 18.0)
+
+    @property
+    def height(self) -> float:
+        return (2.0 + 1e-15) / (self.high - self.low)
+
+    @property
+    def jumps(self) -> float:
+        # A side without width is a jump to the full height.
+        return 2.0 / (self.high - self.low) if self.mode in (self.low, self.high) else 0.0
+
+    @property
+    def bend(self) -> float:
+        sides = [side for side in (self.mode - self.low, self.high - self.mode) if side > 0.0]
+        return sum(2.0 / ((self.high - self.low) * side) for side in sides)
+
+    def tails(self, x: np.ndarray) -> Tails:
+        width, rise, fall = self.high - self.low, self.mode - self.low, self.high - self.mode
+        inside = np.clip(x, self.low, self.high)
+        # Each side in its own formula, which has all digits where the tail is small.
+        below = (inside - self.low) ** 2 / (width * rise) if rise > 0.0 else np.zeros_like(inside)
+        above = (self.high - inside) ** 2 / (width * fall) if fall > 0.0 else np.zeros_like(inside)
+        first = inside <= self.mode
+        return np.where(first, below, 1.0 - above), np.where(first, 1.0 - below, above)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        width, rise, fall = self.high - self.low, self.mode - self.low, self.high - self.mode
+        below, above = ndtr(z), ndtr(-z)
+        first = below * width <= rise
+        return np.where(first, self.low + np.sqrt(below * width * rise), self.high - np.sqrt(above * width * fall))
+
+    def scaled(self, factor: float) -> Law:
+        return Triangular(factor * self.low, factor * self.mode, factor * self.high)
+
+
+@dataclass(frozen=True)
+class Laplace(Law):
+    """Laplace law with mean 0: density ``exp(-|x| / scale) / (2 scale)``, variance ``2 scale^2``."""
+
+    scale: float
+    name = "laplace"
+    cdf_error = CLOSED_FORM
+
+    @property
+    def std(self) -> float:
+        return math.sqrt(2.0) * self.scale
+
+    @property
+    def height(self) -> float:
+        return 0.5 / self.scale
+
+    @property
+    def jumps(self) -> float:
+        return 0.0
+
+    @property
+    def bend(self) -> float:
+        # The kink at 0 bends downwards, and counts nothing.
+        return 1.0 / (self.scale * self.scale)
+
+    def tails(self, x: np.ndarray) -> Tails:
+        small = 0.5 * np.exp(-np.abs(x) / self.scale)
+        return np.where(x <= 0.0, small, 1.0 - small), np.where(x <= 0.0, 1.0 - small, small)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        return -np.sign(z) * self.scale * (math.log(2.0) + log_ndtr(-np.abs(z)))
+
+    def scaled(self, factor: float) -> Law:
+        return Laplace(factor * self.scale)
+
+
+@dataclass(frozen=True)
+class Logistic(Law):
+    """Logistic law with mean 0: ``P(e <= x) = 1 / (1 + exp(-x / scale))``, variance ``pi^2 scale^2 / 3``."""
+
+    scale: float
+    name = "logistic"
+    cdf_error = CLOSED_FORM
+
+    @property
+    def std(self) -> float:
+        return math.pi * self.scale / math.sqrt(3.0)
+
+    @property
+    def height(self) -> float:
+        return 0.25 / self.scale
+
+    @property
+    def jumps(self) -> float:
+        return 0.0
+
+    @property
+    def bend(self) -> float:
+        return LOGISTIC_BENT / (self.scale * self.scale)
+
+    def tails(self, x: np.ndarray) -> Tails:
+        return expit(x / self.scale), expit(-x / self.scale)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        return self.scale * (log_ndtr(z) - log_ndtr(-z))
+
+    def scaled(self, factor: float) -> Law:
+        return Logistic(factor * self.scale)
+
+
+@dataclass(frozen=True)
+class StudentT(Law):
+    """Student's law with mean 0, `df` > 2 degrees of freedom and a scale; variance ``scale^2 df / (df - 2)``."""
+
+    scale: float
+    df: float
+    name = "student-t"
+    cdf_error = STUDENT
+
+    @property
+    def std(self) -> float:
+        return self.scale * math.sqrt(self.df / (self.df - 2.0))
+
+    @property
+    def _peak(self) -> float:
+        """Density of the standard law at 0 (rounded)."""
+        nu = self.df
+        return math.exp(math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu)) / math.sqrt(nu * math.pi)
+
+    @property
+    def height(self) -> float:
+        return self._peak / self.scale * (1.0 + 1e-9)
+
+    @property
+    def jumps(self) -> float:
+        return 0.0
+
+    @property
+    def bend(self) -> float:
+        # Twice the steepest slope of the density, which is where its second derivative is 0: x^2 = df / (df + 2).
+        nu = self.df
+        slope = self._peak * (nu + 1.0) / math.sqrt(nu * (nu + 2.0)) * (1.0 + 1.0 / (nu + 2.0)) ** (-0.5 * (nu + 3.0))
+        return 2.0 * slope / (self.scale * self.scale) * (1.0 + 1e-9)
+
+    def tails(self, x: np.ndarray) -> Tails:
+        return stdtr(self.df, x / self.scale), stdtr(self.df, -x / self.scale)
+
+    def from_normal(self, z: np.ndarray) -> np.ndarray:
+        # The lower tail has all its digits.
+        return -np.sign(z) * self.scale * stdtrit(self.df, ndtr(-np.abs(z)))
+
+    def scaled(self, factor: float) -> Law:
+        return StudentT(factor * self.scale, self.df)
