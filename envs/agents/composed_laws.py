@@ -191,9 +191,9 @@ class ScipyLaw(Law):
         dist = getattr(self.frozen, "dist", None)
         if dist is None or type(getattr(scipy.stats, str(dist.name), None)) is not type(dist):
             raise ValueError("`noise`: expected a law that `scipy.stats` knows by name, got one that no file can hold")
-        numbers = {"args": list(self.frozen.args), **self.frozen.kwds}
+        numbers = {"name": str(dist.name), "args": list(self.frozen.args), **self.frozen.kwds}
         return {
-            "law": "scipy", "name": dist.name, **numbers, "cdf_error": self.cdf_error, "variation": self.variation
+            "law": "scipy", **numbers, "cdf_error": self.cdf_error, "variation": self.variation
         }  # fmt: skip
 
     def __repr__(self) -> str:
