@@ -188,8 +188,8 @@ class ScipyLaw(Law):
         raise ValueError("`noise`: expected laws that can be scaled, got one of scipy; give the scaled law itself")
 
     def to_dict(self) -> dict[str, Any]:
-        dist = getattr(self.frozen, "dist", None)
-        if dist is None or type(getattr(scipy.stats, str(dist.name), None)) is not type(dist):
+        dist: Any = getattr(self.frozen, "dist", None)
+        if type(getattr(scipy.stats, str(getattr(dist, "name", "")), None)) is not type(dist):
             raise ValueError("`noise`: expected a law that `scipy.stats` knows by name, got one that no file can hold")
         numbers = {"name": str(dist.name), "args": list(self.frozen.args), **self.frozen.kwds}
         return {
