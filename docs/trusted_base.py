@@ -59,7 +59,8 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.rules envs.dynamics.tables "
+    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.disturbances envs.dynamics.rules "
+    "envs.dynamics.tables "
     "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "
     "envs.problem.summary synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "
     "synthesis.certificates.given_certificate synthesis.certificates.regrown_trains "
