@@ -9,7 +9,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts
+from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import (
@@ -336,19 +336,42 @@ def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
     """Return the best synthesis within a budget; the settings of its certificate record how the cells were chosen.
 
-    Relations are compared on the last cells only. The cells are chosen under the relations of the quick choice.
+    Linear cells come first where they are worth trying. Other relations are compared on the last cells only, which are
+    chosen under the relations of the quick choice.
     """
+    linear = None
+    if _may_be_linear(problem, kinds, plan):
+        try:
+            linear = _refined(problem, ["linear"] * problem.n_agents, plan, budget)
+        except RelationRefused:
+            if "auto" not in kinds:
+                raise
+        if linear is not None and ("auto" not in kinds or linear.certificate.lower_bound >= GOOD):
+            return linear
     quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
-    first = replace(plan, settings=plan.settings.of_kinds(quick))
-    best, record = refine(problem, lambda cells: _plain(problem, cells, quick, first), quick, budget)
+    best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)), budget)
+    record = best.stats["cells"]
     if quick != kinds:
         parts = zip(problem.agent_names, best.certificate.agents, strict=True)
         cells = {name: part.grid.shape for name, part in parts}
-        best = _compared(problem, cells, kinds, plan, best)
-    certificate = best.certificate
+        best = _recorded(_compared(problem, cells, kinds, plan, best), record)
+    if linear is not None and linear.certificate.lower_bound > best.certificate.lower_bound:
+        return linear
+    return best
+
+
+def _refined(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
+    """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
+    best, record = refine(problem, lambda cells: _plain(problem, cells, kinds, plan), kinds, budget)
+    return _recorded(best, record)
+
+
+def _recorded(result: Synthesis, record: Any) -> Synthesis:
+    """Return a synthesis whose certificate records how its cells were chosen."""
+    certificate = result.certificate
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
-    return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
+    return Synthesis(certificate, certificate.controller, {**result.stats, "cells": record})
 
 
 def _on(

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
 from certigym.synthesis.models import Settings, abstraction_of
+from certigym.synthesis.relations import CoupledRelation
 
 
 def coordinate(name: str) -> cg.LinearAgent:
@@ -46,6 +48,7 @@ def test_inputs_stay_the_same_on_finer_cells(kind: str) -> None:
     if kind == "boxes":
         np.testing.assert_array_equal(carried, choices[..., cell])
     else:
+        assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
         old, new = before.relation.inputs, after.relation.inputs
         apart = np.abs(old[choices[..., cell]] - new[carried])
         nearest = np.abs(old[choices[..., cell]][..., None, :] - new).min(axis=-2)
@@ -61,9 +64,9 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
     np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)
 
 
-@pytest.mark.slow
-def test_defaults_of_three_agents_with_velocities_are_refined() -> None:
+def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
+    monkeypatch.setattr(levels_of_cells, "MOST_SECONDS", 1.0)
     problem = crossing(3, horizon=4)
     synthesis = cg.synthesize(problem)
     levels = synthesis.certificate.settings["levels"]
