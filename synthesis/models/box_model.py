@@ -26,6 +26,9 @@ RANK = 1e-9
 PARTS, LEAST_SHRINKAGE = (1, 2, 4), 0.03
 """Parts into which cells are cut along each axis to enclose expressions, and by how much that must shrink boxes."""
 
+MOST_CUTS = 64
+"""Most parts of a cell: as many enclosures are made of it."""
+
 SAMPLED_CELLS = 500
 """Cells by which that is judged."""
 
@@ -74,7 +77,7 @@ def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRela
     # Cut cells into as many parts as make their boxes noticeably smaller, judged by some of them.
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
     best, width = box_relation(agent, coordinates, menu, written={"steer": steer}), np.inf
-    for parts in PARTS:
+    for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
         relation = box_relation(agent, coordinates, menu, written={"parts": parts, "steer": steer})
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]

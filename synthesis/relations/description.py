@@ -52,6 +52,9 @@ ARRAY_ENTRIES = {
 """Entries that are arrays, by kind."""
 
 
+MOST_BOXES_OF_A_CELL = 256
+"""Most parts of a cell whose means are enclosed one by one."""
+
 MOST_PARTS = 16
 """Most parts of each side of an image: what a file may ask a check to compute."""
 
@@ -137,6 +140,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
         if len(steer) != len(description["menu"]):
             raise ValueError("a relation has other choices that steer than its menu")
+        if description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+            raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
