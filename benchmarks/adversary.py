@@ -26,6 +26,7 @@ from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
 from independent import successes
 from measuring import Rows, show
+from random_expressions import written_spec
 from random_problems import Spec, random_spec
 
 FALSE_ALARM = 1e-6
@@ -35,12 +36,22 @@ INFLATION = 0.01
 """A claim that is false by so much counts as visible if it would have been refuted."""
 
 
+def agent_of(agent: Spec) -> cg.LinearAgent | cg.Agent:
+    """The package's record of a random agent."""
+    return cg.Agent(**agent["written"]) if "written" in agent else cg.LinearAgent(**agent)
+
+
+def drawn(seed: int, relation: str | None) -> Spec:
+    """A random problem; those of the relation `written` have agents with expressions."""
+    return written_spec(seed) if relation == "written" else random_spec(seed, relation)
+
+
 def problem_of(spec: Spec) -> cg.Problem:
     """The package's record of a random problem."""
     return cg.Problem(
         name="random",
         horizon=spec["horizon"],
-        agents=[cg.LinearAgent(**agent) for agent in spec["agents"]],
+        agents=[agent_of(agent) for agent in spec["agents"]],
         propositions={name: cg.Proposition(**region) for name, region in spec["propositions"].items()},
         specification=cg.Specification(spec["text"], spec["semantics"]),
     )
@@ -77,7 +88,7 @@ class Deployed:
 
 def claim(seed: int, episodes: int, level: float, relation: str | None = None) -> dict[str, Any]:
     """One random problem: certified, checked, and simulated by other code. ``finding`` is empty if all agree."""
-    spec = random_spec(seed, relation)
+    spec = drawn(seed, relation)
     result: dict[str, Any] = {"seed": seed, "text": spec["text"], "relation": spec["options"].get("relation", "auto")}
     try:
         problem = problem_of(spec)
@@ -178,7 +189,7 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
     with TemporaryDirectory() as folder:
         while done < trials:
             seed += 1
-            spec = random_spec(seed, relation)
+            spec = drawn(seed, relation)
             try:
                 certificate = cg.synthesize(problem_of(spec), **spec["options"]).certificate
             except ValueError:
@@ -224,7 +235,7 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
-    parser.add_argument("--relation", help="one relation for all problems, such as linear")
+    parser.add_argument("--relation", help="one relation for all, such as linear; `written`: expressions")
     parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
     given = parser.parse_args()
     if given.part == "files":

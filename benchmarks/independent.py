@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from tuple_expressions import value_of
+
 Formula = tuple[Any, ...]
 Letter = frozenset[str]
 Clause = frozenset[Formula]
@@ -212,6 +214,7 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
     seed : int
     """
     rng, agents = np.random.default_rng(seed), spec["agents"]
+    winds = np.random.default_rng([seed, 2])
     factors, states = [], []
     for agent in agents:
         values, vectors = np.linalg.eigh(np.array(agent["noise_covariance"], dtype=float))
@@ -244,9 +247,22 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
                 width = np.maximum(high - low, 1e-300)
                 beyond = max(beyond, float(np.max((np.maximum(low - u, u - high) / width)[:, running])))
             noise = factors[i] @ rng.standard_normal(x.shape)
+            if "tuples" in agent:
+                states[i] = _bent(agent, x, np.clip(u, low, high), winds) + noise
+                continue
             offset = np.array(agent.get("offset") or np.zeros(len(x)), dtype=float)[:, None]
             states[i] = np.array(agent["A"]) @ x + np.array(agent["B"]) @ u + offset + noise
     return _count(spec, names, words, left), beyond
+
+
+def _bent(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Means (d, M) of agents whose dynamics are nested tuples; disturbances jump between their ends."""
+    values = {f"x{k}": row for k, row in enumerate(x)} | {f"u{j}": row for j, row in enumerate(u)}
+    for name, ends in agent["winds"].items():
+        values[name] = np.where(rng.random(x.shape[1]) < 0.7, ends[0], ends[1])
+    with np.errstate(all="ignore"):
+        rows = [value_of(expression, values) for expression in agent["tuples"]]
+    return np.stack([np.broadcast_to(row, x.shape[1:]) for row in rows])
 
 
 def _count(spec: dict[str, Any], names: list[str], words: np.ndarray, left: np.ndarray) -> int:

@@ -16,53 +16,59 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 
 TRUSTED = {
     "What the problem means": (
-        "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks envs.agents.expression_agent "
-        "envs.agents.labeling envs.agents.composed_laws envs.agents.laws envs.agents.noise envs.agents.products "
-        "envs.expressions.evaluation "
-        "envs.expressions.reading envs.expressions.expression_tree envs.problem.families "
-        "envs.problem.groups envs.problem.problem_file envs.problem.record envs.problem.specification"
+        "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
+        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
+        "envs.agents.noise "
+        "envs.agents.products "
+        "envs.expressions.affine_inputs envs.expressions.evaluation envs.expressions.reading "
+        "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
+        "envs.problem.record envs.problem.specification"
     ),
     "What the formula means": (
         "envs.logic.automaton envs.logic.decision_diagram envs.logic.formula envs.logic.guard_diagrams "
-        "envs.logic.minimal envs.logic.normal_form envs.logic.obligations envs.logic.parser envs.logic.rebuilt "
-        "envs.logic.translation"
+        "envs.logic.minimal envs.logic.normal_form envs.logic.obligations envs.logic.parser "
+        "envs.logic.rebuilt envs.logic.translation"
     ),
     "What the certificate holds": (
-        "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics synthesis.certificates.certificate "
-        "synthesis.certificates.certificate_file synthesis.certificates.certificate_reader "
-        "synthesis.certificates.claim synthesis.certificates.part synthesis.certificates.product "
-        "synthesis.values.terms"
+        "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
+        "synthesis.certificates.certificate synthesis.certificates.certificate_file "
+        "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
+        "synthesis.certificates.product synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
-        "synthesis.controllers.controller synthesis.controllers.product_controller synthesis.controllers.steering "
-        "synthesis.relations.coupled synthesis.relations.description synthesis.relations.ellipsoid_facts "
-        "synthesis.relations.boxes synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows"
+        "synthesis.controllers.controller synthesis.controllers.product_controller "
+        "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
+        "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
+        "synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows "
+        "synthesis.relations.written_means"
     ),
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
-        "synthesis.checking.certificate_check synthesis.checking.execution "
-        "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.guard_check "
-        "synthesis.checking.boxes_check synthesis.checking.linear_check synthesis.checking.linear_tables "
-        "synthesis.checking.own_intervals synthesis.checking.regrown_tree synthesis.checking.relation_check "
-        "synthesis.checking.train_check synthesis.checking.upper_end"
+        "synthesis.checking.certificate_check "
+        "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
+        "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
+        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.own_intervals "
+        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
+        "synthesis.checking.upper_end"
     ),
 }
 """Modules in which a mistake could let a false claim pass."""
 
 VERIFIED = (
-    "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid synthesis.relations.rounding "
-    "synthesis.relations.scalar synthesis.relations.tube synthesis.relations.written_means"
+    "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
+    "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.rules envs.dynamics.tables "
-    "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona envs.problem.summary "
-    "synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "
-    "synthesis.certificates.given_certificate synthesis.certificates.regrown_trains synthesis.certificates.result "
-    "synthesis.certificates.summaries synthesis.values.devices synthesis.values.tensor_train "
-    "synthesis.values.train_values synthesis.values.value_function"
+    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.disturbances envs.dynamics.rules "
+    "envs.dynamics.tables "
+    "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "
+    "envs.problem.summary synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "
+    "synthesis.certificates.given_certificate synthesis.certificates.regrown_trains "
+    "synthesis.certificates.result synthesis.certificates.summaries synthesis.values.devices "
+    "synthesis.values.tensor_train synthesis.values.train_values synthesis.values.value_function"
 )
 """Modules that are loaded with the others and that the check of a lower bound at the start does not use."""
 

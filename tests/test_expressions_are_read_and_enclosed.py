@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Affine, ExpressionError, computed, enclosed, read_expression
 from certigym.envs.expressions.expression_tree import Name, Number, Tree, whole_exponent
-from certigym.synthesis.checking.own_intervals import mean_spans
+from certigym.synthesis.checking.mean_spans import mean_spans
 from certigym.synthesis.relations import WrittenMeans
 
 TEXTS = (

@@ -46,7 +46,7 @@ MAY_IMPORT = {
     "synthesis.choosing",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite",
-    "validation.verdicts": f"{EVIDENCE} synthesis",
+    "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
     "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis",
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "

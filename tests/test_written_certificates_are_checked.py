@@ -15,6 +15,8 @@ from scipy.stats import norm
 
 import certigym as cg
 from certigym.envs.agents import Agent
+from certigym.envs.expressions import Number, Operation
+from certigym.synthesis.checking.execution import execution_of, wrong_actions
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
 from written_problems import bent_team, oscillator, oscillator_reach
 
@@ -84,7 +86,7 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
     problem = bent_team(3)
     certificate = cg.synthesize(problem, 8).certificate
     assert cg.check(certificate) and certificate.rank >= 1
-    edges = [part.grid.edges[0] for part in certificate.agents]
+    edges, steered = [part.grid.edges[0] for part in certificate.agents], 0
     automaton, terms = problem.automaton, certificate.tree
     centres = [0.5 * (axis[1:] + axis[:-1]) for axis in edges]
     n = [len(c) for c in centres]
@@ -102,10 +104,18 @@ def test_values_stay_below_dense_programming_with_an_adversary() -> None:
                     choice = part.policy[t, q, s[i]]
                     states = np.linspace(edges[i][s[i]], edges[i][s[i] + 1], 41)
                     u = part.relation["menu"][choice][0]
-                    means = states - 0.2 * np.tanh(states) + u / (1 + 0.2 * states**2)
+                    inputs, centre = np.full(41, u), 0.5 * (states[0] + states[-1])
+                    if part.relation["steer"][choice]:
+                        # The mean is to be where the input has it from the centre; worked out by hand.
+                        goal = centre - 0.2 * np.tanh(centre) + u / (1 + 0.2 * centre**2)
+                        inputs = (goal - states + 0.2 * np.tanh(states)) * (1 + 0.2 * states**2)
+                        assert np.all(np.abs(inputs) <= 1.5)
+                        steered += 1
+                    means = states - 0.2 * np.tanh(states) + inputs / (1 + 0.2 * states**2)
                     tables.append(np.array([masses(edges[i], m, 0.6) for m in means]))
                 before[q, s[0] * n[1] + s[1]] = (tables[0] @ arriving @ tables[1].T).min()
         value = before
+    assert steered > 50
     for state in range(automaton.n_states):
         tree = sum(
             (np.multiply.outer(terms.factors[0][a], terms.factors[1][b]) for a, b in terms.index[state]),
@@ -182,6 +192,35 @@ def test_a_variance_taken_for_a_deviation_is_refused(monkeypatch: pytest.MonkeyP
     assert not report and "exceed" in str(report)
 
 
+def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search believes in inputs half as large again; the controller's saturate."""
+    problem = oscillator_reach(12)
+    around = WrittenMeans.around
+
+    def generous(self: WrittenMeans, low: NDArray, high: NDArray, menu: NDArray, gains: NDArray) -> Any:
+        larger = self.agent.replace(input_low=[-1.5], input_high=[1.5])
+        return around(replace(self, agent=larger), low, high, 1.5 * menu, gains)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(WrittenMeans, "around", generous)
+        broken = cg.synthesize(problem, 25).certificate
+    assert not cg.check(broken) and broken.lower_bound > cg.synthesize(problem, 25).certificate.lower_bound
+
+
+def test_controllers_that_steer_elsewhere_are_noticed() -> None:
+    """Sabotage of the object that is deployed: its expression has another sign."""
+    certificate = of_oscillator()
+    controller: Any = certificate.controller.agents[0]
+    agent, part = certificate.problem.agents[0], certificate.agents[0]
+    execution = execution_of(agent, part, controller.relation)
+    assert wrong_actions(agent, part, controller, execution) == []
+    [command] = controller.relation.means.commands
+    means = replace(controller.relation.means)
+    means.__dict__["commands"] = (replace(command, rest=Operation("*", (Number(0.999), command.rest))),)
+    broken = replace(controller, relation=replace(controller.relation, means=means))
+    assert wrong_actions(agent, part, broken, execution) != []
+
+
 def changed(certificate: cg.Certificate, **changes: Any) -> cg.Certificate:
     part = certificate.agents[0]
     return replace(certificate, agents=(replace(part, relation=part.relation | changes), *certificate.agents[1:]))
@@ -196,10 +235,20 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
         changed(certificate, menu=(1.01 * menu).tolist()),
         changed(certificate, menu=menu[::-1].tolist()),
         changed(certificate, gains=gains.tolist()),
+        changed(certificate, steer=[not flag for flag in certificate.agents[0].relation["steer"]]),
+        changed(certificate, steer=[True] * len(menu)),
         replace(certificate, lower_bound=certificate.lower_bound + 1e-6),
     ):
         assert not cg.check(forged)
-    for description in ({"parts": 99}, {"parts": 0}, {"kind": "exact"}, {"parts": "two"}):
+    descriptions: tuple[dict[str, Any], ...] = (
+        {"parts": 99},
+        {"parts": 0},
+        {"kind": "exact"},
+        {"parts": "two"},
+        {"steer": [1] * 34},
+        {"steer": []},
+    )
+    for description in descriptions:
         forged = changed(certificate, **description)
         cg.save_certificate(forged, tmp_path / "forged.npz")
         with pytest.raises(ValueError, match="expected a certigym certificate"):
@@ -258,4 +307,6 @@ def test_boxes_are_mean_boxes() -> None:
     """What the relation hands to the kernel is what the protocol asks for."""
     controller: Any = of_oscillator().controller.agents[0]
     boxes = controller.relation.mean_boxes(np.array([[0.0, 0.0]]), np.array([[0.1, 0.1]]))
-    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 17, 2) and boxes.admissible.all()
+    assert isinstance(boxes, MeanBoxes) and boxes.low.shape == (1, 34, 2) and boxes.admissible[0, :17].all()
+    # Choices that steer have the mean of y on a point, as far as inputs reach; the first and the last have no reserve.
+    assert np.all((boxes.high - boxes.low)[0, 18:33, 1] < 1e-10) and not boxes.admissible[0, [17, 33]].any()

@@ -188,10 +188,10 @@ class ScipyLaw(Law):
         raise ValueError("`noise`: expected laws that can be scaled, got one of scipy; give the scaled law itself")
 
     def to_dict(self) -> dict[str, Any]:
-        dist: Any = getattr(self.frozen, "dist", None)
-        if type(getattr(scipy.stats, str(getattr(dist, "name", "")), None)) is not type(dist):
+        name = str(getattr(getattr(self.frozen, "dist", None), "name", ""))
+        if type(getattr(scipy.stats, name, None)) is not type(getattr(self.frozen, "dist", None)):
             raise ValueError("`noise`: expected a law that `scipy.stats` knows by name, got one that no file can hold")
-        numbers = {"name": str(dist.name), "args": list(self.frozen.args), **self.frozen.kwds}
+        numbers = {"name": name, "args": list(self.frozen.args), **self.frozen.kwds}
         return {
             "law": "scipy", **numbers, "cdf_error": self.cdf_error, "variation": self.variation
         }  # fmt: skip

@@ -91,6 +91,11 @@ class Block:
         """Number of inputs m of each agent."""
         return len(self.input_low)
 
+    @property
+    def n_disturbances(self) -> int:
+        """Number of bounded disturbances of each agent."""
+        return len(self.motion.agent.disturbances) if isinstance(self.motion, WrittenMotion) else 0
+
     @cached_property
     def linear_rows(self) -> tuple[tuple[Sparse, Sparse, np.ndarray, Sparse], ...]:
         """Rows of A, B, offset and noise factor; if all agents have equal entries, the entries of one, to broadcast."""

@@ -7,14 +7,16 @@ float64 numbers, so the bits are those of the batch. Only the loops over agents 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..agents import Agent, AnyAgent, LinearAgent, contains, counted, inside, row_times, slices_of
+from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
-from .worlds import Dynamics, Worlds
+from .worlds import Dynamics, Worlds, extra_rows, split_joint
 
 _MEMORY = 100_000
 """Most letters remembered, some tens of megabytes; beyond them the memory starts afresh."""
@@ -41,16 +43,18 @@ class AgentNumbers(NamedTuple):
     """Positions of the agent's components among the numbers drawn in one step."""
     written: Agent | None
     """The agent itself, if its dynamics are expressions."""
+    extra: tuple[int, ...]
+    """Positions of the numbers that its disturbances take, if these are random."""
     lawful: AnyAgent | None
     """The agent itself, if its noise is not Gaussian."""
 
-    def moved(self, x: Any, u: Any, z: Any) -> list[float]:
-        """Return the next state from state x under the input u with standard normal numbers z."""
+    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None = None) -> list[float]:
+        """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1)."""
         if self.lawful is not None:
             z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
         if self.written is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
-        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None])
+        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None], v)
         return noisy(means[:, 0].tolist(), self.noise_factor, z)
 
     def outputs(self, x: Any) -> Any:
@@ -122,12 +126,14 @@ class OneWorld:
         """Return the dynamics of a problem on plain numbers (exact)."""
         problem, labeling = dynamics.problem, dynamics.problem.labeling
         # `dynamics.noise` draws block after block, and in a block component after component for all its agents.
-        block_draws = slices_of(block.columns.size for block in dynamics.blocks)
+        rows = [len(block.columns) + extra_rows(dynamics, block) for block in dynamics.blocks]
+        block_draws = slices_of(count * len(block.agents) for count, block in zip(rows, dynamics.blocks))
         numbers = []
         for i, agent in enumerate(problem.agents):
             block, place = dynamics.position[i]
             n = len(dynamics.blocks[block].agents)
-            draws = tuple(block_draws[block].start + c * n + place for c in range(agent.n_states))
+            positions = tuple(block_draws[block].start + c * n + place for c in range(rows[block]))
+            draws = positions[: agent.n_states], positions[agent.n_states :]
             corners = labeling.low[i].T, labeling.high[i].T
             numbers.append(_numbers(agent, *corners, labeling.agent_propositions[i], draws))
         automaton = problem.automaton
@@ -138,7 +144,7 @@ class OneWorld:
             tuple(dynamics.accepting.tolist()),
             tuple(finite.tolist()),
             tuple(automaton.dead.tolist()),
-            problem.n_states,
+            block_draws[-1].stop,
         )
 
     def begin(self, worlds: Worlds) -> World:
@@ -164,9 +170,9 @@ class OneWorld:
             Standard normal numbers, in the order in which `dynamics.noise` draws them.
         """
         # Read the letter, ask the automaton, and decide in the order of `rules.decided`.
-        states = tuple(
-            [a.moved(x, u, [normals[k] for k in a.draws]) for a, x, u in zip(self.agents, world.states, inputs)]
-        )
+        unknown = self._disturbances(world, inputs, normals)
+        steps = zip(self.agents, world.states, inputs, unknown)
+        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v) for a, x, u, v in steps])
         letter, outside = self._letter(states)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
@@ -189,6 +195,34 @@ class OneWorld:
             propositions = self.dynamics.problem.automaton.propositions
             self._names[letter] = tuple(name for p, name in enumerate(propositions) if letter >> p & 1)
         return self._names[letter]
+
+    def _disturbances(self, world: World, inputs: Any, normals: Any) -> Sequence[np.ndarray | None]:
+        """Return the disturbances (k, 1) of every agent; None for those without any."""
+        if not any(agent.written is not None and agent.written.disturbances for agent in self.agents):
+            return [None] * len(self.agents)
+        behaviour = self.dynamics.disturbance
+        if not isinstance(behaviour, str):
+            return self._asked(behaviour, world, inputs)
+        result: list[np.ndarray | None] = []
+        for agent in self.agents:
+            count = 0 if agent.written is None else len(agent.written.disturbances)
+            if agent.written is None or not count:
+                result.append(None)
+                continue
+            rows = np.array([normals[k] for k in agent.extra] or [0.0] * count)[:, None]
+            result.append(named_disturbances(agent.written, behaviour, world.time, rows))
+        return result
+
+    def _asked(self, behaviour: Against, world: World, inputs: Any) -> list[np.ndarray | None]:
+        """Return what a function says about the world as a batch of one."""
+        states = np.concatenate([np.asarray(x, dtype=float) for x in world.states])[None]
+        joint = np.concatenate([np.asarray(u, dtype=float) for u in inputs])
+        marks = (np.array([world.q], dtype=np.int32), world.time, np.array([world.failed]), np.array([world.accepted]))
+        columns, blocks = self.dynamics.problem.input_columns, self.dynamics.blocks
+        batch = tuple(np.stack([joint[columns[i]] for i in block.agents], axis=1)[..., None] for block in blocks)
+        found = behaviour(self.dynamics, Worlds(split_joint(self.dynamics, states), *marks), batch)
+        places = (self.dynamics.position[i] for i in range(len(self.agents)))
+        return [None if (values := found[b]) is None else values[:, k] for b, k in places]
 
     def _letter(self, states: tuple[Any, ...]) -> tuple[int, bool]:
         """Return the letter of the states, and whether an agent is outside its workspace."""
@@ -215,7 +249,11 @@ class OneWorld:
 
 
 def _numbers(
-    agent: AnyAgent, low: np.ndarray, high: np.ndarray, propositions: np.ndarray, draws: tuple[int, ...]
+    agent: AnyAgent,
+    low: np.ndarray,
+    high: np.ndarray,
+    propositions: np.ndarray,
+    draws: tuple[tuple[int, ...], tuple[int, ...]],
 ) -> AgentNumbers:
     """Return one agent as plain numbers; `low` and `high` have one row per proposition."""
     return AgentNumbers(
@@ -229,7 +267,8 @@ def _numbers(
         input_low=agent.input_low.tolist(),
         input_high=agent.input_high.tolist(),
         regions=tuple((1 << int(p), a.tolist(), b.tolist()) for p, a, b in zip(propositions, low, high)),
-        draws=draws,
+        draws=draws[0],
+        extra=draws[1],
         written=agent if isinstance(agent, Agent) else None,
         lawful=None if agent.laws is None else agent,
     )

@@ -31,6 +31,7 @@ import numpy as np
 from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
 from ..problem import Problem
 from .blocks import Block, WrittenMotion, block_of
+from .disturbances import Behaviour, checked_behaviour, named_disturbances
 from .rules import decided, moved, noisy
 from .tables import Reader, reader
 
@@ -57,19 +58,22 @@ class Dynamics:
         Per agent: its block, and its place in the block.
     accepting : np.ndarray of bool, shape (Q,)
         Automaton states whose entry accepts the task at once: none for finite-trace tasks.
+    disturbance : Behaviour
+        How bounded disturbances behave.
     """
 
     problem: Problem
     blocks: tuple[Block, ...]
     position: tuple[tuple[int, int], ...]
     accepting: np.ndarray
+    disturbance: Behaviour = "zero"
 
     def __repr__(self) -> str:
         agents, blocks = counted(self.problem.n_agents, "agent"), counted(len(self.blocks), "block")
         return f"Dynamics({shortened(self.problem.name, 60)!r}, {agents} in {blocks})"
 
     @classmethod
-    def of(cls, problem: Problem) -> Dynamics:
+    def of(cls, problem: Problem, disturbance: Behaviour = "zero") -> Dynamics:
         """Return the dynamics of a problem.
 
         Linear agents of equal sizes, and equal expressions, share a block if their noise has the same laws.
@@ -83,7 +87,8 @@ class Dynamics:
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
         blocks = tuple(block_of(problem, group) for group in members.values())
         automaton = problem.automaton
-        return cls(problem, blocks, tuple(place[i] for i in range(problem.n_agents)), automaton.finished)
+        places = tuple(place[i] for i in range(problem.n_agents))
+        return cls(problem, blocks, places, automaton.finished, checked_behaviour(disturbance))
 
     @cached_property
     def reader(self) -> Reader | None:
@@ -191,8 +196,35 @@ def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
 
 
 def noise(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ...]:
-    """Return standard normal numbers for one step, one array (d, n, M) per block."""
-    return tuple(rng.standard_normal((*block.columns.shape, n_worlds)) for block in dynamics.blocks)
+    """Return standard normal numbers for one step, one array (d, n, M) per block.
+
+    Blocks whose disturbances are random have a further row for each disturbance.
+    """
+    shapes = ((len(block.columns) + extra_rows(dynamics, block), len(block.agents)) for block in dynamics.blocks)
+    return tuple(rng.standard_normal((*shape, n_worlds)) for shape in shapes)
+
+
+def extra_rows(dynamics: Dynamics, block: Block) -> int:
+    """Return the number of rows of normal numbers that the disturbances of a block take."""
+    return block.n_disturbances if dynamics.disturbance == "random" else 0
+
+
+def disturbances(
+    dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]
+) -> tuple[np.ndarray | None, ...]:
+    """Return the disturbances (k, n, M) of one step per block; None for blocks without any."""
+    if not any(block.n_disturbances for block in dynamics.blocks):
+        return (None,) * len(dynamics.blocks)
+    if not isinstance(dynamics.disturbance, str):
+        return dynamics.disturbance(dynamics, worlds, inputs)
+    result: list[np.ndarray | None] = []
+    for block, x, z in zip(dynamics.blocks, worlds.states, normals):
+        if not isinstance(block.motion, WrittenMotion) or not block.n_disturbances:
+            result.append(None)
+            continue
+        rows = z[len(x) :] if extra_rows(dynamics, block) else np.zeros((block.n_disturbances, *x.shape[1:]))
+        result.append(named_disturbances(block.motion.agent, dynamics.disturbance, worlds.time, rows))
+    return tuple(result)
 
 
 def transition(
@@ -208,7 +240,7 @@ def transition(
     inputs : sequence of np.ndarray, shape (m, n, M)
         One array per block, used as they are: the caller has to keep them in the input box.
     normals : sequence of np.ndarray, shape (d, n, M)
-        Numbers that `noise` has drawn.
+        Numbers that `noise` has drawn; more rows where disturbances are random.
 
     Raises
     ------
@@ -219,20 +251,22 @@ def transition(
     over = worlds.time >= dynamics.problem.horizon
     if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
-    states = tuple(successor(block, x, u, z) for block, x, u, z in zip(dynamics.blocks, worlds.states, inputs, normals))
+    unknown = disturbances(dynamics, worlds, inputs, normals)
+    steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown)
+    states = tuple(successor(block, x, u, z, v) for block, x, u, z, v in steps)
     return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
-def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the next states of a block, shape (d, n, M).
+def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
+    """Return the next states of a block, shape (d, n, M), under disturbances v (k, n, M) if there are any.
 
     Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []
-    z = block.noise_of.components(z)
+    z = block.noise_of.components(z[: len(x)])
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
-            return np.stack(noisy(block.motion.agent.mean(x, u), block.noise_factor, z))
+            return np.stack(noisy(block.motion.agent.mean(x, u, v), block.noise_factor, z))
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]

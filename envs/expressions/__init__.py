@@ -1,5 +1,6 @@
 """Expressions that say how agents move: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
 
+from .affine_inputs import split_at, substituted
 from .enclosure import Affine, enclosed
 from .evaluation import computed
 from .expression_tree import Name, Number, Operation, Tree, names_in, whole_exponent
@@ -20,5 +21,7 @@ __all__ = [
     "enclosed",
     "names_in",
     "read_expression",
+    "split_at",
+    "substituted",
     "whole_exponent",
 ]

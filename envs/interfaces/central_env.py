@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
+from ..dynamics import Behaviour
 from ..problem import Problem, checked_problem
 from .episode import RENDER_MODES, Episode
 from .observation import (
@@ -68,12 +69,13 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         dtype: str = "float64",
         actions: str = "unit",
         infos: str = "numbers",
+        disturbance: Behaviour = "zero",
     ) -> None:
         self.problem = checked_problem(problem)
         self.render_mode = render_mode
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
-        self._episode = Episode(self.problem, reward, discount, render_mode, infos=infos)
+        self._episode = Episode(self.problem, reward, discount, render_mode, infos=infos, disturbance=disturbance)
         self._ended = False
         self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
         self.action_space = action_space(self.problem.agents, actions)

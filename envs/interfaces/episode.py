@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics import OneWorld, World
+from ..dynamics import Behaviour, OneWorld, World
 from ..dynamics import worlds as core
 from ..pictures import Picture, checked_render_mode, verdict_text
 from ..problem import Problem
@@ -36,6 +36,8 @@ class Episode:
         A line shown in pictures.
     infos : "numbers" or "words"
         Infos hold numbers and arrays of fixed shape; "words" adds the names of the propositions that hold (`letter`).
+    disturbance : "zero", "random", "periodic" or a function
+        How bounded disturbances behave (`dynamics.disturbances`).
     """
 
     def __init__(
@@ -46,13 +48,14 @@ class Episode:
         render_mode: str | None,
         caption: str = "",
         infos: str = "numbers",
+        disturbance: Behaviour = "zero",
     ) -> None:
         self.problem = problem
         self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
         self.caption = caption
         self.discount = checked_discount(discount)
         self._words = checked_option(infos, "infos", INFOS) == "words"
-        self.dynamics = core.Dynamics.of(problem)
+        self.dynamics = core.Dynamics.of(problem, disturbance)
         self.one_world = OneWorld.of(self.dynamics)
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self.dynamics)
@@ -73,7 +76,7 @@ class Episode:
         start = checked_reset(options).get("initial_state")
         dynamics = self.dynamics
         if start is not None:
-            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start), self.dynamics.disturbance)
         # The start is drawn by the batched core, so that one world and a batch of one agree.
         worlds = core.initial(dynamics, rng, 1)
         self._world = self.one_world.begin(worlds)

@@ -24,6 +24,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
+from ..dynamics import Behaviour
 from ..problem import Problem
 from .episode import RENDER_MODES, Episode
 from .observation import (
@@ -60,6 +61,8 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     infos : "numbers" or "words"
     caption : str
         A line shown in pictures.
+    disturbance : "zero", "random", "periodic" or a function
+        How bounded disturbances behave.
     """
 
     metadata: dict[str, Any]
@@ -77,6 +80,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         actions: str = "input",
         infos: str = "numbers",
         caption: str = "",
+        disturbance: Behaviour = "zero",
     ) -> None:
         self.metadata = {
             "name": problem.name.replace("-", "_"),
@@ -88,7 +92,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.render_mode = render_mode
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []
-        self._episode = Episode(problem, reward, discount, render_mode, caption, infos)
+        self._episode = Episode(problem, reward, discount, render_mode, caption, infos, disturbance)
         self._rng: np.random.Generator | None = None
         self._scope = checked_option(observation, "observation", SCOPES)
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)

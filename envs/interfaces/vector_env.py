@@ -24,6 +24,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ..agents import checked_count
+from ..dynamics import Behaviour
 from ..dynamics import worlds as core
 from ..pictures import Picture, checked_render_mode, verdict_text
 from ..problem import Problem, checked_problem
@@ -87,6 +88,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         dtype: str = "float64",
         actions: str = "unit",
         spread: float = 0.0,
+        disturbance: Behaviour = "zero",
     ) -> None:
         self.problem = checked_problem(problem)
         self.num_envs = checked_count(num_envs, "num_envs", most=MOST_WORLDS)
@@ -96,7 +98,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.discount = checked_discount(discount)
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
-        self._dynamics = core.Dynamics.of(self.problem)
+        self._dynamics = core.Dynamics.of(self.problem, disturbance)
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._spread = checked_share(spread)
@@ -134,7 +136,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         options = checked_reset(options, (*RESET_OPTIONS, "reset_mask"))
         start, dynamics = options.get("initial_state"), self._dynamics
         if start is not None:
-            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start))
+            dynamics = core.Dynamics.of(self.problem.replace(initial_state=start), self._dynamics.disturbance)
         which = self._mask(options.get("reset_mask"))
         if self._worlds is None or which.all():
             # Worlds restart at different times later on, so each has a time from the beginning.

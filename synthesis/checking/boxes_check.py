@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, smooth
+from ..relations import commands_of
 from .geometry import cell_boxes
-from .own_intervals import mean_spans
+from .mean_spans import mean_spans, steered_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
@@ -90,7 +91,14 @@ class WrittenBoxes:
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], menu[choice[some]]
             parts = int(part.relation["parts"])
-            corners.append(mean_spans(agent, low[here], high[here], inputs, part.coordinates, parts))
+            first, last = mean_spans(agent, low[here], high[here], inputs, part.coordinates, parts)
+            steered = np.array(part.relation["steer"], dtype=bool)[choice[some]]
+            if np.any(steered):
+                corner = low[here][steered], high[here][steered]
+                first[steered], last[steered] = steered_spans(
+                    agent, *corner, inputs[steered], commands_of(agent), parts
+                )
+            corners.append((first, last))
         return cls(numbers, *(np.concatenate(ends) for ends in zip(*corners, strict=True)))
 
     def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:

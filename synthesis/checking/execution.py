@@ -21,12 +21,13 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..controllers import AgentController
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation, commands_of
 from .geometry import cell_boxes, is_identity
+from .mean_spans import steered_spans
 
 UNIT = 2.0**-53
 
@@ -208,6 +209,9 @@ PROBES = 20_000
 EPISODES, MOST_STEPS = 256, 25
 """Episodes, and steps of each, in which the memory of a coupled controller is followed."""
 
+STEERED = 1e-9
+"""Share of their size by which means may be seen to miss targets: far more than rounding, far less than a cell."""
+
 NEAR = 1e-9
 """Points are passed over that are nearer than this, in cells, to an edge that decides, or draws to what they decide."""
 
@@ -255,13 +259,44 @@ def _wrong_means(
         return []
     choice = part.policy[t, q, cells]
     if not isinstance(agent, LinearAgent):
-        asked = np.array(part.relation["menu"], dtype=float)[choice].T
-        wrong = np.any((inputs != asked) & (choice >= 0))
-        return ["its controller was seen to do something else than its policy says"] if wrong else []
+        return _wrong_written(agent, part, states, inputs, np.where(choice >= 0, cells, -1), np.maximum(choice, 0))
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
     if np.any((off > execution.mean[:, None]) & (choice >= 0)):
         return ["its controller was seen to steer elsewhere than its policy says"]
+    return []
+
+
+def _wrong_written(
+    agent: AnyAgent,
+    part: AgentPart,
+    states: FloatArray,
+    inputs: FloatArray,
+    cells: NDArray[np.int64],
+    choice: NDArray[Any],
+) -> list[str]:
+    """Inputs of agents with expressions that are not those of the menu, or steer elsewhere than to their targets.
+
+    Cells are -1 where there is no choice.
+    """
+    menu, steer = np.array(part.relation["menu"], dtype=float), np.array(part.relation["steer"], dtype=bool)[choice]
+    if np.any((inputs != menu[choice].T) & (cells >= 0) & ~steer):
+        return ["its controller was seen to do something else than its policy says"]
+    assert isinstance(agent, Agent)
+    low, high = cell_boxes(part)
+    which = np.flatnonzero(steer & (cells >= 0))
+    centre = (0.5 * (low + high))[cells[which]].T
+    targets = agent.mean(centre, menu[choice[which]].T)
+    means = agent.mean(states[:, which], inputs[:, which])
+    commands = commands_of(agent)
+    # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate.
+    first, _ = steered_spans(agent, low[cells[which]], high[cells[which]], menu[choice[which]], commands, 1)
+    known = ~np.isnan(first).any(axis=1)
+    for command in commands:
+        off = np.abs(means[command.axis] - targets[command.axis])
+        size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
+        if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
+            return ["its controller was seen to steer elsewhere than its policy says"]
     return []
 
 

@@ -17,7 +17,7 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPart
-from .own_intervals import output_spans
+from .mean_spans import output_spans
 
 OUTWARD = 2.0**-47
 """Relative widening of boxes that went through a matrix: some sixty times the rounding of one operation."""

@@ -5,22 +5,19 @@ The rules of interval arithmetic and of derivatives are the operators of the cla
 in the last place after each sum, product, quotient and root, and by 2^-48 of their size after other functions, which
 numpy computes to less than 2^-50. Ends that are not numbers say that nothing is known.
 
-Three enclosures are intersected, as the search does: that of the operations, that of the mean value theorem, and that
-of the corners at which a monotone function is extreme (docs/theory/boxes.md, "Boxes of expressions").
+``bounds`` intersects three enclosures, as the search does: that of the operations, that of the mean value theorem, and
+that of the corners at which a monotone function is extreme (docs/theory/boxes.md, "Boxes of expressions").
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent
 from ...envs.expressions import Name, Number, Tree, whole_exponent
 from ..cells import FloatArray
 
@@ -33,9 +30,6 @@ TURN = 1e-12
 LARGE = 1e6
 """Angles beyond are not reduced."""
 
-ROTATED = 1e-13
-"""Widening, relative to their size, of boxes in coordinates that are not the state."""
-
 Leaves = Mapping[str, "Span"]
 
 
@@ -47,7 +41,7 @@ def _up(x: FloatArray) -> FloatArray:
     return np.asarray(np.nextafter(x, np.inf))
 
 
-def _products(a: FloatArray, b: FloatArray) -> FloatArray:
+def products(a: FloatArray, b: FloatArray) -> FloatArray:
     """Least and largest products (2, ..) of numbers between the ends ``a`` and ``b``, (2, ..) each."""
     four = np.stack([a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]])
     low, high = _down(four.min(axis=0)), _up(four.max(axis=0))
@@ -79,13 +73,13 @@ class Span:
 
     def __mul__(self, other: Span) -> Span:
         slopes = _sum(_times(other.ends, self.slopes), _times(self.ends, other.slopes))
-        return Span(_products(self.ends, other.ends), slopes)
+        return Span(products(self.ends, other.ends), slopes)
 
     def __truediv__(self, other: Span) -> Span:
         below = _inverse(other.ends)
-        ends = _products(self.ends, below)
+        ends = products(self.ends, below)
         # (f / g)' = f' / g - (f / g) g' / g
-        slopes = _sum(_times(below, self.slopes), _times(-_products(ends, below)[::-1], other.slopes))
+        slopes = _sum(_times(below, self.slopes), _times(-products(ends, below)[::-1], other.slopes))
         return Span(ends, slopes)
 
 
@@ -97,7 +91,7 @@ def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
 def _times(factor: FloatArray, slopes: FloatArray) -> FloatArray:
     """Products (2, v, n); slopes that are 0 stay 0, whatever the factor is."""
     zero = (slopes[0] == 0.0) & (slopes[1] == 0.0)
-    return np.where(zero, 0.0, _products(factor[:, None], slopes))
+    return np.where(zero, 0.0, products(factor[:, None], slopes))
 
 
 def _inverse(ends: FloatArray) -> FloatArray:
@@ -239,108 +233,17 @@ def _raised(base: Tree, exponent: Tree, leaves: Leaves) -> Span:
     f, n = span(base, leaves), whole_exponent(exponent)
     if n is not None:
         times = np.full_like(f.ends, float(n))
-        return f.scaled(_power(f.ends, n), _products(times, _power(f.ends, n - 1)) if n else np.zeros_like(f.ends))
+        return f.scaled(_power(f.ends, n), products(times, _power(f.ends, n - 1)) if n else np.zeros_like(f.ends))
     if not isinstance(exponent, Number):
         return _exp(span(exponent, leaves) * _log(f))
     p = exponent.value
     inside = np.where(f.ends[0] >= 0.0, f.ends, np.nan)
     ends = np.maximum(_grown(*(inside ** abs(p))), 0.0)
     ends = ends if p > 0.0 else _inverse(ends)
-    return f.scaled(ends, _products(_products(np.full_like(ends, p), ends), _inverse(f.ends)))
+    return f.scaled(ends, products(products(np.full_like(ends, p), ends), _inverse(f.ends)))
 
 
-def mean_spans(
-    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, parts: int
-) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
-
-    Parameters
-    ----------
-    agent : Agent
-    low, high : (n, d) arrays
-        Corners of cells, in grid coordinates.
-    inputs : (n, m) array
-        Input in each cell.
-    coordinates : (d, d) array
-        Grid coordinates to state.
-    parts : int
-        Parts into which cells are cut along each axis.
-    """
-    shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
-    rows = None if plain else np.linalg.inv(coordinates)
-    first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
-    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
-    calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
-    with np.errstate(all="ignore"):
-        for part in itertools.product(range(parts), repeat=shape[1]):
-            box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
-            outputs = partial(_means, agent, inputs, coordinates, rows)
-            ends = np.stack(_bounds(outputs, np.array(box)), axis=-1)
-            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-    if rows is not None:
-        size = np.maximum(np.abs(first), np.abs(last)) @ (np.abs(rows) @ np.abs(coordinates)).T
-        first, last = first - ROTATED * size, last + ROTATED * size
-    return first, last
-
-
-def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, p) of boxes around outputs from closed boxes (n, d) of states; infinite where nothing is known."""
-    box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
-
-    def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = _leaves(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
-        return [span(tree, leaves) for tree in agent.output_trees]
-
-    with np.errstate(all="ignore"):
-        ends = np.stack(_bounds(outputs, box), axis=-1)
-    return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
-
-
-def _leaves(
-    agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
-) -> dict[str, Span]:
-    """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then the disturbances."""
-    v, d, n = len(box), agent.n_states, box.shape[2]
-    unit = np.zeros((v, 2, v if with_slopes else 0, n))
-    for k in range(v if with_slopes else 0):
-        unit[k, :, k] = 1.0
-    variables = [Span(ends, slopes) for ends, slopes in zip(box, unit, strict=True)]
-    leaves = {}
-    for name, row in zip(agent.states, coordinates, strict=True):
-        total = None
-        for k in np.flatnonzero(row).tolist():
-            factor = np.full((2, n), row[k])
-            term = variables[k] if row[k] == 1.0 else variables[k].scaled(_products(factor, box[k]), factor)
-            total = term if total is None else total + term
-        assert total is not None
-        leaves[name] = total
-    for name, column in zip(agent.inputs, inputs.T, strict=False):  # outputs read no inputs
-        leaves[name] = Span.of(column, column, variables[0])
-    return leaves | dict(zip(agent.disturbances, variables[d:], strict=False))
-
-
-def _means(
-    agent: Agent,
-    inputs: FloatArray,
-    coordinates: FloatArray,
-    rows: FloatArray | None,
-    on: FloatArray,
-    with_slopes: bool = False,
-) -> list[Span]:
-    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
-    leaves = _leaves(agent, on, inputs, coordinates, with_slopes)
-    values = [span(tree, leaves) for tree in agent.trees]
-    if rows is None:
-        return values
-    weighted = []
-    for row in rows:
-        factors = [np.full_like(f.ends, factor) for f, factor in zip(values, row, strict=True)]
-        terms = [f.scaled(_products(a, f.ends), a) for f, a in zip(values, factors, strict=True) if np.any(a)]
-        weighted.append(sum(terms[1:], terms[0]))
-    return weighted
-
-
-def _bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[FloatArray]:
+def bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[FloatArray]:
     """Ends (2, n) of outputs on boxes (v, 2, n) of variables: what the three enclosures have in common.
 
     ``outputs(box, with_slopes)`` gives their spans.
@@ -353,7 +256,7 @@ def _bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[Float
         about = centres[k].ends
         for slope, side, centre in zip(np.moveaxis(value.slopes, 1, 0), box, middle, strict=True):
             way = np.stack([_down(side[0] - centre[1]), _up(side[1] - centre[0])])
-            about = _sum(about, np.where((slope == 0.0).all(axis=0), 0.0, _products(slope, way)))
+            about = _sum(about, np.where((slope == 0.0).all(axis=0), 0.0, products(slope, way)))
         # Corners: along an axis with a slope of one sign, only the end at which f is least, or largest.
         rises, falls = value.slopes[0] >= 0.0, value.slopes[1] <= 0.0
         at_least = np.stack([np.where(falls & ~rises, box[:, 1], box[:, 0]), np.where(rises, box[:, 0], box[:, 1])], 1)

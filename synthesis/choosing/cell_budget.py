@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -47,6 +47,10 @@ POINTS_OF_BOXES = 4
 
 UNKNOWN_STATES = 3
 """Automaton states assumed for independent tasks, where the automaton of the whole is not built."""
+
+
+LINEAR_TABLES = 6.0
+"""What linear cells take against other relations: tables of hats, second differences and losses on top (measured)."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,8 @@ def _agent_cells(
     *_, shape, per_cell = min(scored)
     if not isinstance(agent, LinearAgent):
         return _boxes_sized(problem, agent, shape, per_cell)
-    return _sized(problem, agent, shape, per_cell, by_target)
+    sized = _sized(problem, agent, shape, per_cell, by_target)
+    return replace(sized, tables=LINEAR_TABLES * sized.tables) if relation == "linear" else sized
 
 
 def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float) -> list[tuple[int, bool]]:

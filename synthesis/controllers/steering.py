@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Row, product, rows_of
+from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Row, WrittenMeans, product, rows_of
 from .abstract_state import Memory
 
 MOST_AIMS = 1 << 22
@@ -176,7 +176,10 @@ class BoxSteering:
         """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
         choices = self.table.choices(self.table.places(cells, q, time))
         offsets = points - looked_up(self._centres, cells)
-        inputs = self.relation.inputs(np.maximum(choices, 0).astype(np.intp), offsets)
+        chosen = np.maximum(choices, 0).astype(np.intp)
+        inputs = self.relation.inputs(chosen, offsets)
+        if isinstance(self.relation.means, WrittenMeans):
+            inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]

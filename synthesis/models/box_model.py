@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 from scipy.linalg import qr
 
-from ...envs.agents import AnyAgent, Box, LinearAgent
+from ...envs.agents import Agent, AnyAgent, Box, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws, in_grid_coordinates
-from ..relations import BoxRelation, box_relation
+from ..relations import BoxRelation, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
 from .box_kernel import BoxKernel, box_kernel, box_lattice, points_per_cell
 
@@ -25,6 +25,9 @@ RANK = 1e-9
 
 PARTS, LEAST_SHRINKAGE = (1, 2, 4), 0.03
 """Parts into which cells are cut along each axis to enclose expressions, and by how much that must shrink boxes."""
+
+MOST_CUTS = 64
+"""Most parts of a cell: as many enclosures are made of it."""
 
 SAMPLED_CELLS = 500
 """Cells by which that is judged."""
@@ -47,6 +50,8 @@ def box_model(
     points = points_per_cell(grid, laws) if per_cell is None else (per_cell,) * agent.n_states
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
+    if isinstance(relation.means, WrittenMeans) and relation.means.steer is not None:
+        constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
     low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
     # Where expressions have no bound on the whole grid, the lattice goes as far as it ever does.
@@ -66,12 +71,15 @@ def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRela
     if isinstance(agent, LinearAgent):
         menu, gains = input_menu(agent, grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
-    menu = with_rest(agent.input_box)
+    menu, steer = with_rest(agent.input_box), None
+    # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
+    if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
+        menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
     # Cut cells into as many parts as make their boxes noticeably smaller, judged by some of them.
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
-    best, width = box_relation(agent, coordinates, menu), np.inf
-    for parts in PARTS:
-        relation = box_relation(agent, coordinates, menu, parts=parts)
+    best, width = box_relation(agent, coordinates, menu, written={"steer": steer}), np.inf
+    for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
+        relation = box_relation(agent, coordinates, menu, written={"parts": parts, "steer": steer})
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]
         mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf

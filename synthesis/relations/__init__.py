@@ -1,6 +1,7 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
 from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, box_relation
+from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -14,6 +15,7 @@ from .written_means import WrittenMeans
 
 __all__ = [
     "BoxRelation",
+    "Command",
     "CoupledRelation",
     "Ellipsoid",
     "Enclosing",
@@ -25,6 +27,7 @@ __all__ = [
     "Row",
     "WrittenMeans",
     "best_feedback",
+    "commands_of",
     "box_relation",
     "check_description",
     "couple",

@@ -13,10 +13,10 @@ linear agents, in ``written_means`` for those whose dynamics are expressions; ke
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,7 +212,11 @@ class BoxRelation:
 
 
 def box_relation(
-    agent: AnyAgent, coordinates: FloatArray, menu: FloatArray, gains: FloatArray | None = None, parts: int = 1
+    agent: AnyAgent,
+    coordinates: FloatArray,
+    menu: FloatArray,
+    gains: FloatArray | None = None,
+    written: Mapping[str, Any] | None = None,
 ) -> BoxRelation:
     """Return the relation of mean boxes of an agent in the given grid coordinates.
 
@@ -224,8 +228,8 @@ def box_relation(
         Inputs to choose from, at the centres of cells.
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
-    parts : int
-        Parts into which cells are cut, along each axis, to enclose expressions.
+    written : mapping, optional
+        Further settings of ``WrittenMeans``: ``parts``, and which choices ``steer``.
 
     Raises
     ------
@@ -242,7 +246,12 @@ def box_relation(
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
-        means = WrittenMeans(agent, coordinates, parts)
+        written = {"parts": 1, **(written or {})}
+        steer = written.get("steer")
+        steer = np.zeros(len(menu), dtype=bool) if steer is None else np.array(steer, dtype=bool)
+        means = WrittenMeans(agent, coordinates, int(written["parts"]), steer)
+        if steer.shape != (len(menu),) or (np.any(steer) and not means.commands):
+            raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
         means = _linear_means(linear_agent(agent, "boxes"), coordinates, gains)
     return BoxRelation(means, coordinates, menu, gains, box.low, box.high)

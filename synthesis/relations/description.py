@@ -1,6 +1,7 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
-``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` where dynamics are expressions),
+``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
+expressions),
 ``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -51,6 +52,9 @@ ARRAY_ENTRIES = {
 """Entries that are arrays, by kind."""
 
 
+MOST_BOXES_OF_A_CELL = 256
+"""Most parts of a cell whose means are enclosed one by one."""
+
 MOST_PARTS = 16
 """Most parts of each side of an image: what a file may ask a check to compute."""
 
@@ -60,8 +64,11 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     if isinstance(relation, ExactRelation):
         return {"kind": "exact"}
     if isinstance(relation, BoxRelation):
-        parts = {"parts": relation.means.parts} if isinstance(relation.means, WrittenMeans) else {}
-        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **parts}
+        written: dict[str, Any] = {}
+        if isinstance(relation.means, WrittenMeans):
+            steer = relation.means.steer
+            written = {"parts": relation.means.parts, "steer": [] if steer is None else steer.tolist()}
+        return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
     if relation.kind == "paper":
@@ -88,7 +95,8 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     kind = description["kind"]
     if kind == "boxes":
         menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
-        return box_relation(agent, coordinates, menu, gains, int(description.get("parts", 1)))
+        written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
+        return box_relation(agent, coordinates, menu, gains, written)
     agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_relation(agent, coordinates)
@@ -122,10 +130,18 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     is_written = isinstance(agent, Agent)
-    if is_written != (description["kind"] == "boxes" and "parts" in description):
+    if is_written != (description["kind"] == "boxes" and "parts" in description and "steer" in description):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
     if (description["kind"] == "linear" or is_written) and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
+    if is_written:
+        steer = description["steer"]
+        if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
+            raise ValueError("a relation says of its choices neither that they steer nor that they do not")
+        if len(steer) != len(description["menu"]):
+            raise ValueError("a relation has other choices that steer than its menu")
+        if description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+            raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}

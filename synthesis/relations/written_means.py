@@ -2,23 +2,34 @@
 
 From every state of a cell, under every disturbance, the mean lies in the box of ``expressions.enclosed``. Cells may be
 cut into parts first, whose boxes are united: that is tighter where dynamics bend strongly inside a cell.
+
+Choices that steer put the mean along commanded axes on a target (``commands``): that which the input of the menu has at
+the centre of the cell.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...envs.agents import Agent
 from ...envs.expressions import Affine, Interval, enclosed
 from ..cells import FloatArray
+from .commands import Command, commands_of, steered_inputs, steered_trees
 
 ROTATED = 1e-12
 """Share of their size by which boxes are widened where grid coordinates are not the state: the inverse matrix is
 rounded. The check widens by less."""
+
+
+COMPUTED = 1e-12
+"""Share of their size by which targets may be missed, and inputs be off, as they are computed; the check allows for
+less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,54 +43,121 @@ class WrittenMeans:
         Grid coordinates to state.
     parts : int
         Parts into which cells are cut along each axis.
+    steer : (A,) bool array, optional
+        Which choices of the menu steer; none by default.
     """
 
     agent: Agent
     coordinates: FloatArray
     parts: int
+    steer: NDArray[np.bool_] | None = None
 
     def around(
         self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each.
 
-        They are not numbers where nothing is known of the mean. There are no gains.
+        They are not numbers where nothing is known of the mean, or an input that steers is not admissible. There are no
+        gains.
         """
+        if self.steer is None or not np.any(self.steer):
+            return self._of_menu(low, high, menu)
+        shape = (len(low), len(menu), self.agent.n_states)
+        first, last = np.empty(shape), np.empty(shape)
+        first[:, ~self.steer], last[:, ~self.steer] = self._of_menu(low, high, menu[~self.steer])
+        first[:, self.steer], last[:, self.steer] = self._steered(low, high, menu[self.steer])
+        return first, last
+
+    def _of_menu(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the corners for choices that apply one input in the whole cell."""
         shape = (len(low), len(menu), self.agent.n_states)
         first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
-        # Neighbouring parts share the numbers that are their ends, so that nothing is left out between them.
-        cuts = [low + (high - low) * (k / self.parts) for k in range(self.parts)] + [high]
-        for part in product(range(self.parts), repeat=shape[2]):
-            box = [(cuts[k][:, axis, None], cuts[k + 1][:, axis, None]) for axis, k in enumerate(part)]
+        for box in self._parts(low, high):
             for axis, (below, above) in enumerate(self._enclosed(box, menu)):
                 # minimum and maximum keep what is not a number
                 np.minimum(first[..., axis], below, out=first[..., axis])
                 np.maximum(last[..., axis], above, out=last[..., axis])
         return self._widened(first, last)
 
+    def _steered(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the corners for choices that steer."""
+        agent, shape = self.agent, (len(low), len(menu), self.agent.n_states)
+        centre = 0.5 * (low + high)
+        at = np.broadcast_to(centre.T[:, :, None], (shape[2], *shape[:2]))
+        targets = agent.mean(at, np.broadcast_to(menu.T[:, None], (menu.shape[1], *shape[:2])))
+        names = self._names(menu) | {c.target: Affine(targets[c.axis]) for c in self.commands}
+        first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
+        trees = steered_trees(agent, self.commands)
+        wanted = [tree for c in self.commands for tree in (c.tree, c.rest)]
+        for box in self._parts(low, high):
+            variables = self._with_disturbances(box)
+            for axis, (below, above) in enumerate(enclosed(trees, names, variables)):
+                np.minimum(first[..., axis], below, out=first[..., axis])
+                np.maximum(last[..., axis], above, out=last[..., axis])
+            found = enclosed(wanted, names, variables)
+            for c, asked, rest in zip(self.commands, found[::2], found[1::2], strict=True):
+                least, most = agent.input_low[c.input], agent.input_high[c.input]
+                spare = COMPUTED * (abs(least) + abs(most))
+                inside = (asked[0] >= least + spare) & (asked[1] <= most - spare)
+                # The target is missed by what computing the input rounds.
+                off = COMPUTED * (np.abs(targets[c.axis]) + 2.0 * np.maximum(np.abs(rest[0]), np.abs(rest[1])))
+                first[..., c.axis] = np.minimum(first[..., c.axis], targets[c.axis] - off)
+                last[..., c.axis] = np.maximum(last[..., c.axis], targets[c.axis] + off)
+                first[~inside] = np.nan
+        return first, last
+
+    def _parts(self, low: FloatArray, high: FloatArray) -> Iterator[list[Interval]]:
+        """Yield the parts of cells as boxes of (n, 1) intervals."""
+        # Neighbouring parts share the numbers that are their ends, so that nothing is left out between them.
+        cuts = [low + (high - low) * (k / self.parts) for k in range(self.parts)] + [high]
+        for part in product(range(self.parts), repeat=low.shape[1]):
+            yield [(cuts[k][:, axis, None], cuts[k + 1][:, axis, None]) for axis, k in enumerate(part)]
+
     def _enclosed(self, box: list[Interval], menu: FloatArray) -> list[Interval]:
         """Return intervals (n, A) around the mean along each axis, from boxes of n cells."""
+        rows = None if self.is_plain else self._inverse
+        return enclosed(self.agent.trees, self._names(menu), self._with_disturbances(box), rows)
+
+    def _with_disturbances(self, box: list[Interval]) -> list[Interval]:
+        """Return all variables: the axes of the cell, and disturbances, which are anything in their intervals."""
+        one = np.ones((1, 1))
+        return [*box, *((low * one, high * one) for low, high in self.agent.disturbances.values())]
+
+    def _names(self, menu: FloatArray) -> dict[str, Affine]:
+        """Return what states, inputs and disturbances are in the variables."""
         one, names = np.ones((1, 1)), {}
         for state, row in zip(self.agent.states, self.coordinates, strict=True):
             slopes = {k: entry * one for k, entry in enumerate(row.tolist()) if entry != 0.0}
             names[state] = Affine(np.zeros((1, 1)), slopes)
         for name, column in zip(self.agent.inputs, menu.T, strict=True):
             names[name] = Affine(column[None])
-        # Disturbances are variables like the axes of the cell: anything in their intervals.
-        variables = list(box)
-        for name, (least, most) in self.agent.disturbances.items():
-            names[name] = Affine(np.zeros((1, 1)), {len(variables): one})
-            variables.append((least * one, most * one))
-        return enclosed(self.agent.trees, names, variables, None if self._is_plain else self._inverse)
+        for k, name in enumerate(self.agent.disturbances, start=self.agent.n_states):
+            names[name] = Affine(np.zeros((1, 1)), {k: one})
+        return names
+
+    def steered(self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the inputs (m, ...) of choices (...) at points (d, ...) of cells with centres (d, ...).
+
+        ``u`` are the inputs of the menu. Grid coordinates are the state where choices steer.
+        """
+        if self.steer is None or not np.any(self.steer):
+            return u
+        return np.where(self.steer[choices], steered_inputs(self.agent, self.commands, centres, points, u), u)
+
+    @cached_property
+    def commands(self) -> tuple[Command, ...]:
+        """Axes that have targets: none where grid coordinates are not the state."""
+        return commands_of(self.agent) if self.is_plain else ()
 
     def _widened(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self._is_plain:
+        if self.is_plain:
             return low, high
         size = np.maximum(np.abs(low), np.abs(high)) @ (np.abs(self._inverse) @ np.abs(self.coordinates)).T
         return low - ROTATED * size, high + ROTATED * size
 
     @cached_property
-    def _is_plain(self) -> bool:
+    def is_plain(self) -> bool:
+        """Whether grid coordinates are the state."""
         return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
 
     @cached_property
@@ -90,4 +168,5 @@ class WrittenMeans:
     def arrays(self) -> tuple[FloatArray, ...]:
         """All that boxes depend on, for comparing relations."""
         texts = (np.frombuffer(text, dtype=np.uint8) for text in self.agent.motion_key)
-        return (*texts, np.array([self.parts]))
+        steer = np.zeros(0, dtype=bool) if self.steer is None else self.steer
+        return (*texts, np.array([self.parts]), steer)

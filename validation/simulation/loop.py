@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import checked_count, counted, tree_text
-from ...envs.dynamics import Dynamics, Worlds
+from ...envs.dynamics import Behaviour, Dynamics, Worlds
 from ...envs.problem import Problem
 from .mismatch import Mismatch
 
@@ -57,6 +57,8 @@ class Loop:
         Joint initial states; episode r begins at ``starts[r % N]``. Default: the problem's own start.
     mismatch : Mismatch, optional
         How the system differs from the model.
+    disturbance : "zero", "random", "periodic" or a function
+        How bounded disturbances behave (``envs.dynamics.disturbances``).
     """
 
     problem: Problem
@@ -65,6 +67,7 @@ class Loop:
     chunk: int = CHUNK
     starts: NDArray[Any] | None = None
     mismatch: Mismatch | None = None
+    disturbance: Behaviour = "zero"
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("chunk", 1)):
@@ -88,7 +91,7 @@ class Loop:
     @cached_property
     def arranged(self) -> tuple[Dynamics, BatchPolicy]:
         """Dynamics and policy, arranged once for all chunks."""
-        dynamics = Dynamics.of(self.problem)
+        dynamics = Dynamics.of(self.problem, self.disturbance)
         return dynamics, self.controller.batch(dynamics)
 
     @cached_property
@@ -113,7 +116,7 @@ class Loop:
         tasks = zip(self.problem.tasks, self.controller.parts, self.columns, seeds, strict=True)
         for task, controller, columns, seed in tasks:
             starts = None if self.starts is None else self.starts[:, columns]
-            loops.append(Loop(task, controller, seed, self.chunk, starts, self.mismatch))
+            loops.append(Loop(task, controller, seed, self.chunk, starts, self.mismatch, self.disturbance))
         return tuple(loops)
 
     @cached_property

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import counted, tree_text
+from ...envs.dynamics import Behaviour, checked_behaviour
 from ...envs.suite import as_problem
 from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
@@ -78,6 +79,7 @@ def rollout(
     *,
     initial_state: Any = None,
     mismatch: Mismatch | None = None,
+    disturbance: Behaviour = "zero",
     **trial: Unpack[TrialOptions],
 ) -> Rollouts:
     """Simulate episodes of the continuous system under ``controller``; the outcomes are the same on every executor.
@@ -92,6 +94,8 @@ def rollout(
         Start of every episode, as in ``Problem.replace``; default: the problem's own start.
     mismatch : Mismatch, optional
         How the system differs from the model.
+    disturbance : "zero", "random", "periodic" or a function
+        How bounded disturbances behave.
 
     Raises
     ------
@@ -110,7 +114,9 @@ def rollout(
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
     settled = planned(plan, trial, 10_000)
-    loop = Loop(problem, controller, settled.seed, settled.chunk, mismatch=mismatch)
+    loop = Loop(
+        problem, controller, settled.seed, settled.chunk, mismatch=mismatch, disturbance=checked_behaviour(disturbance)
+    )
     results: list[ChunkResult] = []
 
     def take(result: ChunkResult) -> None:

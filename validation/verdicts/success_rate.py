@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 
 from ... import __version__
-from ...envs.agents import counted, shortened, write_json
+from ...envs.agents import Agent, counted, shortened, write_json
+from ...envs.dynamics import BEHAVIOURS, Behaviour, checked_behaviour
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     EXACT_GAP,
@@ -23,11 +24,13 @@ from ...synthesis.certificates import (
     rounded_up,
     shown_bound,
 )
+from ...synthesis.checking import greedy_disturbance
 from ..simulation import (
     INTERRUPTED,
     ChunkResult,
     Loop,
     Mismatch,
+    Plan,
     Rows,
     TrialOptions,
     TrialPlan,
@@ -172,6 +175,9 @@ class ValidationReport:
         ]
         if "mismatch" in details:
             rows.append(("mismatch", f"the simulated system differs from the model: {details['mismatch']}"))
+        if "disturbance" in details:
+            told = ", ".join(f"{name} {value:.4f}" for name, value in details.get("disturbances", {}).items())
+            rows.append(("disturbance", f"{details['disturbance']}" + (f" is the worst of {told}" if told else "")))
         if inadmissible := details.get("inadmissible"):
             rows.append(("inputs", f"inadmissible in {counted(inadmissible, 'episode')}; there actuators saturated"))
         if self.interrupted:
@@ -231,11 +237,15 @@ def validate(
     initial_state: Any = None,
     sequential: bool = False,
     mismatch: Mismatch | None = None,
+    disturbance: Behaviour | None = None,
     **trial: Unpack[TrialOptions],
 ) -> ValidationReport:
     """Test a certified bound with independent rollouts of the continuous system under the certificate's controller.
 
-    A true certificate is refuted with probability at most ``1 - confidence``.
+    A true certificate is refuted with probability at most ``1 - confidence``. Where agents have bounded disturbances,
+    each of their behaviours is simulated for as many episodes, and the report is about the worst: the first that
+    refutes the claim, else that with the fewest successes. Then no claim is called confirmed, since another behaviour
+    might do worse.
 
     Parameters
     ----------
@@ -251,19 +261,72 @@ def validate(
         which hold whenever one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
         Simulate a system that differs from the certified model; then only the lower bound is tested.
+    disturbance : "zero", "random", "periodic" or a function, optional
+        The one behaviour of bounded disturbances that is simulated. By default all that have a name, and for
+        certificates of one task the greedy one (``checking.greedy``), each with its share of ``1 - confidence``.
 
     Raises
     ------
     ValueError
         If a number is out of range.
     """
-    began = time.perf_counter()
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
     certificate = as_certificate(result)
+    behaviours = _behaviours(certificate) if disturbance is None else {_name(disturbance): disturbance}
+    if len(behaviours) == 1:
+        how = _Trial(initial_state, sequential, mismatch, *next(iter(behaviours.items())))
+        return _validated(result, certificate, settled, how)
+    # A true certificate is to stand all behaviours together with the probability that is asked for.
+    shared = replace(settled, confidence=1.0 - (1.0 - settled.confidence) / len(behaviours))
+    reports = []
+    for name, behaviour in behaviours.items():
+        reports.append(
+            _validated(result, certificate, shared, _Trial(initial_state, sequential, mismatch, name, behaviour))
+        )
+        if reports[-1].refuted or reports[-1].interrupted:
+            break
+    worst = min(reports, key=lambda report: (not report.refuted, report.estimate))
+    estimates = {report.details["disturbance"]: report.estimate for report in reports}
+    return replace(worst, details={**worst.details, "disturbances": estimates})
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """How one validation is simulated."""
+
+    initial_state: Any
+    sequential: bool
+    mismatch: Mismatch | None
+    name: str
+    disturbance: Behaviour
+
+
+def _behaviours(certificate: Certificate | ProductCertificate) -> dict[str, Behaviour]:
+    """Return all behaviours of disturbances that are simulated, by name; one if there are no disturbances."""
+    agents = certificate.problem.agents
+    if not any(isinstance(agent, Agent) and agent.disturbances for agent in agents):
+        return {"zero": "zero"}
+    named: dict[str, Behaviour] = {name: name for name in BEHAVIOURS}
+    if isinstance(certificate, Certificate):
+        named["greedy"] = greedy_disturbance(certificate)
+    return named
+
+
+def _name(behaviour: Behaviour) -> str:
+    return behaviour if isinstance(behaviour, str) else type(behaviour).__name__.lower()
+
+
+def _validated(
+    result: Any, certificate: Certificate | ProductCertificate, settled: Plan, how: _Trial
+) -> ValidationReport:
+    """Test a claim under one behaviour of disturbances."""
+    began = time.perf_counter()
+    initial_state, sequential, mismatch = how.initial_state, how.sequential, how.mismatch
     problem, lower, gap, start = claim_at(certificate, initial_state)
     gap = gap if mismatch is None else None  # the upper end of a claim holds for the model alone
-    loop = Loop(problem, certificate.controller, settled.seed, settled.chunk, mismatch=mismatch)
+    behaviour = checked_behaviour(how.disturbance)
+    loop = Loop(problem, certificate.controller, settled.seed, settled.chunk, mismatch=mismatch, disturbance=behaviour)
     state, inadmissible = SequentialState(lower, gap, settled.confidence), 0
 
     def take(result_of_chunk: ChunkResult) -> bool:
@@ -280,6 +343,8 @@ def validate(
     details = _details(certificate, start, settled) | {"inadmissible": inadmissible, "sequential": sequential}
     if sequential:
         details |= {"log_e_refuted": _finite(state.log_refuted), "log_e_confirmed": _finite(state.log_confirmed)}
+    if any(isinstance(agent, Agent) and agent.disturbances for agent in problem.agents):
+        details["disturbance"] = how.name
     if mismatch is not None:
         details["mismatch"] = str(mismatch)
     if interrupted:
@@ -289,6 +354,9 @@ def validate(
     seconds: dict[str, float | None] = {"abstract": None, "synthesize": None}
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
+    found = state.verdict if sequential else verdict(lower, gap, ci_low, ci_high)
+    if "disturbance" in details and found == CONFIRMED:
+        found = CONSISTENT  # another behaviour might do worse
     return ValidationReport(
         problem=problem.name,
         horizon=problem.horizon,
@@ -302,7 +370,7 @@ def validate(
         ci_low=ci_low,
         ci_high=ci_high,
         confidence=settled.confidence,
-        verdict=state.verdict if sequential else verdict(lower, gap, ci_low, ci_high),
+        verdict=found,
         rank=certificate.rank,
         seconds={**seconds, "validate": time.perf_counter() - began},
         details=details,

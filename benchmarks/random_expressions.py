@@ -1,0 +1,82 @@
+"""Random problems whose agents are written as expressions: random linear agents, bent by terms of every kind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from random_problems import Spec, random_spec
+from tuple_expressions import Expression, text_of
+
+
+def written_spec(seed: int) -> Spec:
+    """A random problem whose agents are written as expressions; further keys are ``written`` and ``tuples``."""
+    spec = random_spec(seed, "boxes")
+    rng = np.random.default_rng([20261122, seed])
+    for agent in spec["agents"]:
+        agent.pop("output_matrix", None)
+        _write(rng, agent)
+    # Regions of outputs that are no states any more are those of the states instead.
+    sizes = {agent["name"]: len(agent["state_low"]) for agent in spec["agents"]}
+    if any(len(region["low"]) != sizes[region["agent"]] for region in spec["propositions"].values()):
+        return written_spec(seed + 1_000_003)
+    spec["options"] = {"cells": spec["options"]["cells"], "max_sweeps": spec["options"]["max_sweeps"]}
+    return spec
+
+
+def _write(rng: np.random.Generator, agent: Spec) -> None:
+    """Bend the linear dynamics of an agent: the same matrices, and terms of every kind."""
+    d, m = len(agent["A"]), len(agent["B"][0])
+    low, high = np.array(agent["state_low"]), np.array(agent["state_high"])
+    half, centre = 0.5 * (high - low), 0.5 * (high + low)
+    states, inputs = [f"x{k}" for k in range(d)], [f"u{j}" for j in range(m)]
+    # Coordinates between -1 and 1, whatever the units are.
+    scaled: list[Expression] = [("/", ("-", x, float(c)), float(h)) for x, c, h in zip(states, centre, half)]
+    winds = {"v0": [-0.05, 0.08]} if rng.random() < 0.3 else {}
+    dynamics: list[Expression] = []
+    for k in range(d):
+        total: Expression = float(agent["offset"][k])
+        for j, x in enumerate(states):
+            if agent["A"][k][j] != 0.0:
+                total = ("+", total, ("*", float(agent["A"][k][j]), x))
+        for j, u in enumerate(inputs):
+            gain: Expression = float(agent["B"][k][j])
+            if gain != 0.0:
+                if rng.random() < 0.4:  # inputs push harder in some places
+                    gain = ("*", gain, ("+", 1.0, ("*", 0.3, ("cos", ("*", 2.0, scaled[int(rng.integers(d))])))))
+                total = ("+", total, ("*", gain, u) if rng.random() < 0.8 else ("*", gain, ("sin", u)))
+        for _ in range(int(rng.integers(0, 3))):
+            total = ("+", total, ("*", float(half[k] * rng.uniform(-0.15, 0.15)), _term(rng, scaled)))
+        if winds and rng.random() < 0.6:
+            total = ("+", total, ("*", float(half[k]), "v0"))
+        dynamics.append(total)
+    agent["tuples"], agent["winds"] = dynamics, winds
+    keys = ("name", "state_low", "state_high", "input_low", "input_high", "noise_covariance")
+    starts = [key for key in agent if key.startswith("initial_")]
+    agent["written"] = {key: agent[key] for key in (*keys, *starts)} | {
+        "states": states,
+        "inputs": inputs,
+        "dynamics": [text_of(expression) for expression in dynamics],
+        "disturbances": winds,
+    }
+
+
+def _term(rng: np.random.Generator, scaled: list[Expression]) -> Expression:
+    """A bent term of coordinates between -1 and 1."""
+    a, b = (scaled[int(rng.integers(len(scaled)))] for _ in range(2))
+    terms: list[Expression] = [
+        ("sin", ("*", float(rng.uniform(1, 6)), a)),
+        ("tanh", ("*", 3.0, a)),
+        ("*", a, b),
+        ("**", a, 3.0),
+        ("abs", ("-", a, b)),
+        ("min", a, ("*", 0.5, b)),
+        ("clip", ("*", 2.0, a), -0.7, 0.6),
+        ("exp", ("-", 0.0, ("*", a, a))),
+        ("/", a, ("+", 1.5, ("*", b, b))),
+        ("sqrt", ("+", 0.2, ("abs", a))),
+        ("atan", ("*", 4.0, b)),
+        ("log", ("+", 1.3, a)),  # not defined a little beyond the workspace, and nearly not inside of it
+        ("tan", a),
+        ("max", ("**", ("abs", a), 1.5), b),
+    ]
+    return terms[int(rng.integers(len(terms)))]

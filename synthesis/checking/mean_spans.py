@@ -1,0 +1,166 @@
+"""Boxes around means and outputs of agents with expressions, for the check: from the spans of ``own_intervals`` alone.
+
+The search's enclosures are not used. Names become spans on a cell, the trees of the agent are read on them, and the
+coordinates of the mean follow. Choices that steer have their input put into the trees by hand here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from ...envs.agents import Agent
+from ...envs.expressions import Name, Operation, Tree, substituted
+from ..cells import FloatArray
+from ..relations import Command
+from .own_intervals import Span, bounds, products, span
+
+ROTATED = 1e-13
+"""Widening, relative to their size, of boxes in coordinates that are not the state."""
+
+COMPUTED = 1e-13
+"""Share of their size by which targets may be missed, and inputs be off, as they are computed: a thousand roundings."""
+
+
+def mean_spans(
+    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, parts: int
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
+
+    Parameters
+    ----------
+    agent : Agent
+    low, high : (n, d) arrays
+        Corners of cells, in grid coordinates.
+    inputs : (n, m) array
+        Input in each cell.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    parts : int
+        Parts into which cells are cut along each axis.
+    """
+    shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
+    rows = None if plain else np.linalg.inv(coordinates)
+    first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
+    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
+    calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
+    with np.errstate(all="ignore"):
+        for part in itertools.product(range(parts), repeat=shape[1]):
+            box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
+            outputs = partial(_means, agent, inputs, coordinates, rows)
+            ends = np.stack(bounds(outputs, np.array(box)), axis=-1)
+            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+    if rows is not None:
+        size = np.maximum(np.abs(first), np.abs(last)) @ (np.abs(rows) @ np.abs(coordinates)).T
+        first, last = first - ROTATED * size, last + ROTATED * size
+    return first, last
+
+
+def steered_spans(
+    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, commands: Sequence[Command], parts: int
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, d) of boxes around the means under choices that steer; not numbers where an input may leave its box.
+
+    A commanded axis, with mean ``a + b u``, gets the target that the input of the menu has at the centre of the cell:
+    ``u = (target - a) / b``. All other axes are enclosed with this u. Parameters as for ``mean_spans``; cells are boxes
+    of states.
+    """
+    centre = 0.5 * (low + high)
+    targets = agent.mean(centre.T, inputs.T)
+    asked = [Operation("/", (Operation("-", (Name(_target(c)), c.rest)), c.factor)) for c in commands]
+    trees = [
+        substituted(t, {agent.inputs[c.input]: u for c, u in zip(commands, asked, strict=True)}) for t in agent.trees
+    ]
+    for command in commands:
+        trees[command.axis] = Name(_target(command))
+    asked_and_rest = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest)]
+    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
+    unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
+
+    def outputs(of: Sequence[Tree], on: FloatArray, with_slopes: bool = False) -> list[Span]:
+        leaves = _leaves(agent, on, inputs, np.eye(agent.n_states), with_slopes)
+        for command in commands:
+            leaves[_target(command)] = Span.of(
+                targets[command.axis], targets[command.axis], next(iter(leaves.values()))
+            )
+        return [span(tree, leaves) for tree in of]
+
+    with np.errstate(all="ignore"):
+        for part in itertools.product(range(parts), repeat=low.shape[1]):
+            box = np.array([(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + unmeasured)
+            ends = np.stack(bounds(partial(outputs, trees), box), axis=-1)
+            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+            found = bounds(partial(outputs, asked_and_rest), box)
+            for command, asked_for, rest in zip(commands, found[::2], found[1::2], strict=True):
+                least, most = agent.input_low[command.input], agent.input_high[command.input]
+                spare, target = COMPUTED * (abs(least) + abs(most)), targets[command.axis]
+                off = COMPUTED * (np.abs(target) + 2.0 * np.abs(rest).max(axis=0))
+                first[:, command.axis] = np.minimum(first[:, command.axis], target - off)
+                last[:, command.axis] = np.maximum(last[:, command.axis], target + off)
+                first[~((asked_for[0] >= least + spare) & (asked_for[1] <= most - spare))] = np.nan
+    return first, last
+
+
+def _target(command: Command) -> str:
+    return f"target of {command.axis}"
+
+
+def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, p) of boxes around outputs from closed boxes (n, d) of states; infinite where nothing is known."""
+    box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
+
+    def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
+        leaves = _leaves(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
+        return [span(tree, leaves) for tree in agent.output_trees]
+
+    with np.errstate(all="ignore"):
+        ends = np.stack(bounds(outputs, box), axis=-1)
+    return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
+
+
+def _leaves(
+    agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
+) -> dict[str, Span]:
+    """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then the disturbances."""
+    v, d, n = len(box), agent.n_states, box.shape[2]
+    unit = np.zeros((v, 2, v if with_slopes else 0, n))
+    for k in range(v if with_slopes else 0):
+        unit[k, :, k] = 1.0
+    variables = [Span(ends, slopes) for ends, slopes in zip(box, unit, strict=True)]
+    leaves = {}
+    for name, row in zip(agent.states, coordinates, strict=True):
+        total = None
+        for k in np.flatnonzero(row).tolist():
+            factor = np.full((2, n), row[k])
+            term = variables[k] if row[k] == 1.0 else variables[k].scaled(products(factor, box[k]), factor)
+            total = term if total is None else total + term
+        assert total is not None
+        leaves[name] = total
+    for name, column in zip(agent.inputs, inputs.T, strict=False):  # outputs read no inputs
+        leaves[name] = Span.of(column, column, variables[0])
+    return leaves | dict(zip(agent.disturbances, variables[d:], strict=False))
+
+
+def _means(
+    agent: Agent,
+    inputs: FloatArray,
+    coordinates: FloatArray,
+    rows: FloatArray | None,
+    on: FloatArray,
+    with_slopes: bool = False,
+) -> list[Span]:
+    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
+    leaves = _leaves(agent, on, inputs, coordinates, with_slopes)
+    values = [span(tree, leaves) for tree in agent.trees]
+    if rows is None:
+        return values
+    weighted = []
+    for row in rows:
+        factors = [np.full_like(f.ends, factor) for f, factor in zip(values, row, strict=True)]
+        terms = [f.scaled(products(a, f.ends), a) for f, a in zip(values, factors, strict=True) if np.any(a)]
+        weighted.append(sum(terms[1:], terms[0]))
+    return weighted

@@ -1,0 +1,127 @@
+"""Targets of agents with expressions: axes whose mean an input puts where it is wanted, exactly, on a whole cell.
+
+Where the mean along an axis is ``a(x) + b(x) u`` with one input u and b without a zero, the input
+
+    u(x) = (m - a(x)) / b(x)
+
+puts it on the target m from every x. The controller computes u(x) from the state; the mean along all other axes is
+enclosed with u(x) in place of u (docs/theory/boxes.md, "Boxes of expressions"). Disturbances are not measured, so an
+axis that they move has no targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...envs.agents import Agent
+from ...envs.expressions import (
+    Affine,
+    Name,
+    Number,
+    Operation,
+    Tree,
+    computed,
+    enclosed,
+    names_in,
+    split_at,
+    substituted,
+)
+from ..cells import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """An axis whose mean is ``rest + factor * input``.
+
+    Parameters
+    ----------
+    axis, input : int
+        Numbers of the state and of the input.
+    rest, factor : Tree
+        Expressions in the states.
+    """
+
+    axis: int
+    input: int
+    rest: Tree
+    factor: Tree
+
+    @property
+    def target(self) -> str:
+        """Name of the target in expressions; no state has a name with a blank."""
+        return f"target {self.axis}"
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The input as an expression in states and target."""
+        return Operation("/", (Operation("-", (Name(self.target), self.rest)), self.factor))
+
+
+def commands_of(agent: Agent) -> tuple[Command, ...]:
+    """Return the axes that inputs command, at most one for each input: that which the input moves farthest.
+
+    The distance is measured at the middle of the workspace, in shares of its width.
+    """
+    commands: list[Command] = []
+    middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}
+    for j, name in enumerate(agent.inputs):
+        best, farthest = None, 0.0
+        for k, tree in enumerate(agent.trees):
+            others = names_in(tree) & ({*agent.inputs, *agent.disturbances} - {name})
+            split = None if others or k in [command.axis for command in commands] else split_at(tree, name)
+            if split is None or split[1] == Number(0.0) or not _never_zero(agent, split[1]):
+                continue
+            [factor] = computed([split[1]], middle)
+            moved = abs(float(factor[0])) / (agent.state_high[k] - agent.state_low[k])
+            if moved > farthest:
+                best, farthest = Command(k, j, *split), moved
+        if best is not None:
+            commands.append(best)
+    return tuple(commands)
+
+
+def steered_trees(agent: Agent, commands: Sequence[Command]) -> tuple[Tree, ...]:
+    """Return the means along all axes with commanded inputs put in; commanded axes are their targets."""
+    inputs = {agent.inputs[command.input]: command.tree for command in commands}
+    trees = [substituted(tree, inputs) for tree in agent.trees]
+    for command in commands:
+        trees[command.axis] = Name(command.target)
+    return tuple(trees)
+
+
+def _never_zero(agent: Agent, factor: Tree) -> bool:
+    """Return whether a factor has one sign in the whole workspace."""
+    names = {state: Affine(np.zeros(1), {k: np.ones(1)}) for k, state in enumerate(agent.states)}
+    box = [(np.array([low]), np.array([high])) for low, high in zip(agent.state_low, agent.state_high, strict=True)]
+    [(least, most)] = enclosed([factor], names, box)
+    return bool(least[0] > 0.0 or most[0] < 0.0)
+
+
+def steered_inputs(
+    agent: Agent, commands: Sequence[Command], centres: FloatArray, states: FloatArray, menu_inputs: FloatArray
+) -> FloatArray:
+    """Return inputs (m, ...) at states (d, ...) that put the means of commanded axes where the menu does at centres.
+
+    They are moved into the input box, which changes nothing where a choice is admissible.
+
+    Parameters
+    ----------
+    centres, states : (d, ...) arrays
+        Centres of cells, and states in them.
+    menu_inputs : (m, ...) array
+        Inputs of the choices at the centres.
+    """
+    means, inputs = agent.mean(centres, menu_inputs), menu_inputs.copy()
+    for command in commands:
+        values = dict(zip(agent.states, (np.atleast_1d(row) for row in states), strict=True))
+        values[command.target] = np.atleast_1d(means[command.axis])
+        [asked] = computed([command.tree], values)
+        low, high = agent.input_low[command.input], agent.input_high[command.input]
+        # What is not a number becomes the middle of the box: controllers are total.
+        asked = np.where(np.isnan(asked), 0.5 * low + 0.5 * high, asked).reshape(inputs[command.input].shape)
+        inputs[command.input] = np.clip(asked, low, high)
+    return inputs
