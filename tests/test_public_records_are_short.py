@@ -44,6 +44,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
     if not problem.groups:
         policies |= {f"idle {k}": IdleController() for k in range(20)}
     return {
+        "Agent": many_states,
         "AuditReport": lambda: cg.audit(result, EPISODES),
         "Automaton": lambda: cg.make_problem("package-delivery-v0").automaton,
         "Certificate": lambda: certificate,
@@ -65,6 +66,24 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "TrialPlan": lambda: cg.TrialPlan(EPISODES, seed=3),
         "ValidationReport": lambda: cg.validate(result, EPISODES),
     }
+
+
+def many_states() -> cg.Agent:
+    """An agent with as many states, parameters and disturbances as there may be, and long expressions."""
+    states = [f"a_rather_long_name_of_a_state_{k}" for k in range(30)]
+    return cg.Agent(
+        name="large",
+        states=states,
+        inputs=["u"],
+        parameters={f"p{k}": 1.0 for k in range(30)},
+        disturbances={f"v{k}": [-1.0, 1.0] for k in range(30)},
+        dynamics=[" + ".join(states) + " + u"] * 30,
+        noise_covariance=np.eye(30),
+        state_low=[-1.0] * 30,
+        state_high=[1.0] * 30,
+        input_low=[-1.0],
+        input_high=[1.0],
+    )
 
 
 def probe_of(certificate: Any) -> cg.Probe:

@@ -23,10 +23,13 @@ from .box import Box
 from .checks import float_array, read_only, shown
 from .laws import Law
 from .noise import declared_noise
-from .printing import counted, shortened, tree_text
+from .printing import counted, names_text, shortened, tree_text
 
 MOST_STATES = 30
 """Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
+
+MOST_SHOWN = 4
+"""Dynamics that are written out when an agent prints itself."""
 
 _ARRAYS = (
     "state_low",
@@ -178,9 +181,14 @@ class Agent(AnyAgent):
 
     def __repr__(self) -> str:
         sizes = (counted(self.n_states, "state"), counted(self.n_inputs, "input"), counted(self.n_outputs, "output"))
-        rows = [(f"{state}'", shortened(text, 80)) for state, text in zip(self.states, self.dynamics)]
-        rows += [(name, f"{value:g}") for name, value in self.parameters.items()]
-        rows += [(name, f"anything in [{low:g}, {high:g}]") for name, (low, high) in self.disturbances.items()]
+        named = [(f"{shortened(state, 30)}'", shortened(text, 80)) for state, text in zip(self.states, self.dynamics)]
+        rows = named[:MOST_SHOWN]
+        if len(named) > MOST_SHOWN:
+            rows.append(("...", f"{len(named) - MOST_SHOWN} more"))
+        numbers = [f"{name} = {value:g}" for name, value in self.parameters.items()]
+        ranges = [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in self.disturbances.items()]
+        rows += [("parameters", names_text(numbers))] if numbers else []
+        rows += [("unknown", names_text(ranges))] if ranges else []
         return tree_text(f"Agent {self.name!r}: {', '.join(sizes)}", [*rows, *summary_rows(self)])
 
     @cached_property
