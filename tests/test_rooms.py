@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
     "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES}",
+    "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
     "synthesis.choosing",

@@ -2,7 +2,8 @@
 
 from .certificate_check import CheckReport, check
 from .later_values import ValueInTime, claimed_values, value_in_time
-from .regrown_tree import regrow
+from .linear_check import masks_of
+from .regrown_tree import regrow, vertices_of
 from .rigorous import RigorousReport, check_rigorous
 
 __all__ = [
@@ -12,6 +13,8 @@ __all__ = [
     "check",
     "check_rigorous",
     "claimed_values",
+    "masks_of",
     "regrow",
     "value_in_time",
+    "vertices_of",
 ]
