@@ -48,7 +48,8 @@ MAY_IMPORT = {
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis",
+    "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.shielding",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.shielding validation.shields",
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "
     "validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",

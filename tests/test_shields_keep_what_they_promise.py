@@ -127,7 +127,7 @@ def test_whoever_proposes_succeeds_as_promised(certificate: cg.Certificate, form
 
 
 def test_the_adversary_is_left_no_more_than_promised(synthesized: Any) -> None:
-    """Where every value is the truth the judgement is neither lax nor wasteful: 20,000 episodes, standard error .003."""
+    """Where values are the truth the judgement is neither lax nor wasteful: 20,000 episodes, standard error .003."""
     shield = sabotaged(synthesized, 0.99)
     rate = float(episodes(shield, the_worst, 20_000, 5)["success"].mean())
     assert abs(rate - shield.probability) < 0.012

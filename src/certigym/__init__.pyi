@@ -33,6 +33,7 @@ from .synthesis.controllers import InputTable as InputTable
 from .synthesis.horizons import synthesize_horizons as synthesize_horizons
 from .synthesis.horizons import without_deadline as without_deadline
 from .synthesis.models import abstract as abstract
+from .synthesis.shielding import Shield as Shield
 from .synthesis.synthesize import synthesize as synthesize
 from .validation.audits import AuditReport as AuditReport
 from .validation.audits import audit as audit
@@ -45,6 +46,8 @@ from .validation.policies import probe as probe
 from .validation.policies import record as record
 from .validation.policies import train as train
 from .validation.reports import report as report
+from .validation.shields import shield as shield
+from .validation.shields import shielded as shielded
 from .validation.simulation import Mismatch as Mismatch
 from .validation.simulation import Rollouts as Rollouts
 from .validation.simulation import TrialPlan as TrialPlan
@@ -75,6 +78,7 @@ __all__ = [
     "ProductCertificate",
     "Proposition",
     "Rollouts",
+    "Shield",
     "Specification",
     "StressReport",
     "Synthesis",
@@ -104,6 +108,8 @@ __all__ = [
     "report",
     "rollout",
     "save_certificate",
+    "shield",
+    "shielded",
     "split_axes",
     "stress",
     "synthesize",

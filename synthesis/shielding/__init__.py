@@ -1,8 +1,8 @@
 """What inputs are worth under a certificate, and shields that let a learner do what keeps a probability."""
 
-from .worth import ActionValues, action_values
 from .shield_record import FORMS, ProductShield, Shield, shield_of
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
+from .worth import ActionValues, action_values
 
 __all__ = [
     "ActionValues",

@@ -19,8 +19,8 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down, shown_bound
 from ..relations import CoupledRelation
-from .worth import ActionValues, action_values, groups
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
+from .worth import ActionValues, action_values, groups
 
 FORMS = ("joint", "decentralised")
 
@@ -60,13 +60,17 @@ class Shield:
         """The problem that the shield keeps."""
         return self.values.certificate.problem
 
-    def first_budget(self, states: tuple[FloatArray, ...], q: NDArray[Any]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def first_budget(
+        self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any] | None = None
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return the budgets (M,) of runs that begin at states (d_i, M) per agent, and which starts are covered (M,).
+
+        Runs begin at time 0, or where learners practise at times (M,) of their own.
 
         A start in a point begins with what is owed, one in a box with a share of it in proportion to its value. Where
         the value is smaller than that, the start is not covered, and the budget is the value: what can be kept there.
         """
-        value = self.values.of_states(states, q, np.zeros(len(q), dtype=np.int64))
+        value = self.values.of_states(states, q, np.zeros(len(q), dtype=np.int64) if time is None else time)
         asked = np.full(len(q), self.owed)
         if self.mean is not None:  # rounded down twice, so that it stays below the value
             asked = np.minimum(self.owed / self.mean, 1.0) * value
