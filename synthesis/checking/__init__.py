@@ -1,20 +1,26 @@
 """The proof done again, by code that no search reaches."""
 
 from .certificate_check import CheckReport, check
+from .execution import execution_of
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
-from .regrown_tree import regrow, vertices_of
+from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
+from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
 
 __all__ = [
+    "BrokenTreeError",
     "CheckReport",
     "RigorousReport",
     "ValueInTime",
     "check",
     "check_rigorous",
     "claimed_values",
+    "execution_of",
     "masks_of",
     "regrow",
+    "tree_start_value",
     "value_in_time",
+    "verify_relation",
     "vertices_of",
 ]
