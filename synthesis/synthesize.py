@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,24 +13,16 @@ from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import (
-    CHEAP_SECONDS,
-    FINER,
-    FIRST_WIDTH,
     GOOD,
-    GUESSED_RANK,
-    LEAST_GAIN,
-    MOST_GUESSED_RANK,
-    MOST_LEVELS,
-    MOST_SECONDS,
-    SOLVED,
     Budget,
+    Run,
     Tries,
-    carried_over,
+    finer_levels,
+    first_cells,
     groups_of,
-    level_cells,
+    linear_levels,
     policies_from,
     refine,
-    seconds_of,
 )
 from .models import (
     Abstraction,
@@ -53,6 +45,9 @@ MOST_LINEAR_AGENTS = 2
 
 MOST_LINEAR_TERMS = 32
 """Terms of the value trees of further agents up to which linear cells, which pay for every term, are tried."""
+
+GOOD_CARRIED = 0.5
+"""Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
 
 Clock = tuple[float, float]
 """When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
@@ -181,6 +176,8 @@ def _of_task(
         return _continued(problem, cells, kinds, plan, start)
     if cells is None and _may_be_linear(problem, kinds, plan):
         return _by_levels(problem, kinds, plan)
+    if cells is None and {*kinds} == {"auto"} and _has_usual_search(plan):
+        return _finer(problem, kinds, plan)
     if {"auto", "best"} & {*kinds}:
         return _compared(problem, cells, kinds, plan)
     return _plain(problem, cells, kinds, plan)
@@ -239,8 +236,7 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
     Every agent must have noise in all of its states. Trees of many agents grow many terms, each of which costs linear
     agents something: tensor trains on other relations are better there.
     """
-    search = plan.search
-    if search.stationary or search.value == "train" or search.device != HOST or search.limits != Limits():
+    if not _has_usual_search(plan):
         return False
     if {*kinds} == {"linear"}:
         return True
@@ -248,15 +244,22 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
 
 
+def _has_usual_search(plan: Plan) -> bool:
+    """Return whether nothing was said about the search that levels of cells would not heed."""
+    search = plan.search
+    return not (search.stationary or search.value == "train" or search.device != HOST or search.limits != Limits())
+
+
 def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the better of what linear cells, made finer level by level, and the other relations certify."""
     began = time.perf_counter()
+    run = _run_of_levels(problem, plan)
     if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS:
         # The other relations are quick for single states, and show whether the tree grows many terms.
         first = _compared(problem, None, kinds, plan)
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
             return first if first.certificate.lower_bound >= GOOD else _doubled(problem, kinds, plan, first)
-    linear, record = _linear_levels(problem, plan)
+    linear, record = linear_levels(problem, plan.settings, run)
     if linear is None:
         return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
     best = linear
@@ -272,11 +275,46 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
             tried |= other.stats.get("tried", {kind: other.certificate.lower_bound})  # type: ignore[call-overload]
             best = max(linear, other, key=lambda result: result.certificate.lower_bound)
             best = replace(best, stats={**best.stats, **_least_above(linear, other)})
-    certificate = best.certificate
     more = {"levels": record} if best.certificate is linear.certificate else {}
-    certificate = replace(certificate, settings={**certificate.settings, **more, "relations_tried": tried})
-    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
-    return Synthesis(certificate, certificate.controller, {**best.stats, "tried": tried, "seconds": seconds})
+    return _with_record(best, {**more, "relations_tried": tried}, began)
+
+
+def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the best of what the relations that are compared certify on coarse cells, and on finer ones."""
+    began = time.perf_counter()
+    first = _compared(problem, first_cells(problem), kinds, plan)
+    certificate = first.certificate
+    if certificate.lower_bound >= GOOD or certificate.rounding is not None or plan.settings.delta is not None:
+        return first
+    best, record = finer_levels(problem, plan.settings, first, _run_of_levels(problem, plan))
+    if best.certificate is certificate:
+        return first
+    best = replace(best, stats={**best.stats, **_least_above(first, best)})
+    tried = certificate.settings.get("relations_tried")
+    more = {} if tried is None else {"relations_tried": tried}
+    return _with_record(best, {"levels": record, **more}, began)
+
+
+def _with_record(result: Synthesis, more: Mapping[str, Any], began: float) -> Synthesis:
+    """Return a synthesis whose certificate records how it was chosen."""
+    certificate = replace(result.certificate, settings={**result.certificate.settings, **more})
+    stats = {**result.stats, "seconds": {"abstract": 0.0, "synthesize": time.perf_counter() - began}}
+    if "relations_tried" in more:
+        stats["tried"] = more["relations_tried"]
+    return Synthesis(certificate, certificate.controller, stats)
+
+
+def _run_of_levels(problem: Problem, plan: Plan) -> Run:
+    """Return the synthesis of one level: with policies carried over two sweeps are enough."""
+
+    def run(abstraction: Abstraction, carried: Policies | None) -> Synthesis:
+        search, starts = plan.search, {}
+        if carried is not None:
+            search = replace(search, max_sweeps=min(search.max_sweeps, 2), restarts=0, good_share=GOOD_CARRIED)
+            starts = {"carried over": carried}
+        return _on(problem, abstraction, join(problem, abstraction, search.device), search, starts)
+
+    return run
 
 
 def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan, first: Synthesis) -> Synthesis:
@@ -286,48 +324,6 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan, first: Synthesi
     second = _compared(problem, cells, kinds, plan)
     best = max(first, second, key=lambda result: result.certificate.lower_bound)
     return replace(best, stats={**best.stats, **_least_above(first, second)})
-
-
-def _linear_levels(problem: Problem, plan: Plan) -> tuple[Synthesis | None, list[dict[str, Any]]]:
-    """Return the best synthesis on linear cells and the bound of every level; None if the first takes too long."""
-    best: Synthesis | None = None
-    before: Abstraction | None = None
-    record: list[dict[str, Any]] = []
-    policies: Policies | None = None
-    rank = GUESSED_RANK if problem.n_agents > 1 else 1
-    undecided = int((~problem.automaton.absorbing).sum())
-    width, is_flat = FIRST_WIDTH, False
-    for level in range(MOST_LEVELS):
-        # Twice as fine, or as fine as time allows for.
-        for finer in FINER if level else (1.0,):
-            try:
-                cells = level_cells(problem, width / finer)
-                abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
-            except RelationRefused:
-                return best, record
-            seconds = seconds_of(abstraction, problem.horizon, undecided, rank)
-            if seconds <= MOST_SECONDS:
-                break
-        else:
-            break
-        if is_flat and seconds > CHEAP_SECONDS:
-            break
-        search, starts = plan.search, {}
-        if policies is not None and before is not None:
-            search = replace(search, max_sweeps=min(search.max_sweeps, 2), restarts=0)
-            starts = {"carried over": carried_over(before, abstraction, policies)}
-        result = _on(problem, abstraction, join(problem, abstraction, search.device), search, starts)
-        bound, rank = result.certificate.lower_bound, min(result.certificate.rank, MOST_GUESSED_RANK)
-        record.append({"cells": [list(part.grid.shape) for part in result.certificate.agents], "lower_bound": bound})
-        gain = bound - (0.0 if best is None else best.certificate.lower_bound)
-        best = result if best is None or gain > 0.0 else best
-        # Where a level gained little, further ones are made only if they cost next to nothing.
-        is_flat = bool(level) and bound > 0.0 and gain < LEAST_GAIN
-        if bound >= SOLVED or (level and finer < FINER[0]):
-            break
-        before, policies = abstraction, tuple(part.policy for part in result.certificate.agents)
-        width /= finer
-    return best, record
 
 
 def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
@@ -340,19 +336,42 @@ def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
     """Return the best synthesis within a budget; the settings of its certificate record how the cells were chosen.
 
-    Relations are compared on the last cells only. The cells are chosen under the relations of the quick choice.
+    Linear cells come first where they are worth trying. Other relations are compared on the last cells only, which are
+    chosen under the relations of the quick choice.
     """
+    linear = None
+    if _may_be_linear(problem, kinds, plan):
+        try:
+            linear = _refined(problem, ["linear"] * problem.n_agents, plan, budget)
+        except RelationRefused:
+            if "auto" not in kinds:
+                raise
+        if linear is not None and ("auto" not in kinds or linear.certificate.lower_bound >= GOOD):
+            return linear
     quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
-    first = replace(plan, settings=plan.settings.of_kinds(quick))
-    best, record = refine(problem, lambda cells: _plain(problem, cells, quick, first), quick, budget)
+    best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)), budget)
+    record = best.stats["cells"]
     if quick != kinds:
         parts = zip(problem.agent_names, best.certificate.agents, strict=True)
         cells = {name: part.grid.shape for name, part in parts}
-        best = _compared(problem, cells, kinds, plan, best)
-    certificate = best.certificate
+        best = _recorded(_compared(problem, cells, kinds, plan, best), record)
+    if linear is not None and linear.certificate.lower_bound > best.certificate.lower_bound:
+        return linear
+    return best
+
+
+def _refined(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
+    """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
+    best, record = refine(problem, lambda cells: _plain(problem, cells, kinds, plan), kinds, budget)
+    return _recorded(best, record)
+
+
+def _recorded(result: Synthesis, record: Any) -> Synthesis:
+    """Return a synthesis whose certificate records how its cells were chosen."""
+    certificate = result.certificate
     if isinstance(certificate, Certificate):
         certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
-    return Synthesis(certificate, certificate.controller, {**best.stats, "cells": record})
+    return Synthesis(certificate, certificate.controller, {**result.stats, "cells": record})
 
 
 def _on(

@@ -78,12 +78,12 @@ def test_memory_is_used_and_kept(id: str, horizon: int, memory: float, relation:
 
 def test_runs_end_when_the_bound_changes_little(tmp_path: Path) -> None:
     problem = cg.make_problem("reach-avoid-v0", horizon=6)
-    found = cg.synthesize(problem, accuracy=0.01)
+    found = cg.synthesize(problem, accuracy=0.0005)
     record = found.stats["cells"]
-    assert isinstance(record, dict) and record["stopped"] == "the bound changed by less than 0.01"
+    assert isinstance(record, dict) and record["stopped"] == "the bound changed by less than 0.0005"
     bounds = [entry["lower_bound"] for entry in record["tried"]]
     assert (
-        abs(bounds[-1] - bounds[-2]) < 0.01 <= min(abs(a - b) for a, b in zip(bounds[:-2], bounds[1:-1], strict=True))
+        abs(bounds[-1] - bounds[-2]) < 0.0005 <= min(abs(a - b) for a, b in zip(bounds[:-2], bounds[1:-1], strict=True))
     )
     path = tmp_path / "c.npz"
     cg.save_certificate(found.certificate, path)

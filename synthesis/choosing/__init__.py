@@ -2,40 +2,18 @@
 
 from .cell_choice import Budget, refine
 from .given_start import policies_from
-from .levels import (
-    CHEAP_SECONDS,
-    FINER,
-    FIRST_WIDTH,
-    GOOD,
-    GUESSED_RANK,
-    LEAST_GAIN,
-    MOST_GUESSED_RANK,
-    MOST_LEVELS,
-    MOST_SECONDS,
-    SOLVED,
-    carried_over,
-    level_cells,
-    seconds_of,
-)
+from .levels import GOOD, Run, finer_levels, first_cells, linear_levels
 from .relation_choice import Tries, groups_of
 
 __all__ = [
     "Budget",
-    "CHEAP_SECONDS",
-    "FINER",
-    "FIRST_WIDTH",
     "GOOD",
-    "GUESSED_RANK",
-    "LEAST_GAIN",
-    "MOST_GUESSED_RANK",
-    "MOST_LEVELS",
-    "MOST_SECONDS",
-    "SOLVED",
+    "Run",
     "Tries",
-    "carried_over",
+    "finer_levels",
+    "first_cells",
     "groups_of",
-    "level_cells",
+    "linear_levels",
     "policies_from",
     "refine",
-    "seconds_of",
 ]

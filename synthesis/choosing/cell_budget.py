@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -44,6 +44,10 @@ MOST_NUMBERS = 24
 
 UNKNOWN_STATES = 3
 """Automaton states assumed for independent tasks, where the automaton of the whole is not built."""
+
+
+LINEAR_TABLES = 6.0
+"""What linear cells take against other relations: tables of hats, second differences and losses on top (measured)."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,8 @@ def _agent_cells(
         far = sum(abs(math.log(n / max(number, len(inside) + 1))) for n, number, inside in axes)
         scored.append((math.prod(per_cell), -sum(even), far, shape, per_cell))
     *_, shape, per_cell = min(scored)
-    return _sized(problem, agent, shape, per_cell, by_target)
+    sized = _sized(problem, agent, shape, per_cell, by_target)
+    return replace(sized, tables=LINEAR_TABLES * sized.tables) if relation == "linear" else sized
 
 
 def _numbers(low: float, high: float, boundaries: Sequence[float], wanted: float) -> list[tuple[int, bool]]:

@@ -1,25 +1,45 @@
-"""Cells made finer level by level under the relation ``linear``, each level begun with the policies of the last.
+"""Cells made finer level by level, each level begun with the policies of the last.
 
-The first cells are some standard deviations of the noise wide: a rough search is quick there. Each level halves them,
-as long as an estimate of its time allows for that; then they are made finer once more by as much as it does. Policies
-are carried over, so that a fine level needs one or two sweeps instead of a search. The estimate is counted from sizes,
-not taken from a clock: the same problem gives the same certificate on every machine.
+Under the relation ``linear`` the first cells are some standard deviations of the noise wide: a rough search is quick
+there. Under other relations the first level is a synthesis on default cells, among whose relations the best was taken.
+Each level halves the cells, as long as an estimate of its time allows for that; then they are made finer once more by
+as much as it does. Policies are carried over, so that a fine level needs one or two sweeps instead of a search. The
+estimate is counted from sizes, not taken from a clock: the same problem gives the same certificate on every machine.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
-from ..cells import region_boundaries
-from ..models import Abstraction, AffineChoices, AgentModel, Policies
+from ..cells import RelationRefused, region_boundaries
+from ..certificates import Synthesis
+from ..models import (
+    Abstraction,
+    AffineChoices,
+    BoxChoices,
+    Choices,
+    InputMenu,
+    Policies,
+    Settings,
+    TargetWindows,
+    abstraction_of,
+    has_full_rank,
+)
+from .carrying import carried_over
+from .cell_budget import cells_at
 
 FIRST_WIDTH = 2.5
 """Width of the first cells, in standard deviations of the noise."""
+
+FIRST_TUBE_WIDTH = 2.0
+"""The same for agents whose inputs do not reach every mean: tubes need narrower cells."""
 
 FINER = (2.0, 1.5, 1.25)
 """By how much cells are made finer: the most that time allows for; less than the first is tried only once."""
@@ -36,14 +56,23 @@ MOST_PARTS = 400
 FEWEST, MOST_PER_AXIS = 8, 2000
 """Fewest and most cells per axis."""
 
-MULTIPLICATIONS_PER_SECOND = 5e8
-"""Multiplications of smoothing, with its three tables and what goes with it."""
+MULTIPLICATIONS_PER_SECOND = 1.5e9
+"""Multiplications of smoothing, with what goes with it."""
+
+LINEAR_TABLES = 3
+"""Tables with which factors of linear agents are smoothed."""
 
 CELLS_PER_SECOND = 1e5
-"""Cells in which the best choice is found, or a value read, with one term."""
+"""Linear cells in which the best choice is found, or a value read, with one term."""
+
+WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
+"""The same for other relations, whose choices are lattice points, inputs that lead to lattice points, and boxes."""
 
 READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 """How often cells are read in a level, more often with a menu, and the terms that double the time of a reading."""
+
+SURELY = 0.7
+"""Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
 MOST_SECONDS = 40.0
 """Estimate up to which a level is begun: all levels together then take about a minute at most."""
@@ -56,6 +85,149 @@ GUESSED_RANK, MOST_GUESSED_RANK = 10, 20
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which no finer level is worth its time, and from which no other relation is tried."""
+
+Run = Callable[[Abstraction, Policies | None], Synthesis]
+"""Synthesis on finite models, from given policies or from the usual starts."""
+
+CellsOfWidth = Callable[[float], dict[str, tuple[int, ...]]]
+"""Cells of every agent that are about as wide as this, in standard deviations of the noise."""
+
+Record = list[dict[str, Any]]
+"""Cells and bound of every level."""
+
+
+def linear_levels(problem: Problem, settings: Settings, run: Run) -> tuple[Synthesis | None, Record]:
+    """Return the best synthesis on linear cells and the bound of every level; None if the first takes too long."""
+    levels = _Levels(problem, settings, ["linear"] * problem.n_agents, lambda width: level_cells(problem, width), run)
+    levels.climb(FIRST_WIDTH)
+    return levels.best, levels.record
+
+
+def finer_levels(problem: Problem, settings: Settings, first: Synthesis, run: Run) -> tuple[Synthesis, Record]:
+    """Return the best of a synthesis and of those on finer cells under its relations, and the bound of every level."""
+    parts = first.certificate.agents
+    kinds = [part.relation["kind"] for part in parts]
+    shapes = {agent.name: part.grid.shape for agent, part in zip(problem.agents, parts, strict=True)}
+
+    def cells_of(width: float) -> dict[str, tuple[int, ...]]:
+        return {name: agent_cells.shape for name, agent_cells in cells_at(problem, 1.0 / width, kinds).items()}
+
+    levels = _Levels(problem, settings, kinds, cells_of, run)
+    try:
+        before = abstraction_of(problem, shapes, kinds, settings)
+    except RelationRefused:  # relations with delta > 0 depend on more than their kinds
+        return first, []
+    levels.begin(before, first)
+    levels.climb(_widest(problem, shapes))
+    assert levels.best is not None
+    return levels.best, levels.record
+
+
+def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
+    """Return cells to begin with for agents with two states whose inputs do not reach every mean; None without such.
+
+    Their means fall on few lattice points if cells fit together, which default cells do not care for.
+    """
+    fitting = cells_at(problem, 1.0 / FIRST_TUBE_WIDTH, ["tube"] * problem.n_agents)
+    cells = {
+        agent.name: fitting[agent.name].shape
+        for agent in problem.agents
+        if agent.n_states == 2 and not has_full_rank(agent)
+    }
+    return cells or None
+
+
+class _Levels:
+    """Levels of cells under given relations, the best of them, and what the next one begins with."""
+
+    def __init__(
+        self, problem: Problem, settings: Settings, kinds: Sequence[str], cells_of: CellsOfWidth, run: Run
+    ) -> None:
+        self.problem, self.settings, self.kinds, self.cells_of, self.run = problem, settings, kinds, cells_of, run
+        self.best: Synthesis | None = None
+        self.record: Record = []
+        self.before: tuple[Abstraction, Policies] | None = None
+        self.rank = GUESSED_RANK if problem.n_agents > 1 else 1
+        self.undecided = int((~problem.automaton.absorbing).sum())
+
+    def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
+        """Take note of a level."""
+        certificate = result.certificate
+        self.rank = min(self.terms_of(result), MOST_GUESSED_RANK)
+        self.record.append(
+            {
+                "cells": [list(part.grid.shape) for part in certificate.agents],
+                "lower_bound": float(certificate.lower_bound),
+            }
+        )
+        self.before = abstraction, tuple(part.policy for part in certificate.agents)
+        if self.best is None or certificate.lower_bound > self.best.certificate.lower_bound:
+            self.best = result
+
+    def terms_of(self, result: Synthesis) -> int:
+        """Return the terms that a state is expected to have: as many as linear agents had at most, or as others mostly.
+
+        Linear cells are read in all states, those of other relations only where there is something to decide.
+        """
+        terms = result.certificate.terms
+        if "linear" in self.kinds or terms is None:
+            return int(result.certificate.rank)
+        return math.ceil(sum(len(rows) for rows in terms.index) / max(1, self.undecided))
+
+    def climb(self, width: float) -> None:
+        """Make levels from cells of this width on, until they gain little, or take too long."""
+        is_flat = False
+        for _ in range(MOST_LEVELS):
+            found = self.within_time(width)
+            if found is None:
+                return
+            abstraction, finer, seconds = found
+            if is_flat and seconds > CHEAP_SECONDS:
+                return
+            is_first, bound = self.before is None, self.bound
+            carried = None if self.before is None else carried_over(self.before[0], abstraction, self.before[1])
+            result = self.run(abstraction, carried)
+            self.begin(abstraction, result)
+            # Where a level gained little, further ones are made only if they cost next to nothing.
+            is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < LEAST_GAIN
+            if result.certificate.lower_bound >= SOLVED or (not is_first and finer < FINER[0]):
+                return
+            width /= finer
+
+    @property
+    def bound(self) -> float:
+        """The largest bound so far."""
+        return 0.0 if self.best is None else float(self.best.certificate.lower_bound)
+
+    def within_time(self, width: float) -> tuple[Abstraction, float, float] | None:
+        """Return finite models twice as fine, or as fine as time allows for, by how much, and their seconds."""
+        # Time grows with the cells at least, so that most levels that take too long need not be built to know it.
+        d = min(agent.n_states for agent in self.problem.agents)
+        least = 0.0 if self.before is None else SURELY * self.seconds(self.before[0])
+        for finer in FINER if self.before is not None else (1.0,):
+            if least * finer**d > MOST_SECONDS:
+                continue
+            try:
+                abstraction = abstraction_of(self.problem, self.cells_of(width / finer), self.kinds, self.settings)
+            except RelationRefused:
+                return None
+            seconds = self.seconds(abstraction)
+            if seconds <= MOST_SECONDS:
+                return abstraction, finer, seconds
+        return None
+
+    def seconds(self, abstraction: Abstraction) -> float:
+        """Return an estimate of the seconds of a level."""
+        return seconds_of(abstraction, self.problem.horizon, self.undecided, self.rank)
+
+
+def _widest(problem: Problem, shapes: dict[str, tuple[int, ...]]) -> float:
+    """Return the width of the widest cells, in standard deviations of the noise."""
+    widths = []
+    for agent in problem.agents:
+        deviations = np.sqrt(np.diag(agent.noise_covariance))
+        widths.append(np.max((agent.state_high - agent.state_low) / np.array(shapes[agent.name]) / deviations))
+    return float(max(widths))
 
 
 def level_cells(problem: Problem, width: float) -> dict[str, tuple[int, ...]]:
@@ -108,44 +280,18 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
             size = size / places[axis] * points[axis]
             smoothing += size * stored / points[axis]
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
-        reading *= 1.0 if isinstance(model.choices, AffineChoices) and model.choices.windows else MENU_READINGS
-        total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / CELLS_PER_SECOND
+        smoothing *= LINEAR_TABLES if isinstance(model.choices, AffineChoices) else 1
+        total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / _cells_per_second(model.choices)
     return horizon * n_states * total
 
 
-def carried_over(coarse: Abstraction, fine: Abstraction, policies: Policies) -> Policies:
-    """Return policies on finer cells that do what those on coarser cells did."""
-    triples = zip(coarse.models, fine.models, policies, strict=True)
-    return tuple(_carried(before, after, policy) for before, after, policy in triples)
-
-
-def _carried(before: AgentModel, after: AgentModel, policy: np.ndarray) -> np.ndarray:
-    """Return the policy (T, Q, S') of one agent."""
-    old, new = before.choices, after.choices
-    assert isinstance(old, AffineChoices) and isinstance(new, AffineChoices)
-    cell = before.grid.cell_of(after.grid.centres.T)
-    choices = policy[..., cell]
-    if not new.windows:
-        return np.ascontiguousarray(choices)
-    moved = after.grid.centres - before.grid.centres[cell]
-    carried = np.empty_like(choices)
-    for t, q in np.ndindex(choices.shape[:2]):
-        carried[t, q] = _targets(old, new, choices[t, q], moved)
-    return carried
-
-
-def _targets(old: AffineChoices, new: AffineChoices, choices: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Return the choices (S',) nearest to what coarse choices (S',) ask for, ``moved`` (S', d) from their centres."""
-    gain, point = np.divmod(np.maximum(choices, 0), old.n_points)
-    index = np.unravel_index(point, old.shape)
-    target = np.stack([axis[k] for axis, k in zip(old.lattice, index, strict=True)], axis=1) + gain[:, None] * moved
-    nearest = np.rint((target - new.origin) / new.pitch).astype(np.int64)
-    result = new.resting_choice.astype(np.int64)
-    for number, windows in enumerate(new.windows):
-        fits = (gain == number) & (choices >= 0) & np.all(windows.low < windows.high, axis=1)
-        clipped = np.clip(nearest, windows.low, np.maximum(windows.high - 1, windows.low))
-        flat = np.ravel_multi_index(tuple(np.clip(clipped, 0, np.array(new.shape) - 1).T), new.shape)
-        if not windows.relation.is_box:
-            fits &= windows.admissible(np.arange(len(flat)), flat)
-        result = np.where(fits, flat + number * new.n_points, result)
-    return result.astype(np.int32)
+def _cells_per_second(choices: Choices) -> float:
+    """Return how many cells are read in a second with one term."""
+    match choices:
+        case TargetWindows():
+            return WINDOWS_PER_SECOND
+        case InputMenu():
+            return MENUS_PER_SECOND
+        case BoxChoices():
+            return BOXES_PER_SECOND
+    return CELLS_PER_SECOND if choices.windows else CELLS_PER_SECOND / MENU_READINGS

@@ -27,6 +27,9 @@ CELLS_PER_BLOCK = 64
 NUMBERS_PER_BLOCK = 1 << 20
 """Numbers that a block may have on a device, which prefers a few large products."""
 
+NUMBERS_IN_CACHE = 4
+"""Part of ``NUMBERS_PER_BLOCK`` that the scores of a block may take on this machine, so that they stay in its cache."""
+
 TIE = 1e-12
 """Relative improvement below which the incumbent stays: more than rounding, less than any policy is worth."""
 
@@ -65,11 +68,20 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     else:
         # Block by block; blocks in which every cell has a choice and nothing weighs are left out.
         on_device = not isinstance(table, np.ndarray)
-        size = max(CELLS_PER_BLOCK, NUMBERS_PER_BLOCK // table.shape[1]) if on_device else CELLS_PER_BLOCK
-        in_block = _best_on_menu if isinstance(choices, InputMenu) else _best_in_window
         idle = to_host(~namespace(weights).any(weights != 0, axis=1)) & (points >= 0)
-        blocks = [block for block in choices.blocks(size) if not idle[block].all()]
-        results = [in_block(choices, block, take(weights, block, axis=0), table) for block in blocks]  # type: ignore[arg-type]
+        in_block: Any
+        if isinstance(choices, InputMenu):
+            # Menus need no neighbours in a block, so cells with something to decide are taken in large blocks.
+            in_block, busy = _best_on_menu, np.flatnonzero(~idle)
+            size = max(
+                CELLS_PER_BLOCK, NUMBERS_PER_BLOCK // (choices.leads_to.shape[1] * (len(table) if on_device else 4))
+            )
+            blocks = [busy[first : first + size] for first in range(0, len(busy), size)]
+        else:
+            in_block = _best_in_window
+            size = max(CELLS_PER_BLOCK, NUMBERS_PER_BLOCK // table.shape[1]) if on_device else CELLS_PER_BLOCK
+            blocks = [block for block in choices.blocks(size) if not idle[block].all()]
+        results = [in_block(choices, block, take(weights, block, axis=0), table) for block in blocks]
         best, score = np.full(n_cells, -1, dtype=np.int64), np.zeros(n_cells)
         for block, (chosen, value) in zip(blocks, results, strict=True):
             best[block], score[block] = chosen, value
@@ -85,6 +97,13 @@ def _best_on_menu(
 ) -> tuple[NDArray[Any], FloatArray]:
     """Return argmax and maximum of the objective over the inputs of a block of cells."""
     points = choices.leads_to[block]
+    if isinstance(table, np.ndarray):
+        # Row by row: the numbers that a row of the table gives to a block stay in the cache.
+        scores = np.zeros(points.shape)
+        for weight, row in zip(weights.T, table, strict=True):
+            if weight.any():
+                scores += weight[:, None] * row.take(points)
+        return _largest(scores)
     reached = take(table, points.ravel(), axis=1).reshape(len(table), *points.shape)
     return _largest(namespace(table).einsum("sn,nsa->sa", weights, reached))
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Policies
+from ..models import AgentModel, InputMenu, JointModel, Policies
 from ..values import Occupancy
 from .best_response import best_choices
 from .tree import read
@@ -159,6 +159,9 @@ def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, Fl
     new = {name: k for k, name in enumerate(names) if name not in computed}
     smoothed = model.kernel.smooth(masked[list(new.values())])
     for k, name in enumerate(new):
+        if isinstance(model.choices, InputMenu):  # the largest value is all that counts
+            computed[name] = smoothed[k].take(model.choices.leads_to).max(axis=1)
+            continue
         policy = _best(model, smoothed[[k]], model.choices.resting_choice)
         computed[name] = read(model.choices, smoothed[[k]], policy)[0]
     return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)

@@ -1,0 +1,79 @@
+"""Policies carried over from coarse cells to finer ones that do about the same (starts of a search, no guarantee)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models import Abstraction, AffineChoices, AgentModel, InputMenu, Policies, StepPolicy, TargetWindows
+from ..relations import CoupledRelation
+
+
+def carried_over(coarse: Abstraction, fine: Abstraction, policies: Policies) -> Policies:
+    """Return policies on finer cells that do what those on coarser cells did, under the same relations."""
+    triples = zip(coarse.models, fine.models, policies, strict=True)
+    return tuple(_carried(before, after, policy) for before, after, policy in triples)
+
+
+def _carried(before: AgentModel, after: AgentModel, policy: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the policy (T, Q, S') of one agent."""
+    old, new = before.choices, after.choices
+    cell = before.grid.cell_of(after.grid.centres.T)
+    choices = policy[..., cell]
+    if isinstance(old, TargetWindows) and isinstance(new, TargetWindows):
+        return _each_time(lambda chosen: _targets(old, new, chosen), choices)
+    if isinstance(old, AffineChoices) and isinstance(new, AffineChoices) and new.windows:
+        moved = after.grid.centres - before.grid.centres[cell]
+        return _each_time(lambda chosen: _affine_targets(old, new, chosen, moved), choices)
+    if isinstance(old, InputMenu) and isinstance(new, InputMenu):
+        # Each input becomes the nearest one of the other menu.
+        assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
+        apart = before.relation.inputs[:, None] - after.relation.inputs[None]
+        same = np.argmin(np.sum(apart**2, axis=2), axis=1)
+        choices = np.where(choices >= 0, same[np.maximum(choices, 0)], -1)
+    # Menus of linear cells and of mean boxes are the same on all grids.
+    return np.where(choices >= 0, choices, new.resting_choice).astype(np.int32)
+
+
+def _each_time(carry: Callable[[StepPolicy], StepPolicy], choices: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return choices (T, Q, S') carried over, one time and automaton state after the other to spare memory."""
+    carried = np.empty_like(choices)
+    for t, q in np.ndindex(choices.shape[:2]):
+        carried[t, q] = carry(choices[t, q])
+    return carried
+
+
+def _targets(old: TargetWindows, new: TargetWindows, choices: StepPolicy) -> StepPolicy:
+    """Return the admissible targets (S',) nearest to coarse targets (S',)."""
+    index = np.unravel_index(np.maximum(choices, 0), old.shape)
+    nearest = np.empty((len(choices), len(new.lattice)), dtype=np.int64)
+    for k, (axis, coarse) in enumerate(zip(new.lattice, old.lattice, strict=True)):
+        target = coarse[index[k]]
+        after = np.clip(np.searchsorted(axis, target), 1, len(axis) - 1)
+        nearest[:, k] = after - (target - axis[after - 1] < axis[after] - target)
+    clipped = np.clip(nearest, new.low, np.maximum(new.high - 1, new.low))
+    flat = np.ravel_multi_index(tuple(np.clip(clipped, 0, np.array(new.shape) - 1).T), new.shape)
+    fits = (choices >= 0) & np.all(new.low < new.high, axis=1)
+    fits &= new.admissible(np.arange(len(flat)), flat)
+    return np.where(fits, flat, new.resting_choice).astype(np.int32)
+
+
+def _affine_targets(
+    old: AffineChoices, new: AffineChoices, choices: StepPolicy, moved: NDArray[np.float64]
+) -> StepPolicy:
+    """Return the choices (S',) nearest to what coarse choices (S',) ask for, ``moved`` (S', d) from their centres."""
+    gain, point = np.divmod(np.maximum(choices, 0), old.n_points)
+    index = np.unravel_index(point, old.shape)
+    target = np.stack([axis[k] for axis, k in zip(old.lattice, index, strict=True)], axis=1) + gain[:, None] * moved
+    nearest = np.rint((target - new.origin) / new.pitch).astype(np.int64)
+    result = new.resting_choice.astype(np.int64)
+    for number, windows in enumerate(new.windows):
+        fits = (gain == number) & (choices >= 0) & np.all(windows.low < windows.high, axis=1)
+        clipped = np.clip(nearest, windows.low, np.maximum(windows.high - 1, windows.low))
+        flat = np.ravel_multi_index(tuple(np.clip(clipped, 0, np.array(new.shape) - 1).T), new.shape)
+        if not windows.relation.is_box:
+            fits &= windows.admissible(np.arange(len(flat)), flat)
+        result = np.where(fits, flat + number * new.n_points, result)
+    return result.astype(np.int32)

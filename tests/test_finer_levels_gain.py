@@ -1,0 +1,75 @@
+"""Levels of finer cells begin with what coarser ones found, and what they certify is valid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.choosing import levels as levels_of_cells
+from certigym.synthesis.choosing.carrying import carried_over
+from certigym.synthesis.models import Settings, abstraction_of
+from certigym.synthesis.relations import CoupledRelation
+
+
+def coordinate(name: str) -> cg.LinearAgent:
+    """Return an agent with position and velocity that starts two units from the goal."""
+    return cg.LinearAgent(
+        name=name,
+        A=[[1.0, 0.5], [0.0, 1.0]],
+        B=[[0.0], [0.5]],
+        noise_covariance=[[0.01, 0.0], [0.0, 0.01]],
+        state_low=[-3.0, -2.0],
+        state_high=[2.0, 2.0],
+        input_low=[-2.0],
+        input_high=[2.0],
+        initial_state=[-2.0, 0.0],
+    )
+
+
+def crossing(n_agents: int, horizon: int = 6) -> cg.Problem:
+    """Return the task that all agents are at the goal at once."""
+    agents = [coordinate(f"robot_{i}") for i in range(n_agents)]
+    goals = {f"goal_{i}": cg.Proposition(agents[i].name, low=[-0.5, -2.0], high=[1.0, 2.0]) for i in range(n_agents)}
+    task = cg.Specification("F (" + " & ".join(goals) + ")", "co-safe")
+    return cg.Problem(name="crossing", agents=agents, propositions=goals, specification=task, horizon=horizon)
+
+
+@pytest.mark.parametrize("kind", ["tube", "boxes"])
+def test_inputs_stay_the_same_on_finer_cells(kind: str) -> None:
+    """The input of a fine cell is that of the coarse cell around it, or the nearest one of a smaller menu."""
+    problem = crossing(1)
+    coarse, fine = (abstraction_of(problem, cells, [kind], Settings()) for cells in ((40, 16), (80, 32)))
+    before, after = coarse.models[0], fine.models[0]
+    choices = np.random.default_rng(0).integers(0, 3, (2, 2, before.n_cells)).astype(np.int32)
+    (carried,) = carried_over(coarse, fine, (choices,))
+    cell = before.grid.cell_of(after.grid.centres.T)
+    assert carried.shape == (2, 2, after.n_cells)
+    if kind == "boxes":
+        np.testing.assert_array_equal(carried, choices[..., cell])
+    else:
+        assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
+        old, new = before.relation.inputs, after.relation.inputs
+        apart = np.abs(old[choices[..., cell]] - new[carried])
+        nearest = np.abs(old[choices[..., cell]][..., None, :] - new).min(axis=-2)
+        np.testing.assert_array_equal(apart, nearest)
+
+
+def test_policies_without_a_choice_rest_on_finer_cells() -> None:
+    """Where coarse cells had no choice, fine ones take that which stays nearest to them."""
+    problem = crossing(1)
+    coarse, fine = (abstraction_of(problem, cells, ["tube"], Settings()) for cells in ((40, 16), (80, 32)))
+    nothing = np.full((1, 2, coarse.models[0].n_cells), -1, dtype=np.int32)
+    (carried,) = carried_over(coarse, fine, (nothing,))
+    np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)
+
+
+def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
+    monkeypatch.setattr(levels_of_cells, "MOST_SECONDS", 1.0)
+    problem = crossing(3, horizon=4)
+    synthesis = cg.synthesize(problem)
+    levels = synthesis.certificate.settings["levels"]
+    bounds = [level["lower_bound"] for level in levels]
+    assert len(levels) > 1 and max(bounds) == synthesis.certificate.lower_bound > bounds[0] + 0.01
+    assert cg.check(synthesis.certificate, problem).valid
