@@ -48,7 +48,7 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
     >>> import certigym as cg
     >>> problem = cg.make_problem("reach-avoid-v0", horizon=5)
     >>> certificate = cg.synthesize(problem, 60, relation="exact").certificate
-    >>> env = cg.shield(problem, certificate, probability=0.8)
+    >>> env = cg.shield(problem, certificate, probability=0.7)
     >>> observations, infos = env.reset(seed=0)
     >>> bool(0.0 < infos["agent_0"]["budget"] <= infos["agent_0"]["value"])
     True
