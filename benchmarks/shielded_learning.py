@@ -74,11 +74,11 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw success while exploring against world steps, one picture for each problem."""
     import matplotlib.pyplot as plt
 
-    names = sorted({row["problem"] for row in rows})
+    names = sorted({row["problem"] for row in rows if row["shielded"]["curve"]})
     figure, axes = plt.subplots(1, len(names), figsize=(3.2 * len(names), 2.6), sharey=True, squeeze=False)
     for axis, name in zip(axes[0], names, strict=True):
         for row in (row for row in rows if row["problem"] == name):
-            for way, colour in (("alone", "tab:orange"), ("shielded", "tab:blue")):
+            for way, colour in (("alone", "tab:orange"), ("shielded", "tab:blue")) if row["alone"]["curve"] else ():
                 axis.plot(*zip(*row[way]["curve"], strict=True), color=colour, lw=1.2, label=way)
             axis.axhline(row["p"], color="black", ls=":", lw=1.0, label="p")
         axis.set_title(name, fontsize=9)
@@ -97,11 +97,12 @@ def main() -> None:
     parser.add_argument("ids", nargs="*", default=list(IDS))
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1])
+    parser.add_argument("--page", action="store_true", help="only write table and picture from the numbers")
     parser.add_argument("--certificates", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/how-to/shielded_learning.json"))
     options = parser.parse_args()
     rows: list[dict[str, Any]] = json.loads(options.out.read_text("utf-8")) if options.out.is_file() else []
-    for name in options.ids:
+    for name in () if options.page else options.ids:
         rows = [row for row in rows if row["problem"] != name]
         rows += [learned(name, seed, options) for seed in options.seeds]
         options.out.write_text(json.dumps(rows) + "\n", encoding="utf-8")
