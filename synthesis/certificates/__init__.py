@@ -1,7 +1,7 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .certificate import Certificate, checked_certificate
-from .certificate_file import load_certificate, save_certificate
+from .certificate_file import UNREADABLE, certificate_bytes, certificate_in, load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
@@ -19,8 +19,11 @@ __all__ = [
     "EXACT_GAP",
     "ProductCertificate",
     "Synthesis",
+    "UNREADABLE",
     "as_certificate",
     "axis_tables",
+    "certificate_bytes",
+    "certificate_in",
     "checked_certificate",
     "grid_noise",
     "joint_states",
