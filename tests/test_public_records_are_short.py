@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.baselines import IdleController
 from certigym.synthesis.cells import Grid
+from certigym.synthesis.shielding import shield_of
 from certigym.validation.policies import Attempt
 
 MOST_CHARACTERS, MOST_LINES = 1500, 15
@@ -55,11 +56,13 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "InputTable": lambda: cg.InputTable(grid, np.zeros((20, 5, 500, 1))),
         "LinearAgent": lambda: problem.agents[0],
         "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
+        "Permission": lambda: cg.permit(exact_one(), probability=1e-3),
         "Probe": lambda: probe_of(certificate),
         "Problem": lambda: problem,
         "ProductCertificate": lambda: certificate,
         "Proposition": lambda: cg.Proposition("agent", np.zeros(200), np.ones(200)),
         "Rollouts": lambda: cg.rollout(problem, result, EPISODES),
+        "Shield": lambda: shield_of(exact_one(), 1e-3),
         "Specification": lambda: cg.Specification(formula, "co-safe"),
         "StressReport": lambda: cg.stress(result, EPISODES),
         "Synthesis": lambda: result,
@@ -84,6 +87,11 @@ def many_states() -> cg.Agent:
         input_low=[-1.0],
         input_high=[1.0],
     )
+
+
+def exact_one() -> cg.Synthesis:
+    """A certificate that has menus."""
+    return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=4), 60, relation="exact")
 
 
 def probe_of(certificate: Any) -> cg.Probe:

@@ -41,6 +41,8 @@ MAY_IMPORT = {
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
     "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES}",
+    "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.checking",
+    "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
     "synthesis.choosing",
@@ -48,9 +50,10 @@ MAY_IMPORT = {
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis",
-    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite validation.verdicts validation.audits "
-    "validation.policies",
+    "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.shielding",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.shielding validation.shields",
+    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis.permissions "
+    "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.search synthesis.bounds "
     "validation.verdicts",

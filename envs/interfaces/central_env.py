@@ -73,6 +73,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         self.problem = checked_problem(problem)
         self.render_mode = render_mode
+        self.options = {"reward": reward, "discount": discount, "dtype": dtype, "actions": actions, "infos": infos}
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._episode = Episode(self.problem, reward, discount, render_mode, infos=infos, disturbance=disturbance)
@@ -106,12 +107,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             joint_action = joint_action[None]
         if joint_action.shape != self.action_space.shape:
             raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
-        # Cut the joint action into those of the agents, and scale or clip each.
-        inputs = [
-            input_of(joint_action[columns], agent, self._actions, "action")
-            for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
-        ]
-        reward, terminated, truncated = self._episode.step(inputs, self.np_random)
+        reward, terminated, truncated = self._episode.step(self._inputs(joint_action), self.np_random)
         self._ended = terminated or truncated
         info = self._info()
         if self._ended:  # learners read the key in the last step alone
@@ -125,6 +121,13 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def close(self) -> None:
         """Close the window of the render mode "human"."""
         self._episode.close()
+
+    def _inputs(self, joint_action: np.ndarray) -> list[list[float]]:
+        """Return the inputs of the agents: the joint action cut into theirs, each scaled or clipped."""
+        return [
+            input_of(joint_action[columns], agent, self._actions, "action")
+            for columns, agent in zip(self.problem.input_columns, self._episode.one_world.agents)
+        ]
 
     def _observation(self) -> np.ndarray:
         world = self._episode.world

@@ -90,6 +90,15 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         }
         self.problem = problem
         self.render_mode = render_mode
+        self.options = {
+            "observation": observation,
+            "reward": reward,
+            "discount": discount,
+            "dtype": dtype,
+            "actions": actions,
+            "infos": infos,
+            "caption": caption,
+        }
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []
         self._episode = Episode(problem, reward, discount, render_mode, caption, infos, disturbance)

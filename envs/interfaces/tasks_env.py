@@ -65,6 +65,7 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.problem = problem
         self.render_mode = render_mode
         self.discount = discount
+        self.options = {"discount": discount, **options}
         self.tasks = tuple(ProblemEnv(task, render_mode, discount=discount, **options) for task in problem.tasks)
         self._task_of = {name: task for task in self.tasks for name in task.possible_agents}
         self.possible_agents = list(problem.agent_names)

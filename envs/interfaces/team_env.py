@@ -99,6 +99,13 @@ class TeamEnv:
     ) -> None:
         self._batch = ProblemVectorEnv(problem, num_envs, autoreset_mode="SameStep", actions=actions, **options)
         self.problem, self.num_envs, self.agents = self._batch.problem, num_envs, tuple(problem.agent_names)
+        self.options = {
+            "observation": observation,
+            "scale": scale,
+            "automaton": automaton,
+            "actions": actions,
+            **options,
+        }
         self._observation = checked_option(observation, "observation", OBSERVATIONS)
         self._scale = checked_option(scale, "scale", SCALES)
         self._automaton = checked_option(automaton, "automaton", AUTOMATON)

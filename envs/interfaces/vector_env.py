@@ -96,6 +96,14 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.discount = checked_discount(discount)
+        self.options = {
+            "autoreset_mode": self.autoreset_mode,
+            "reward": reward,
+            "discount": discount,
+            "dtype": dtype,
+            "actions": actions,
+            "spread": spread,
+        }
         self._dtype = checked_option(dtype, "dtype", PRECISIONS)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._dynamics = core.Dynamics.of(self.problem, disturbance)

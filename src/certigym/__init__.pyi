@@ -34,6 +34,12 @@ from .synthesis.controllers import InputTable as InputTable
 from .synthesis.horizons import synthesize_horizons as synthesize_horizons
 from .synthesis.horizons import without_deadline as without_deadline
 from .synthesis.models import abstract as abstract
+from .synthesis.permissions import Permission as Permission
+from .synthesis.permissions import check_permission as check_permission
+from .synthesis.permissions import load_permission as load_permission
+from .synthesis.permissions import permit as permit
+from .synthesis.permissions import save_permission as save_permission
+from .synthesis.shielding import Shield as Shield
 from .synthesis.synthesize import synthesize as synthesize
 from .validation.audits import AuditReport as AuditReport
 from .validation.audits import audit as audit
@@ -46,6 +52,8 @@ from .validation.policies import probe as probe
 from .validation.policies import record as record
 from .validation.policies import train as train
 from .validation.reports import report as report
+from .validation.shields import shield as shield
+from .validation.shields import shielded as shielded
 from .validation.simulation import Mismatch as Mismatch
 from .validation.simulation import Rollouts as Rollouts
 from .validation.simulation import TrialPlan as TrialPlan
@@ -72,11 +80,13 @@ __all__ = [
     "InputTable",
     "LinearAgent",
     "Mismatch",
+    "Permission",
     "Probe",
     "Problem",
     "ProductCertificate",
     "Proposition",
     "Rollouts",
+    "Shield",
     "Specification",
     "StressReport",
     "Synthesis",
@@ -92,20 +102,26 @@ __all__ = [
     "central_env",
     "certify",
     "check",
+    "check_permission",
     "check_rigorous",
     "compare",
     "improve",
     "leaderboard",
     "load_certificate",
+    "load_permission",
     "load_problem",
     "make_problem",
     "parallel_env",
+    "permit",
     "probe",
     "problem_ids",
     "record",
     "report",
     "rollout",
     "save_certificate",
+    "save_permission",
+    "shield",
+    "shielded",
     "split_axes",
     "stress",
     "synthesize",

@@ -1,7 +1,7 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .certificate import Certificate, checked_certificate
-from .certificate_file import load_certificate, save_certificate
+from .certificate_file import UNREADABLE, certificate_bytes, certificate_in, load_certificate, save_certificate
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .checked_laws import law_charge
 from .claim import Claim, joint_states
@@ -20,8 +20,11 @@ __all__ = [
     "EXACT_GAP",
     "ProductCertificate",
     "Synthesis",
+    "UNREADABLE",
     "as_certificate",
     "axis_tables",
+    "certificate_bytes",
+    "certificate_in",
     "checked_certificate",
     "grid_noise",
     "joint_states",

@@ -149,6 +149,17 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         ) from error
 
 
+def certificate_bytes(certificate: Certificate) -> bytes:
+    """Return the bytes of the file of a certificate of one task, to be put into another file."""
+    return _packed(certificate)
+
+
+def certificate_in(raw: bytes, max_bytes: int = MAX_BYTES) -> Certificate:
+    """Return the certificate of one task in the bytes of a file; raise one of ``UNREADABLE`` if there is none."""
+    header, arrays = _unarchived(raw, max_bytes)
+    return CertificateReader(header, arrays).certificate()
+
+
 def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """Return header and arrays of an archive, after their digest was checked."""
     # Look at the sizes before unpacking anything: a small file may announce gigabytes.

@@ -1,12 +1,16 @@
 """The proof done again, by code that no search reaches."""
 
 from .certificate_check import CheckReport, check
+from .execution import execution_of
 from .greedy import Greedy, greedy_disturbance
 from .later_values import ValueInTime, claimed_values, value_in_time
-from .regrown_tree import regrow
+from .linear_check import masks_of
+from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
+from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
 
 __all__ = [
+    "BrokenTreeError",
     "CheckReport",
     "Greedy",
     "RigorousReport",
@@ -14,7 +18,12 @@ __all__ = [
     "check",
     "check_rigorous",
     "claimed_values",
+    "execution_of",
+    "masks_of",
     "greedy_disturbance",
     "regrow",
+    "tree_start_value",
     "value_in_time",
+    "verify_relation",
+    "vertices_of",
 ]

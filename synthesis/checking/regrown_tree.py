@@ -7,7 +7,7 @@ built anew from the complementary error function, and united terms are regrown b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,21 +51,13 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
-        for q, (origin, merges, kept) in enumerate(zip(step.origin, step.merges, step.kept, strict=True)):
+        for q, kept in enumerate(step.kept):
             if certificate.problem.automaton.finished[q]:
                 rows.append(np.zeros((1, n_agents), dtype=np.int64))
                 continue
-            guard, child = origin[:, 0], origin[:, 1]
-            if np.any(guard >= len(certificate.guard_source)) or np.any(certificate.guard_source[guard] != q):
-                raise BrokenTreeError("its tree uses a guard of another automaton state")
-            if len(np.unique(origin, axis=0)) != len(origin):
-                raise BrokenTreeError("its tree lists a vertex twice")
-            below = _children(index, certificate.guard_target[guard], child, n_agents)
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
-            _check_merges(merges, kept)
-            for i, part in enumerate(certificate.agents):
-                keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
-                vertex = _unite(masks[i], factors[i], keys, merges, i, 1.0 if part.is_additive else KEPT)
+            vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
+            for i, (part, vertex) in enumerate(zip(certificate.agents, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent, tables_of_boxes = linear[i], boxes[i]
                 if tables_of_agent is not None:
@@ -94,6 +86,33 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def vertices_of(
+    certificate: Certificate, t: int, q: int, later: Terms, masks: Sequence[NDArray[np.bool_]]
+) -> Iterator[FloatArray]:
+    """Yield, agent by agent, the factors (N, places) of the vertices of time t before they are smoothed.
+
+    They are the factors of ``later``, the value function at time t + 1, masked by guards and united as the tree says.
+    The sum of the products of the vertices that are kept, read at the next state, is at most the value there.
+
+    Raises
+    ------
+    BrokenTreeError
+        If the certificate's tree is not a tree of its guards.
+    """
+    step = certificate.skeleton[t]
+    origin, merges, kept = step.origin[q], step.merges[q], step.kept[q]
+    guard, child = origin[:, 0], origin[:, 1]
+    if np.any(guard >= len(certificate.guard_source)) or np.any(certificate.guard_source[guard] != q):
+        raise BrokenTreeError("its tree uses a guard of another automaton state")
+    if len(np.unique(origin, axis=0)) != len(origin):
+        raise BrokenTreeError("its tree lists a vertex twice")
+    below = _children(list(later.index), certificate.guard_target[guard], child, len(certificate.agents))
+    _check_merges(merges, kept)
+    for i, part in enumerate(certificate.agents):
+        keys = np.stack([certificate.guard_mask[guard, i], below[:, i]], axis=1)
+        yield _unite(masks[i], later.factors[i], keys, merges, i, 1.0 if part.is_additive else KEPT)
 
 
 def tree_start_value(certificate: Certificate, terms: Terms) -> float:

@@ -15,7 +15,7 @@ the nearest cell, and always admissible.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -64,6 +64,10 @@ class AgentController:
             ("memory", "an abstract state" if self.is_coupled else "none"),
         ]
         return tree_text(f"AgentController {self.name!r}: {self.relation.kind} relation", rows)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is computed on first use: it holds functions, which are not pickled."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def is_coupled(self) -> bool:

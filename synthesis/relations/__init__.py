@@ -8,6 +8,7 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
+from .rounding import mean_loss
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
@@ -42,6 +43,7 @@ __all__ = [
     "exact_relation",
     "joint_delta",
     "linear_relation",
+    "mean_loss",
     "paper_relation",
     "product",
     "relation_from",

@@ -19,7 +19,7 @@ import numpy as np
 from ...envs.agents import AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, in_grid_coordinates, linear_agent
 from .exact import ExactRelation, exact_relation
-from .rounding import DENSITY, missed_cells, sizes_of
+from .rounding import mean_loss
 
 CARRIED_OUT_TWICE = 2.0
 """Factor on the rounding of a target: the centre of a cell and the gain enter it as well."""
@@ -89,11 +89,7 @@ class LinearRelation:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability."""
         if self.steers:
             return CARRIED_OUT_TWICE * self.steers[0].execution_loss(agent, edges)
-        # The input is a number of the menu; only the means themselves are computed, here and by the agent.
-        sizes = sizes_of(linear_agent(agent, self.kind), self.coordinates)
-        off = CARRIED_OUT_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
-        moved = DENSITY * float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
-        return moved + missed_cells(sizes, sizes.read, edges)
+        return mean_loss(linear_agent(agent, self.kind), self.coordinates, edges)
 
 
 def linear_relation(

@@ -27,6 +27,9 @@ DENSITY = 0.4
 COUPLING = 2e-12
 """Upper bound on what rounding changes in the law of noise that is drawn by a coupling, in total variation."""
 
+COMPUTED_TWICE = 2.0
+"""Factor on the rounding of a mean that is computed on either side."""
+
 BEYOND = 5.0
 """Standard deviations beyond what inputs reach within which all lattice points lie."""
 
@@ -140,6 +143,17 @@ def target_loss(
     is_small = distance < 1e-3 or sizes.moves.is_lawful
     mean = min(1.0, DENSITY * distance) if is_small else 1.0 - 2.0 * float(ndtr(-0.5 * distance))
     return mean + missed_cells(sizes, sizes.read, edges)
+
+
+def mean_loss(agent: LinearAgent, coordinates: FloatArray, edges: Sequence[FloatArray]) -> float:
+    """Return an upper bound on what a mean under a given input costs per step: it is computed here, and by the agent.
+
+    Both are off by rounding, and a cell may be misread; the cost is a probability.
+    """
+    sizes = sizes_of(agent, coordinates)
+    off = COMPUTED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
+    moved = DENSITY * float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
+    return moved + missed_cells(sizes, sizes.read, edges)
 
 
 def missed_cells(sizes: Sizes | Reading, off: FloatArray, edges: Sequence[FloatArray]) -> float:

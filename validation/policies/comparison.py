@@ -25,6 +25,7 @@ from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, Synthesis, as_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
+from ..shields import ShieldedController
 from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
 from ..statistics import clopper_pearson, holm, mean_limits, p_at_least
 from .rollout_policies import as_controller
@@ -298,7 +299,9 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
         return [Contestant(name, name, policy.information, actor, seconds=policy.seconds, seed=policy.seed)]
     # Any other controller is simulated as it is; a decentralised policy becomes one first.
     controller: Any = policy if hasattr(policy, "batch") else as_controller(problem, policy)
-    return [Contestant(name, name, _information(controller), controller)]
+    # A policy behind a shield has a bound, whoever proposes.
+    kept = controller.kept if isinstance(controller, ShieldedController) else None
+    return [Contestant(name, name, _information(controller), controller, kept)]
 
 
 def mcnemar(only_first: int, only_second: int) -> float:

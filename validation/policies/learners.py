@@ -27,6 +27,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from ...envs.interfaces import ProblemVectorEnv, checked_option
 from ...envs.problem import Problem
+from ...synthesis.shielding import Shield
+from ..shields import ShieldedVectorEnv
 from .views import CentralView, SharedView, View
 
 HORIZON_ENDS = ("truncated", "terminated")
@@ -48,6 +50,8 @@ class WorldsVecEnv(VecEnv):
         Share of the episodes that begin anywhere, as in `ProblemVectorEnv`; 0 for the problem's own starts.
     render_mode : None or "rgb_array"
         One picture per world, so that `VecVideoRecorder` of Stable-Baselines3 has something to film.
+    shield : Shield, optional
+        What keeps a success probability while the learner acts.
 
     Examples
     --------
@@ -67,19 +71,16 @@ class WorldsVecEnv(VecEnv):
         horizon_ends: str = "truncated",
         spread: float = 0.0,
         render_mode: str | None = None,
+        shield: Shield | None = None,
     ) -> None:
         self.view = view
         self.render_mode = render_mode
-        self.worlds = ProblemVectorEnv(
-            view.problem,
-            worlds,
-            autoreset_mode="SameStep",
-            reward=reward,
-            discount=discount,
-            actions="unit",
-            spread=spread,
-            render_mode=render_mode,
-        )
+        options: dict[str, Any] = {"reward": reward, "discount": discount, "actions": "unit", "spread": spread}
+        options |= {"autoreset_mode": "SameStep", "render_mode": render_mode}
+        if shield is None:
+            self.worlds = ProblemVectorEnv(view.problem, worlds, **options)
+        else:
+            self.worlds = ShieldedVectorEnv(view.problem, shield, worlds, **options)
         # If the horizon counts as an end, learners must not add the value of what would come after it.
         self._bootstrap = checked_option(horizon_ends, "horizon_ends", HORIZON_ENDS) == "truncated"
         self._returns, self._lengths = np.zeros(worlds), np.zeros(worlds, dtype=np.int64)

@@ -164,4 +164,5 @@ def _worlds(view: View, settings: Settings, phase: Phase) -> Any:
         discount=settings.gamma,
         horizon_ends="terminated",
         spread=phase.spread,
+        shield=settings.shield,
     )

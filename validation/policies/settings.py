@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from ...synthesis.shielding import Shield
 from .views import View
 
 FILE = Path(__file__).with_name("settings.toml")
 
-NO_LEARNER_TAKES = ("steps", "seconds", "worlds", "hidden", "phases")
+NO_LEARNER_TAKES = ("steps", "seconds", "worlds", "hidden", "phases", "shield")
 """Settings that are ours; all others go to Stable-Baselines3."""
 
 
@@ -53,6 +54,8 @@ class Settings:
     phases : tuple of Phase
     seconds : float or None
         Wall-clock time after which a training stops, if it has not taken its steps by then; cloning comes before.
+    shield : Shield, optional
+        What keeps a success probability while the learner acts.
     """
 
     steps: int
@@ -61,6 +64,7 @@ class Settings:
     learner: dict[str, Any]
     phases: tuple[Phase, ...]
     seconds: float | None = None
+    shield: Shield | None = None
 
     @property
     def gamma(self) -> float:

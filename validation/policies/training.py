@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ from ...envs.agents import checked_count, counted, tree_text, write_bytes, write
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
+from ...synthesis.shielding import Shield
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
 from .actors import Actor, networks_of, save_actor
@@ -153,6 +154,7 @@ def train(
     *,
     warm_start: Any = None,
     resume: str | Path | None = None,
+    shield: Shield | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> Training:
@@ -171,6 +173,10 @@ def train(
         that ``synthesize`` makes with its defaults. Not for SAC.
     resume : str or Path, optional
         Folder that ``Training.save`` has written: go on with its learner, with the settings of a warm start.
+    shield : Shield, optional
+        What keeps a success probability in every episode that begins at the problem's start, while the learner is
+        trained (`synthesis.shielding.shield_of`). The actor that is returned acts without it; put it behind the same
+        shield (`shielded`) to keep the probability.
     progress : callable, optional
         Called with the world steps taken since the last call and the latest success rate.
     **settings
@@ -186,11 +192,13 @@ def train(
     """
     problem = as_problem(problem)
     _check(algorithm, seed, warm_start, resume, steps=steps, worlds=settings.get("worlds"))
+    _check_shield(problem, shield)
     view = view_of(problem, algorithm)
     before = None if resume is None else _record(Path(resume), problem, algorithm)
     if before is not None:
         settings = {"hidden": before["settings"]["hidden"], **settings}
     used = settings_for(algorithm, view, warm=warm_start is not None or resume is not None, steps=steps, **settings)
+    used = replace(used, shield=shield)
     shown = None if warm_start is None else demonstrate(view, certificate_of(problem, warm_start).controller, seed=seed)
     began = time.perf_counter()
     model = new_learner(algorithm, view, used, seed)
@@ -203,6 +211,8 @@ def train(
     seconds = time.perf_counter() - began
     taken = int(model.num_timesteps) // view.rows
     helped = str(before["help"]) if before is not None else "" if shown is None else CLONED
+    if shield is not None:
+        helped = "; ".join(filter(None, (helped, f"trained behind a shield that keeps {shield.probability:.6g}")))
     return Training(
         problem, algorithm, int(seed), taken, seconds, tuple(watcher.curve), actor, used.to_dict(), model, helped
     )
@@ -289,6 +299,18 @@ def _record(folder: Path, problem: Problem, algorithm: str) -> dict[str, Any]:
         found = f"{record['algorithm']!r} on {record['problem']!r}"
         raise ValueError(f"`resume`: expected {algorithm!r} on {problem.name!r}, got {found}")
     return record
+
+
+def _check_shield(problem: Problem, shield: Any) -> None:
+    """Raise ValueError unless there is no shield, or one of the problem."""
+    if shield is not None and not isinstance(shield, Shield):
+        raise ValueError(
+            f"`shield`: expected a Shield of one task, got {type(shield).__name__}; make one with `shield_of`"
+        )
+    if shield is not None and shield.problem.fingerprint != problem.fingerprint:
+        raise ValueError(
+            f"`shield`: expected one of {problem.name!r}, got one about another problem ({shield.problem.name!r})"
+        )
 
 
 def _check(algorithm: str, seed: int, warm_start: Any, resume: Any, **counts: int | None) -> None:

@@ -15,6 +15,7 @@ from ..envs.suite import as_problem
 from ..synthesis.certificates import load_certificate, save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
+from ..synthesis.shielding import shield_of
 from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
 from ..validation.policies import (
@@ -51,6 +52,10 @@ def train(options: Namespace) -> int:
     chosen = {name: getattr(options, name) for name in ("worlds", "reward", "warm_start", "resume")}
     if options.warm_start is not None:  # one certificate for all seeds
         chosen["warm_start"] = certificate_of(problem, options.warm_start)
+    if (options.shield is None) != (options.probability is None):
+        raise ValueError("`--shield`, `--probability`: expected both or neither")
+    if options.shield is not None:  # one shield for all seeds
+        chosen["shield"] = shield_of(certificate_of(problem, options.shield), options.probability)
     drawn = chosen["warm_start"] or options.bound
     bound = certificate_of(problem, drawn).lower_bound if drawn and options.plot else None
     trainings, texts = [], []

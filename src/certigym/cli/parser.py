@@ -176,6 +176,14 @@ def _add_learning(commands: Any) -> None:
         metavar="certificate|CERT",
         help="clone certified controllers first: those of the file CERT, or of the certificate made with the defaults",
     )
+    train.add_argument(
+        "--shield",
+        metavar="certificate|CERT",
+        help="train behind the shield of the certificate CERT, or of one made with the defaults (with --probability)",
+    )
+    train.add_argument(
+        "--probability", type=float, metavar="P", help="success probability that the shield keeps while training"
+    )
     train.add_argument("--out", metavar="DIR", required=True, help="folder for actor, record, curve and learner")
     add_picture(train, "the training curve")
     train.add_argument(

@@ -1,0 +1,67 @@
+"""Permissive certificates on disk: one ``.npz`` with a JSON header and the file of the certificate inside."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...envs.agents import write_bytes
+from ..certificates import UNREADABLE, certificate_bytes, certificate_in
+from .permission import Menus, Permission
+
+FORMAT, VERSION = "certigym-permission", 1
+
+MAX_BYTES = 2 * 2**30
+"""Largest unpacked size that is read."""
+
+
+def save_permission(permission: Permission, path: str | Path) -> None:
+    """Write a permissive certificate to ``path`` (``.npz``), completely or not at all."""
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "lower_bound": permission.lower_bound,
+        "agents": len(permission.menus),
+        "fingerprint": permission.certificate.fingerprint,
+    }
+    inside = certificate_bytes(permission.certificate)
+    arrays: dict[str, Any] = {"certificate": np.frombuffer(inside, np.uint8)}
+    for i, menus in enumerate(permission.menus):
+        arrays |= {f"counts_{i}": menus.counts, f"choices_{i}": menus.choices}
+    file = io.BytesIO()
+    text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)
+    np.savez_compressed(file, allow_pickle=False, header=text, **arrays)
+    write_bytes(path, file.getvalue())
+
+
+def load_permission(path: str | Path) -> Permission:
+    """Return the permissive certificate in a file; it is well-formed then, not yet checked (``check_permission``).
+
+    Raises
+    ------
+    ValueError
+        If the file holds none.
+    """
+    try:
+        raw = Path(path).read_bytes()
+        # Look at the sizes before unpacking anything: a small file may announce gigabytes.
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_BYTES:
+                raise ValueError(f"it unpacks to more than {MAX_BYTES} bytes")
+        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
+            header = json.loads(arrays["header"].tobytes().decode())
+            if header["format"] != FORMAT or header["version"] != VERSION:
+                raise ValueError("it is a file of another kind")
+            menus = tuple(
+                Menus(arrays[f"counts_{i}"].astype(np.int32), arrays[f"choices_{i}"].astype(np.int32))
+                for i in range(int(header["agents"]))
+            )
+            certificate = certificate_in(arrays["certificate"].tobytes())
+        return Permission(certificate, menus, float(header["lower_bound"]))
+    except (OSError, *UNREADABLE) as error:
+        raise ValueError(f"`path`: expected a permissive certificate in {str(path)!r}, got none: {error}") from error

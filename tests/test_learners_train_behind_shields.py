@@ -1,0 +1,69 @@
+"""A training behind a shield keeps what is promised, says so, and is offered on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from scipy.stats import binom
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.synthesis.shielding import Shield, shield_of
+
+pytest.importorskip("stable_baselines3")
+
+FALSE_ALARM = 1e-6
+
+
+@pytest.fixture(scope="module")
+def shield() -> Shield:
+    problem = cg.make_problem("reach-avoid-v0", horizon=5).replace(initial_state=[-14.0, -4.0])
+    made = shield_of(cg.synthesize(problem, 60, relation="exact"), 0.75)
+    assert isinstance(made, Shield)
+    return made
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_training_episodes_succeed_as_promised(shield: Shield, algorithm: str) -> None:
+    """The steps of the training are fixed beforehand, and the episodes that are counted are a prefix."""
+    steps = 5000 if algorithm == "ppo" else 1500
+    training = cg.train(shield.problem, algorithm, steps, shield=shield, spread=0.0)
+    episodes = sum(int(point["episodes"]) for point in training.curve)
+    successes = sum(round(point["episodes"] * point["success"]) for point in training.curve)
+    assert episodes > 300
+    assert binom.cdf(successes, episodes, shield.probability) >= FALSE_ALARM
+    assert "behind a shield that keeps 0.75" in training.information
+    rate = cg.rollout(shield.problem, cg.shielded(training, shield), 2000)
+    assert binom.cdf(rate.successes, 2000, shield.probability) >= FALSE_ALARM
+
+
+def test_a_learner_that_is_not_shielded_fails_more_often(shield: Shield) -> None:
+    """The test above would notice."""
+    training = cg.train(shield.problem, "ppo", 2500, reward="sparse", spread=0.0)
+    episodes = sum(int(point["episodes"]) for point in training.curve)
+    successes = sum(round(point["episodes"] * point["success"]) for point in training.curve)
+    assert binom.cdf(successes, episodes, shield.probability) < FALSE_ALARM
+
+
+def test_the_command_line_trains_behind_a_shield(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = cg.make_problem("reach-avoid-v0", horizon=5)
+    file = str(tmp_path / "certificate.npz")
+    cg.save_certificate(cg.synthesize(problem, 60, relation="exact").certificate, file)
+    command = ["train", "reach-avoid-v0", "--horizon", "5", "--steps", "1000", "--out", str(tmp_path / "out")]
+    assert main([*command, "--shield", file, "--probability", "0.7"]) == 0
+    assert "trained behind a shield that keeps 0.7" in capsys.readouterr().out
+    record = json.loads((tmp_path / "out" / "training.json").read_text(encoding="utf-8"))
+    assert record["help"] == "trained behind a shield that keeps 0.7"
+    assert main([*command, "--shield", file]) == 2
+    assert "expected both or neither" in capsys.readouterr().err
+    assert main([*command, "--shield", file, "--probability", "0.95"]) == 2
+    assert "`probability`: expected at most 0.76" in capsys.readouterr().err
+
+
+def test_shields_that_do_not_fit_are_refused(shield: Shield) -> None:
+    with pytest.raises(ValueError, match="`shield`: expected one of 'reach-avoid-v0'"):
+        cg.train(cg.make_problem("reach-avoid-v0"), shield=shield)
+    with pytest.raises(ValueError, match="`shield`: expected a Shield of one task"):
+        cg.train(shield.problem, shield=shield.values.certificate)  # type: ignore[arg-type]

@@ -1,0 +1,147 @@
+"""Whoever keeps to the menus of a permissive certificate succeeds as promised; wrong menus are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import certigym as cg
+from certigym.envs.dynamics import Dynamics
+from certigym.envs.dynamics import worlds as core
+from certigym.synthesis.permissions import Menus
+from certigym.synthesis.shielding import ActionValues, action_values
+from certigym.validation.figures import menu_figure
+from shield_trials import moved, states_of
+
+FALSE_ALARM = 1e-6
+EPISODES = 5000
+
+
+@pytest.fixture(scope="module")
+def certificate() -> cg.Certificate:
+    problem = cg.make_problem("reach-avoid-v0", horizon=5).replace(initial_state=[-14.0, -4.0])
+    found = cg.synthesize(problem, 60, relation="exact").certificate
+    assert isinstance(found, cg.Certificate)
+    return found
+
+
+@pytest.fixture(scope="module")
+def permission(certificate: cg.Certificate) -> cg.Permission:
+    return cg.permit(certificate, probability=0.6)
+
+
+def successes(permission: cg.Permission, worst: bool, seed: int, values: ActionValues) -> int:
+    """Episodes that succeed under choices from the menus: random ones, or the worst of eight joint ones."""
+    problem, rng = permission.problem, np.random.default_rng(seed)
+    dynamics = Dynamics.of(problem)
+    worlds = core.initial(dynamics, rng, EPISODES)
+    for time in range(problem.horizon):
+        going = np.flatnonzero(~(worlds.failed | problem.automaton.absorbing[worlds.q]))
+        states = tuple(x[:, going] for x in states_of(dynamics, worlds))
+        q = int(worlds.q[going[0]])
+        assert np.all(worlds.q[going] == q)
+        best, least = None, np.full(len(going), np.inf)
+        for _ in range(8 if worst else 1):
+            tried = tuple(
+                chosen(permission, agent.name, x, q, time, rng) for agent, x in zip(problem.agents, states, strict=True)
+            )
+            worth = values.of_inputs(time, q, states, tried)
+            best = tried if best is None else best
+            for u, new in zip(best, tried, strict=True):
+                u[:, worth < least] = new[:, worth < least]
+            least = np.minimum(least, worth)
+        assert best is not None
+        worlds = moved(dynamics, worlds, going, best, rng)
+    return int(core.satisfied(dynamics, worlds).sum())
+
+
+def chosen(permission: cg.Permission, name: str, x: Any, q: int, time: int, rng: np.random.Generator) -> np.ndarray:
+    """Random choices from the menus of one agent at states (d, M), as inputs; the middle where there is no menu."""
+    allowed = permission.mask(name, x.T, q, time)
+    points = np.argmax(rng.random(allowed.shape) * allowed, axis=1)
+    box = permission.problem.agents[permission.problem.agent_names.index(name)].input_box
+    inputs = permission.inputs(name, x.T, points).T
+    return np.clip(np.where(allowed.any(axis=1), inputs, 0.0), box.low[:, None], box.high[:, None])
+
+
+@pytest.mark.parametrize("worst", [False, True])
+def test_whoever_keeps_to_the_menus_succeeds(permission: cg.Permission, worst: bool) -> None:
+    values = action_values(permission.certificate)
+    found = successes(permission, worst, 3, values)
+    assert permission.lower_bound >= 0.6
+    assert binom.cdf(found, EPISODES, permission.lower_bound) >= FALSE_ALARM
+
+
+def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: cg.Permission) -> None:
+    tight = cg.permit(certificate, probability=0.79)
+    loose = cg.permit(certificate, probability=0.2)
+    sizes = [sum(len(menus.choices) for menus in found.menus) for found in (tight, permission, loose)]
+    assert sizes[0] < sizes[1] < sizes[2]
+    for menus, part in zip(tight.menus, certificate.agents, strict=True):  # the certificate's own choices are on them
+        open_states = ~certificate.problem.automaton.absorbing
+        assert np.all((menus.counts > 0)[:, open_states] == (part.policy >= 0)[:, open_states])
+
+
+def test_menus_are_checked_and_saved(permission: cg.Permission, tmp_path: Path) -> None:
+    report = cg.check_permission(permission)
+    assert report and report.recomputed >= permission.lower_bound
+    cg.save_permission(permission, tmp_path / "menus.npz")
+    loaded = cg.load_permission(tmp_path / "menus.npz")
+    assert cg.check_permission(loaded) and loaded.lower_bound == permission.lower_bound
+    assert [path.name for path in tmp_path.iterdir()] == ["menus.npz"]
+    for mine, yours in zip(permission.menus, loaded.menus, strict=True):
+        np.testing.assert_array_equal(mine.choices, yours.choices)
+    (tmp_path / "other.npz").write_bytes(b"nothing")
+    with pytest.raises(ValueError, match="expected a permissive certificate"):
+        cg.load_permission(tmp_path / "other.npz")
+
+
+def test_wrong_menus_are_refused(permission: cg.Permission) -> None:
+    certificate, menus = permission.certificate, permission.menus
+    too_much = replace(permission, lower_bound=permission.lower_bound + 1e-6)
+    assert any("exceeds the recomputed" in text for text in cg.check_permission(too_much).failures)
+    # An input far beyond the box: the last lattice point for the first cell that has a choice.
+    choices = menus[0].choices.copy()
+    choices[0] = int(np.prod(certificate.agents[0].lattice_shape)) - 1
+    beyond = replace(permission, menus=(Menus(menus[0].counts, choices), *menus[1:]))
+    assert any("beyond its input box" in text for text in cg.check_permission(beyond).failures)
+    choices = menus[0].choices.copy()
+    choices[0] = 10**6
+    for wrong, words in (
+        ((Menus(menus[0].counts, choices), *menus[1:]), "not there"),
+        ((Menus(menus[0].counts, choices[1:]), *menus[1:]), "not as many choices"),
+        ((Menus(menus[0].counts[1:], choices), *menus[1:]), "do not fit"),
+        (menus[:1], "one set of menus"),
+    ):
+        assert any(words in text for text in cg.check_permission(replace(permission, menus=wrong)).failures)
+
+
+def test_menus_are_drawn(permission: cg.Permission) -> None:
+    pytest.importorskip("matplotlib")
+    figure = menu_figure(permission)
+    q = int(np.flatnonzero(~permission.problem.automaton.absorbing)[0])
+    drawn = np.asarray(figure.axes[0].collections[0].get_array()).reshape(5, -1)
+    np.testing.assert_array_equal(drawn, permission.menus[0].counts[:, q])
+    assert "control steps" in figure.axes[0].get_ylabel()
+    with pytest.raises(ValueError, match="`agent`: expected a number from 0 to 1"):
+        menu_figure(permission, agent=2)
+
+
+def test_what_has_no_menus_is_refused_in_words(certificate: cg.Certificate) -> None:
+    with pytest.raises(ValueError, match="`probability`: expected at most 0"):
+        cg.permit(certificate, probability=0.9)
+    with pytest.raises(ValueError, match="`probability`: expected a number"):
+        cg.permit(certificate, probability=0)
+    linear = cg.synthesize(certificate.problem, 40, relation="linear").certificate
+    with pytest.raises(ValueError, match="expected the relation 'exact' for all agents, got linear"):
+        cg.permit(linear, probability=0.1)
+    trains = cg.synthesize(certificate.problem, 40, relation="exact", value="train").certificate
+    with pytest.raises(ValueError, match="value tree"):
+        cg.permit(trains, probability=0.1)
+    with pytest.raises(ValueError, match="`agent`: expected one of"):
+        cg.permit(certificate, probability=0.5).mask("nobody", [[0.0]], 0, 0)
