@@ -214,8 +214,8 @@ def _check_certificate(certificate: Certificate) -> None:
         relation = part.relation_of(agent)
         if not isinstance(agent, LinearAgent) or agent.laws is not None:
             raise ValueError(
-                f"`certificate`: expected linear agents with Gaussian noise, got agent `{agent.name}` with another kind "
-                "of dynamics or noise; what its inputs are worth from where it is, a shield does not compute"
+                f"`certificate`: expected linear agents with Gaussian noise, got agent `{agent.name}`, which is not; "
+                "a shield does not compute what the inputs of others are worth where they are"
             )
         if relation.delta > 0.0:
             raise ValueError(
