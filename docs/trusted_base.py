@@ -40,7 +40,7 @@ TRUSTED = {
         "synthesis.controllers.controller synthesis.controllers.product_controller "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
-        "synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows "
+        "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
     ),
     "The check": (
@@ -48,7 +48,8 @@ TRUSTED = {
         "synthesis.checking.certificate_check "
         "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
-        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.own_intervals "
+        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.network_spans "
+        "synthesis.checking.own_intervals "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
         "synthesis.checking.upper_end"
     ),
@@ -57,6 +58,7 @@ TRUSTED = {
 
 VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
+    "synthesis.relations.network_bounds "
     "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""

@@ -44,6 +44,7 @@ from .models import (
     join,
     start_of,
 )
+from .raw_networks import certify_network
 from .search import FINAL, Limits, Search, Sweep, sweep
 
 WORTHWHILE = 1e-7
@@ -54,9 +55,17 @@ INSIDE = 0.999
 
 
 def certify(
-    problem: Any, policy: Policy, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
+    problem: Any,
+    policy: Policy,
+    cells: CellCounts = None,
+    *,
+    relation: Relations = "auto",
+    raw: bool = False,
+    **settings: Any,
 ) -> Synthesis:
     """Compute a certified lower bound on the satisfaction probability of ``policy`` as wrapped on a grid.
+
+    With ``raw`` the bound is about networks as they are deployed (``certify_network``).
 
     Parameters
     ----------
@@ -68,6 +77,8 @@ def certify(
         Cells per axis; with more cells the wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
         As for ``abstract``. Relations are not compared.
+    raw : bool
+        Whether to certify a trained actor as it is, not wrapped: the relation is ``boxes`` then.
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -82,6 +93,10 @@ def certify(
     ValueError
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
+    if raw:
+        if relation not in ("auto", "quick", "boxes"):
+            raise ValueError(f"`relation`: expected `boxes` with `raw`, got {relation!r}; leave it out")
+        return certify_network(problem, policy, cells, **settings)
     clock, problem = _Clock(), as_problem(problem)
     wrapped = _wrapped(problem, policy, cells, relation, settings)
     clock.abstracted()

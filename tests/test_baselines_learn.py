@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.relations import inputs_of
 from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
-from certigym.validation.policies.views import CentralView, SharedView, inputs_of
+from certigym.validation.policies.views import CentralView, SharedView
 from problems import two_agents
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
@@ -122,7 +123,7 @@ def test_rows_of_actions_reach_their_agents() -> None:
     actions = np.arange(2 * view.rows * view.n_actions, dtype=float).reshape(-1, view.n_actions)
     assert np.array_equal(view.joint_actions(actions), actions.reshape(2, -1))
     agent = RA2.agents[0]
-    assert inputs_of(agent, np.array([[-3.0, -1.0, 0.0, 0.5, 9.0]])).tolist() == [[-5.0, -5.0, 0.0, 2.5, 5.0]]
+    assert inputs_of(agent.input_box, np.array([[-3.0, -1.0, 0.0, 0.5, 9.0]])).tolist() == [[-5.0, -5.0, 0.0, 2.5, 5.0]]
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "central-ppo", "sac"])

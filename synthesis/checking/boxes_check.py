@@ -26,6 +26,7 @@ from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_
 from ..relations import commands_of
 from .geometry import cell_boxes
 from .mean_spans import mean_spans, steered_spans
+from .network_spans import network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
 """Half the L1 norms of the fourth derivative of the normal density, and of the product of two second ones; rounded up
@@ -174,8 +175,11 @@ def mean_positions(
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
         reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
+    low, high = mean - reach, mean + reach
+    for a in np.unique(choices[choices < network_modes(part)]):
+        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
     off = tables.off
-    return (mean - reach - off - first) / step, (mean + reach + off - first) / step
+    return (low - off - first) / step, (high + off - first) / step
 
 
 def below(table: FloatArray, slack: float) -> FloatArray:

@@ -43,6 +43,7 @@ from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .linear_check import places_of
+from .network_spans import wrong_networks
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
@@ -127,7 +128,7 @@ def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
     recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    for step in (_check_form, _check_grids):
+    for step in (_check_form, _check_grids, wrong_networks):
         failures = failures or step(certificate)
     if not failures:
         failures, margins, loss = _check_agents(certificate)

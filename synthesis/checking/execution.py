@@ -28,6 +28,7 @@ from ..controllers import AgentController
 from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation, commands_of
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
+from .network_spans import network_modes, network_spans
 
 UNIT = 2.0**-53
 
@@ -206,6 +207,9 @@ def _misread(s: _Setting, off: FloatArray) -> float:
 PROBES = 20_000
 """Points at which a controller without memory is run, over all times."""
 
+NETWORKED = 64
+"""Points of each time and automaton state at which a network is run: enclosures take longer than networks."""
+
 EPISODES, MOST_STEPS = 256, 25
 """Episodes, and steps of each, in which the memory of a coupled controller is followed."""
 
@@ -261,8 +265,15 @@ def _wrong_means(
     if not isinstance(agent, LinearAgent):
         return _wrong_written(agent, part, states, inputs, np.where(choice >= 0, cells, -1), np.maximum(choice, 0))
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+    networked = choice < network_modes(part)
+    for mode in np.unique(choice[networked & (choice >= 0)]):
+        here = np.flatnonzero(choice == mode)[:NETWORKED]
+        low, high = network_spans(agent, part, cells[here], int(mode))
+        beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
+        if np.any(beyond):
+            return ["its network was seen to lead beyond the means that it can lead to"]
     off = np.abs(mean - _asked_means(agent, part, np.maximum(choice, 0), cells, states))
-    if np.any((off > execution.mean[:, None]) & (choice >= 0)):
+    if np.any((off > execution.mean[:, None]) & (choice >= 0) & ~networked):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
 

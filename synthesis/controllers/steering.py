@@ -19,7 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, Grid
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Row, WrittenMeans, product, rows_of
+from ..relations import (
+    BoxRelation,
+    CoupledRelation,
+    ExactRelation,
+    LinearRelation,
+    NetworkMeans,
+    Row,
+    WrittenMeans,
+    product,
+    rows_of,
+)
 from .abstract_state import Memory
 
 MOST_AIMS = 1 << 22
@@ -180,6 +190,8 @@ class BoxSteering:
         inputs = self.relation.inputs(chosen, offsets)
         if isinstance(self.relation.means, WrittenMeans):
             inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs)
+        if isinstance(self.relation.means, NetworkMeans):
+            inputs = self.relation.means.replaced(chosen, points, q, time, inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]

@@ -24,6 +24,7 @@ from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import LinearKernel, hat_table
+from .network_model import NetworkChoices, network_abstraction, network_tables
 
 __all__ = [
     "Abstraction",
@@ -40,6 +41,7 @@ __all__ = [
     "Kernel",
     "LATTICE_BLOCK",
     "LinearKernel",
+    "NetworkChoices",
     "Policies",
     "REACH_DEVIATIONS",
     "Relations",
@@ -56,6 +58,8 @@ __all__ = [
     "hat_table",
     "join",
     "models_of",
+    "network_abstraction",
+    "network_tables",
     "relations_of",
     "start_of",
 ]

@@ -40,10 +40,14 @@ MOST_LATTICE = 50_000_000
 
 
 def box_model(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+    agent: AnyAgent,
+    grid: Grid,
+    coordinates: FloatArray,
+    per_cell: int | None = None,
+    relation: BoxRelation | None = None,
 ) -> tuple[BoxRelation, tuple[FloatArray, ...], BoxKernel, BoxChoices]:
-    """Return relation, lattice, kernel and choices under the relation ``boxes``."""
-    relation = relation_of(agent, grid, coordinates)
+    """Return relation, lattice, kernel and choices under the relation ``boxes``: a given one, or that of defaults."""
+    relation = relation_of(agent, grid, coordinates) if relation is None else relation
     menu, gains = relation.menu, relation.gains
     laws = grid_laws(agent, coordinates)
     deviations = np.array([law.std for law in laws])

@@ -1,6 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
-from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, box_relation
+from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, check_description, describe_relation, relation_from
@@ -8,6 +8,16 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
+from .networks import (
+    ACTIVATIONS,
+    Network,
+    NetworkPolicy,
+    OwnView,
+    inputs_of,
+    network_policy,
+    scaled,
+    write_task,
+)
 from .rounding import mean_loss
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
@@ -15,6 +25,7 @@ from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 from .written_means import WrittenMeans
 
 __all__ = [
+    "ACTIVATIONS",
     "BoxRelation",
     "Command",
     "CoupledRelation",
@@ -24,6 +35,10 @@ __all__ = [
     "LinearMeans",
     "LinearRelation",
     "MeanBoxes",
+    "Network",
+    "NetworkMeans",
+    "NetworkPolicy",
+    "OwnView",
     "Relation",
     "Row",
     "WrittenMeans",
@@ -41,14 +56,18 @@ __all__ = [
     "ellipsoid_relation",
     "ellipsoid_support",
     "exact_relation",
+    "inputs_of",
     "joint_delta",
     "linear_relation",
     "mean_loss",
+    "network_policy",
     "paper_relation",
     "product",
     "relation_from",
     "rows_of",
+    "scaled",
     "times",
     "tube_generators",
     "tube_relation",
+    "write_task",
 ]

@@ -8,7 +8,8 @@ cell s with centre c, choice a applies the input
 which is admissible on the whole closed cell. All that the finite model knows of the mean is that it lies in the box
 ``M(s, a)``; the kernel takes the least value over it (docs/theory/boxes.md). So nothing depends on how the boxes were
 made, and an agent needs no more than ``Enclosing``: boxes for all points of a cell, and inputs. Here they are made for
-linear agents, in ``written_means`` for those whose dynamics are expressions; kernel, search and tree are the same.
+linear agents, in ``written_means`` for those whose dynamics are expressions, in ``network_bounds`` for linear agents
+that a network moves; kernel, search and tree are the same.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .exact import INPUT_MARGIN
+from .network_bounds import mean_bounds
+from .networks import NetworkPolicy, network_policy
 from .rounding import missed_cells, reading_of, sizes_of
 from .written_means import WrittenMeans
 
@@ -102,13 +105,66 @@ class LinearMeans:
         return (self.A, self.B, self.offset)
 
 
+@dataclass(frozen=True, eq=False)
+class NetworkMeans:
+    """Boxes around the means of a linear agent that a network may move.
+
+    The first choices are the modes of the network (``NetworkPolicy``): choice ``t * states + q`` is what the network
+    does at time t in automaton state q, and its inputs in the menu stand for nothing. The others are as for
+    ``LinearMeans``.
+
+    Parameters
+    ----------
+    linear : LinearMeans
+    policy : NetworkPolicy
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    parts : int
+        Parts into which cells are cut along each axis to enclose the network.
+    """
+
+    linear: LinearMeans
+    policy: NetworkPolicy
+    coordinates: FloatArray
+    parts: int
+
+    def around(
+        self, low: FloatArray, high: FloatArray, menu: FloatArray, gains: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the corners (n, A, d) of boxes around the means from the closed cells ``[low, high]``, (n, d) each."""
+        first, last = self.linear.around(low, high, menu, gains)
+        moves, modes = (self.linear.A, self.linear.B, self.linear.offset), self.policy.n_modes
+        ends = mean_bounds(self.policy, moves, self.coordinates, (low, high), self.parts)
+        first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
+        return first, last
+
+    def replaced(
+        self, choices: NDArray[np.intp], points: FloatArray, q: NDArray[Any], time: int, inputs: FloatArray
+    ) -> FloatArray:
+        """Return ``inputs`` (m, n, M) with those of the network where it is chosen, at points (d, n, M) of the grid."""
+        asked = choices < self.policy.n_modes
+        states = points[:, asked]
+        if not np.array_equal(self.coordinates, np.eye(len(self.coordinates))):
+            states = self.coordinates @ states
+        own_q = np.broadcast_to(q, choices.shape)[asked]
+        result = np.array(inputs)
+        if states.size:
+            result[:, asked] = self.policy.inputs(states, own_q, min(time, self.policy.view.horizon - 1))
+        return result
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that boxes depend on, for comparing relations."""
+        return (*self.linear.arrays, *self.policy.arrays, np.array([self.parts]))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class BoxRelation:
     """Mean boxes of an agent (delta = 0, no memory); it is ``Enclosing``.
 
     Parameters
     ----------
-    means : LinearMeans or WrittenMeans
+    means : LinearMeans, WrittenMeans or NetworkMeans
         What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
@@ -120,7 +176,7 @@ class BoxRelation:
         Input box.
     """
 
-    means: LinearMeans | WrittenMeans
+    means: LinearMeans | WrittenMeans | NetworkMeans
     coordinates: FloatArray
     menu: FloatArray
     gains: FloatArray
@@ -229,7 +285,8 @@ def box_relation(
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
     written : mapping, optional
-        Further settings of ``WrittenMeans``: ``parts``, and which choices ``steer``.
+        Further settings of ``WrittenMeans``: ``parts``, and which choices ``steer``; or of ``NetworkMeans``: the
+        description of a ``network``, and ``parts``.
 
     Raises
     ------
@@ -242,7 +299,7 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | WrittenMeans
+    means: LinearMeans | WrittenMeans | NetworkMeans
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
@@ -254,6 +311,9 @@ def box_relation(
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
         means = _linear_means(linear_agent(agent, "boxes"), coordinates, gains)
+        if written and "network" in written:
+            policy = network_policy(written["network"], agent)
+            means = NetworkMeans(means, policy, coordinates, int(written["parts"]))
     return BoxRelation(means, coordinates, menu, gains, box.low, box.high)
 
 

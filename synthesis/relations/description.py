@@ -1,7 +1,7 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions),
+expressions, with ``"parts"`` and ``"network"`` where networks move agents),
 ``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -16,11 +16,12 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
-from .boxes import BoxRelation, box_relation
+from .boxes import BoxRelation, NetworkMeans, box_relation
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
+from .networks import check_network
 from .scalar import paper_relation
 from .tube import tube_relation
 from .written_means import WrittenMeans
@@ -68,6 +69,8 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
         if isinstance(relation.means, WrittenMeans):
             steer = relation.means.steer
             written = {"parts": relation.means.parts, "steer": [] if steer is None else steer.tolist()}
+        if isinstance(relation.means, NetworkMeans):
+            written = {"parts": relation.means.parts, "network": relation.means.policy.description}
         return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
@@ -95,7 +98,9 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     kind = description["kind"]
     if kind == "boxes":
         menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
-        written: dict[str, Any] = {name: description[name] for name in ("parts", "steer") if name in description}
+        written: dict[str, Any] = {
+            name: description[name] for name in ("parts", "steer", "network") if name in description
+        }
         return box_relation(agent, coordinates, menu, gains, written)
     agent = linear_agent(agent, kind)
     if kind == "exact":
@@ -132,16 +137,22 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     is_written = isinstance(agent, Agent)
     if is_written != (description["kind"] == "boxes" and "parts" in description and "steer" in description):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
-    if (description["kind"] == "linear" or is_written) and description["parts"] not in range(1, MOST_PARTS + 1):
+    has_network = description["kind"] == "boxes" and "network" in description
+    in_parts = description["kind"] == "linear" or is_written or has_network
+    if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
+    if has_network:
+        if is_written:
+            raise ValueError("it has a network for an agent whose dynamics are expressions")
+        check_network(description["network"], agent, len(description["menu"]))
+    if (is_written or has_network) and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if is_written:
         steer = description["steer"]
         if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
         if len(steer) != len(description["menu"]):
             raise ValueError("a relation has other choices that steer than its menu")
-        if description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
-            raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}

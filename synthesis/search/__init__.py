@@ -1,6 +1,6 @@
 """The search for policies: starts, coordinate ascent, relaxations."""
 
-from .ascent import Sweep, forward, start_value, sweep
+from .ascent import Stage, Sweep, forward, start_value, sweep
 from .best_response import best_choices
 from .limits import Limits
 from .policy_search import FINAL, MANY_TERMS, Found, Search, find_policies
@@ -18,6 +18,7 @@ __all__ = [
     "MANY_TERMS",
     "Relaxation",
     "Search",
+    "Stage",
     "Sweep",
     "TrainSweep",
     "assemble",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,44 +20,16 @@ from ...envs.agents import write_bytes
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
+from ...synthesis.relations import ACTIVATIONS, Network, NetworkPolicy, inputs_of
 from ..simulation import BatchPolicy
 from .rollout_policies import as_controller
-from .views import CentralView, SharedView, View, inputs_of
+from .views import CentralView, SharedView, View
 
 Array = NDArray[Any]
 VIEWS = {"shared": SharedView, "team": SharedView, "central": CentralView}
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 ACTOR_FORMAT = "certigym actor 1"
 """Name and version of the file format."""
-
-
-@dataclass(frozen=True, eq=False)
-class Network:
-    """A feed-forward network: layers ``x -> x W' + b`` with an activation between them.
-
-    Parameters
-    ----------
-    weights : tuple of (out, in) arrays
-    biases : tuple of (out,) arrays
-    activation : "tanh" or "relu"
-    squashed : bool
-        Whether the last layer goes through tanh (SAC); otherwise it is clipped to [-1, 1] (PPO).
-    """
-
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-    activation: str
-    squashed: bool
-
-    def actions(self, rows: Array) -> Array:
-        """Return actions (N, m) in [-1, 1] for observations (N, n)."""
-        # In single precision, as torch computes them.
-        hidden, apply = np.asarray(rows, dtype=np.float32), ACTIVATIONS[self.activation]
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            hidden = apply(hidden @ weight.T + bias)
-        last = hidden @ self.weights[-1].T + self.biases[-1]
-        return np.asarray(np.tanh(last) if self.squashed else np.clip(last, -1.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +50,13 @@ class SharedActor:
 
     def inputs(self, agent: int, states: Array, q: Array, time: int) -> Array:
         """Return the inputs (m, N) of one agent at states (d, N), automaton states (N,) and a time."""
-        rows = SharedView(self.problem).agent_rows(agent, states, q, time)
+        return self.agent_policy(agent).inputs(states, q, time)
+
+    def agent_policy(self, agent: int) -> NetworkPolicy:
+        """Return the policy of one agent."""
         moved = self.problem.agents[agent]
-        return inputs_of(moved, self.network.actions(rows)[:, : moved.n_inputs].T.astype(float))
+        view = SharedView(self.problem).of_agent(agent)
+        return NetworkPolicy(self.network, view, moved.workspace, moved.input_box)
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """Return the policy for batched rollouts."""
@@ -107,7 +82,11 @@ class TeamActor:
 
     def inputs(self, agent: int, states: Array, q: Array, time: int) -> Array:
         """Return the inputs (m, N) of one agent at states (d, N), automaton states (N,) and a time."""
-        return SharedActor(self.problem, self.networks[agent]).inputs(agent, states, q, time)
+        return self.agent_policy(agent).inputs(states, q, time)
+
+    def agent_policy(self, agent: int) -> NetworkPolicy:
+        """Return the policy of one agent."""
+        return SharedActor(self.problem, self.networks[agent]).agent_policy(agent)
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """Return the policy for batched rollouts."""
@@ -150,7 +129,7 @@ class _CentralBatch:
         rows = CentralView(problem).observations(joint(self.dynamics, worlds), worlds.q, worlds.time)
         actions = self.actor.network.actions(rows).astype(float).T
         pairs = zip(problem.agents, problem.input_columns, strict=True)
-        inputs = [inputs_of(agent, actions[columns]) for agent, columns in pairs]
+        inputs = [inputs_of(agent.input_box, actions[columns]) for agent, columns in pairs]
         return tuple(np.stack([inputs[i] for i in block.agents], axis=1) for block in self.dynamics.blocks), None
 
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ...synthesis.controllers import LOCAL
+from ...synthesis.relations import OwnView, scaled, write_task
 
 Array = NDArray[Any]
 
@@ -54,13 +54,12 @@ class SharedView:
 
     def agent_rows(self, agent: int, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
         """Return observations (N, size) of one agent at states (d, N), automaton states (N,) and times, one or (N,)."""
-        # Columns: the state, filled up with zeros; the automaton state; the time left; which agent it is.
-        seen = self.problem.agents[agent]
-        rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
-        rows[:, : seen.n_states] = _scaled(seen, states).T
-        _shared(self.problem, rows, self.width, q, time)
-        rows[:, self.width + self.problem.automaton.n_states + 1 + agent] = 1.0
-        return rows
+        return self.of_agent(agent).rows(self.problem.agents[agent].workspace, states, q, time)
+
+    def of_agent(self, agent: int) -> OwnView:
+        """Return what the agent with this number sees."""
+        problem = self.problem
+        return OwnView(agent, problem.n_agents, self.width, problem.automaton.n_states, problem.horizon)
 
     def observations(self, joint: Array, q: Array, time: Array) -> NDArray[np.float32]:
         """Return observations (M * agents, size) at joint states (M, D)."""
@@ -110,8 +109,9 @@ class CentralView:
         """Return observations (M, size) at joint states (M, D)."""
         rows = np.zeros((len(joint), self.size), dtype=np.float32)
         for agent, columns in zip(self.problem.agents, self.problem.columns, strict=True):
-            rows[:, columns] = _scaled(agent, joint[:, columns].T).T
-        _shared(self.problem, rows, self.problem.n_states, q, time)
+            rows[:, columns] = scaled(agent.workspace, joint[:, columns].T).T
+        left = 1.0 - np.asarray(time) / self.problem.horizon
+        write_task(rows, self.problem.n_states, self.problem.automaton.n_states, q, left)
         return rows
 
     def joint_actions(self, actions: Array) -> Array:
@@ -151,23 +151,3 @@ class TeamView(SharedView):
 
 View = SharedView | CentralView
 """Of a decentralised policy (``TeamView`` is one, too), or of one that sees all states."""
-
-
-def inputs_of(agent: AnyAgent, actions: Array) -> Array:
-    """Return the inputs (m, N) within the input box for which actions (m, N) in [-1, 1] stand."""
-    low, high = agent.input_box.low[:, None], agent.input_box.high[:, None]
-    middle, half = 0.5 * low + 0.5 * high, 0.5 * high - 0.5 * low
-    return np.clip(middle + half * np.clip(actions, -1.0, 1.0), low, high)
-
-
-def _scaled(agent: AnyAgent, states: Array) -> Array:
-    """Return states (d, N) moved into the workspace and scaled to [-1, 1]; NaN counts as the lower corner."""
-    low, high = agent.workspace.low[:, None], agent.workspace.high[:, None]
-    inside = np.clip(np.where(np.isnan(states), low, states), low, high)
-    return 2.0 * (inside - low) / (high - low) - 1.0
-
-
-def _shared(problem: Problem, rows: Array, first: int, q: Array, time: Any) -> None:
-    """Write the automaton state (one-hot) and the share of time left into the columns from ``first`` on."""
-    rows[np.arange(len(rows)), first + np.asarray(q)] = 1.0
-    rows[:, first + problem.automaton.n_states] = 1.0 - np.asarray(time) / problem.horizon

@@ -1,0 +1,214 @@
+"""Boxes around the means under networks, written a second time: the search's are not used (``relations``).
+
+Affine forms go forward through the network, from the state to the mean. A number of a layer is ``a e + b + sum_j p_j
+y_j`` with the offset e of the state from the centre of its cell, and symbols y_j between -1 and 1, one for each number
+of the layers before. A bent function adds a symbol: between the ends of its argument it is a line, the chord, up to a
+radius. The rows that the network sees are made here from the problem, and what single precision is off by is added in
+every layer (docs/theory/networks.md).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray
+from ..certificates import AgentPart, Certificate
+from .geometry import cell_boxes
+
+HALF_UNIT, TINY = 2.0**-24, 2.0**-126
+"""Largest relative rounding in single precision, and what underflow adds."""
+
+TANGENS = 2.0**-21
+"""Largest relative error of the hyperbolic tangent in single precision."""
+
+SPARE, LATER = 1.0 + 2e-8, 2e-11
+"""Factor on these, for what is computed here in double precision, where rounding is 2e-9 of that in single; and what is
+added at the end, in units of the largest move of an input. The search takes more of both."""
+
+BOXES_AT_ONCE = 64
+"""Cells whose forms are carried along at once: some ten thousand numbers each, which stay in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forms:
+    """Numbers (C, n) of C cells as affine forms.
+
+    ``slopes`` (C, n, d); ``constants`` (C, n); ``symbols`` (C, n, s), coefficients of what earlier layers are off by;
+    ``own`` (C, n), those of a symbol that each number has to itself.
+    """
+
+    slopes: FloatArray
+    constants: FloatArray
+    symbols: FloatArray
+    own: FloatArray
+
+    def between(self, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Least and largest numbers (C, n)."""
+        spread = (np.abs(self.slopes) @ half[:, :, None])[:, :, 0] + np.abs(self.symbols).sum(axis=2) + self.own
+        return self.constants - spread, self.constants + spread
+
+    def through(self, matrix: FloatArray, shift: FloatArray) -> Forms:
+        """Forms of ``matrix @ numbers + shift``."""
+        symbols = np.concatenate([matrix @ self.symbols, matrix * self.own[:, None, :]], axis=2)
+        constants = self.constants @ matrix.T + shift
+        return Forms(matrix @ self.slopes, constants, symbols, np.zeros(constants.shape))
+
+    def bent(self, share: FloatArray, shift: FloatArray, radius: FloatArray) -> Forms:
+        """Forms of ``share * number + shift`` with a new symbol of a radius for each number, (C, n) each."""
+        scale = share[:, :, None]
+        return Forms(self.slopes * scale, self.constants * share + shift, self.symbols * scale, radius)
+
+
+def network_modes(part: AgentPart) -> int:
+    """Number of choices that are what a network does at a time in an automaton state; 0 without a network."""
+    network = part.relation.get("network")
+    return 0 if network is None else int(network["horizon"]) * int(network["states"])
+
+
+def network_spans(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d), in grid coordinates, of boxes around the means from closed cells under a mode of the network.
+
+    What means are off by in floating point besides the network is not in them.
+    """
+    low, high = (corner[cells] for corner in cell_boxes(part))
+    parts, d = int(part.relation["parts"]), low.shape[1]
+    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    for which in itertools.product(range(parts), repeat=d):
+        left = low + (high - low) * np.array(which) / parts
+        right = low + (high - low) * (np.array(which) + 1) / parts
+        for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
+            least, most = _mean_between(agent, part, left[some], right[some], mode)
+            first[some], last[some] = np.minimum(first[some], least), np.maximum(last[some], most)
+    return first, last
+
+
+def _mean_between(
+    agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+) -> tuple[FloatArray, FloatArray]:
+    """Least and largest means (C, d) from boxes of states with corners (C, d) in grid coordinates."""
+    network, inverse = part.relation["network"], np.linalg.inv(part.coordinates)
+    if np.array_equal(part.coordinates, np.eye(len(inverse))):
+        inverse = np.eye(len(inverse))
+    A, B, c = inverse @ agent.A @ part.coordinates, inverse @ agent.B, inverse @ agent.offset
+    middle, half = 0.5 * (left + right), 0.5 * (right - left) * (1.0 + 1e-13)
+    forms, low, high, off = _seen(agent, part, middle, half, mode)
+    layers = list(zip(network["weights"], network["biases"], strict=True))
+    for k, (weights, biases) in enumerate(layers):
+        is_last = k == len(layers) - 1
+        matrix, shift = np.array(weights, dtype=float), np.array(biases, dtype=float)
+        if is_last:
+            matrix, shift = matrix[: agent.n_inputs], shift[: agent.n_inputs]
+        # What sums of products are off by in any order: a rounding for each number, and two more.
+        count = matrix.shape[1] + 2
+        rounding = np.maximum(np.abs(low), np.abs(high)) @ np.abs(matrix).T + np.abs(shift)
+        rounding = (rounding * (count * HALF_UNIT / (1.0 - count * HALF_UNIT)) + count * TINY) * SPARE
+        if k == 0:
+            rounding = rounding + off @ np.abs(matrix).T * SPARE
+        positive, negative = np.where(matrix > 0, matrix, 0.0), np.where(matrix < 0, matrix, 0.0)
+        plain = low @ positive.T + high @ negative.T + shift, high @ positive.T + low @ negative.T + shift
+        forms = forms.through(matrix, shift)
+        low, high = forms.between(half)
+        low, high = np.maximum(low, plain[0]) - rounding, np.minimum(high, plain[1]) + rounding
+        kind = network["activation"] if not is_last else ("tanh" if network["squashed"] else "cut")
+        share, shifted, radius = chord(kind, low, high)
+        forms = forms.bent(share, shifted, radius + share * rounding)
+        low, high = _ends(kind, low, high)
+    box = agent.input_box
+    gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
+    total = forms.through(gain, np.zeros(len(gain)))
+    least, most = Forms(total.slopes + A, total.constants + still, total.symbols, total.own).between(half)
+    up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
+    spare = np.abs(B) @ (LATER * (np.abs(box.low) + np.abs(box.high)))
+    least = np.maximum(least, still - moved + low @ up.T + high @ down.T) - spare
+    return least, np.minimum(most, still + moved + high @ up.T + low @ down.T) + spare
+
+
+def _seen(
+    agent: LinearAgent, part: AgentPart, middle: FloatArray, half: FloatArray, mode: int
+) -> tuple[Forms, FloatArray, FloatArray, FloatArray]:
+    """Forms of the rows that the network sees in a mode, their least and largest numbers, and what they are off by."""
+    network = part.relation["network"]
+    time, q = divmod(mode, network["states"])
+    (n, d), width = middle.shape, int(network["width"])
+    size = width + network["states"] + 1 + network["agents"]
+    scale = 2.0 / (agent.workspace.high - agent.workspace.low)
+    slopes, constants, off = np.zeros((n, size, d)), np.zeros((n, size)), np.zeros((n, size))
+    slopes[:, :d] = scale[:, None] * part.coordinates
+    constants[:, :d] = (middle @ part.coordinates.T - agent.workspace.low) * scale - 1.0
+    # States are scaled in double precision, and the row rounded to single.
+    reach = np.abs(constants[:, :d]) + half @ np.abs(slopes[0, :d]).T
+    doubled = 2.0**-50 * (1.0 + scale * (np.abs(agent.workspace.low) + np.abs(agent.workspace.high)))
+    off[:, :d] = HALF_UNIT * reach + doubled
+    constants[:, width + q] = 1.0
+    constants[:, width + network["states"]] = float(np.float32(1.0 - time / network["horizon"]))
+    constants[:, width + network["states"] + 1 + network["agent"]] = 1.0
+    forms = Forms(slopes, constants, np.zeros((n, size, 0)), np.zeros((n, size)))
+    low, high = forms.between(half)
+    return forms, low - off, high + off, off
+
+
+def chord(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slopes, constants and radii of lines around the tangent, the positive part, or numbers cut to [-1, 1]."""
+
+    def value(z: FloatArray) -> FloatArray:
+        return np.tanh(z) if kind == "tanh" else np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))
+
+    wide = high - low > 1e-12
+    slope = np.where(wide, (value(high) - value(low)) / np.where(wide, high - low, 1.0), 0.0)
+    slope = np.minimum(np.maximum(slope, 0.0), 1.0)
+    # What is left is extreme at the ends, or where the function has the slope of the line, or a kink.
+    turns = {"relu": [np.zeros_like(low)], "cut": [-np.ones_like(low), np.ones_like(low)]}.get(kind, [])
+    if kind == "tanh":
+        where = np.arctanh(np.minimum(np.sqrt(1.0 - slope), 1.0 - 1e-16))
+        turns = [where, -where]
+    rest = [value(z) - slope * z for z in (low, high, *(np.minimum(np.maximum(z, low), high) for z in turns))]
+    smallest, largest = np.minimum.reduce(rest), np.maximum.reduce(rest)
+    radius = 0.5 * (largest - smallest)
+    if kind == "tanh":
+        radius = radius + TANGENS * np.maximum(np.abs(value(low)), np.abs(value(high)))
+    return slope, 0.5 * (smallest + largest), radius * SPARE + 5e-16 * (1.0 + np.abs(low) + np.abs(high))
+
+
+def _most(kind: str) -> float:
+    return np.inf if kind == "relu" else 1.0
+
+
+def _ends(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and largest values as single precision computes them."""
+    if kind == "tanh":
+        least, most = np.tanh(low), np.tanh(high)
+        return least - TANGENS * SPARE * np.abs(least), most + TANGENS * SPARE * np.abs(most)
+    floor = 0.0 if kind == "relu" else -1.0
+    return np.clip(low, floor, _most(kind)), np.clip(high, floor, _most(kind))
+
+
+def wrong_networks(certificate: Certificate) -> list[str]:
+    """What networks of a certificate see or do otherwise than its problem and its policies say."""
+    problem, failures = certificate.problem, []
+    width = max(agent.n_states for agent in problem.agents)
+    n_q, horizon = problem.automaton.n_states, problem.horizon
+    expected: dict[str, Any] = {"agents": problem.n_agents, "width": width, "states": n_q, "horizon": horizon}
+    for i, (agent, part) in enumerate(zip(problem.agents, certificate.agents, strict=True)):
+        network = part.relation.get("network")
+        if network is None:
+            continue
+        if not isinstance(agent, LinearAgent) or part.relation["kind"] != "boxes":
+            failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
+        elif any(network[name] != value for name, value in (expected | {"agent": i}).items()):
+            failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
+        elif len(part.policy) != horizon:
+            failures.append(f"the policy of agent `{agent.name}` does not say what its network does at each time")
+        else:
+            # In every cell a mode may be chosen only at its own time and in its own automaton state.
+            mode = np.arange(horizon)[:, None, None] * n_q + np.arange(n_q)[None, :, None]
+            if np.any((part.policy >= 0) & (part.policy < horizon * n_q) & (part.policy != mode)):
+                failures.append(f"the network of agent `{agent.name}` is used at another time or automaton state")
+    return failures

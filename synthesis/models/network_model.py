@@ -1,0 +1,149 @@
+"""Finite models of agents that networks move, under the relation ``boxes``.
+
+The choices are the modes of the network, and the inputs that the relation offers by default: with these a network can
+be repaired where it is poor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from ..cells import CellCounts, FloatArray, Grid, RelationRefused, agent_grid, cell_labels, cells_of_agent
+from ..relations import BoxRelation, NetworkPolicy, box_relation
+from .abstraction import Abstraction, AgentModel
+from .box_choices import BoxChoices
+from .box_model import MOST_CUTS, PARTS, box_model, relation_of
+from .choices import Policies, StepPolicy
+
+LEAST_SHRINKAGE = 0.02
+"""By how much boxes must shrink, on average, for cells to be cut into more parts."""
+
+SAMPLED_CELLS = 200
+"""Cells by which that is judged, in all modes."""
+
+WORTHWHILE = 1e-9
+"""Share by which another choice must be better than the network to count: far above rounding."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkChoices(BoxChoices):
+    """The modes of a network, and inputs to repair it with.
+
+    Parameters
+    ----------
+    n_modes : int
+        The first choices are modes, each for one time and automaton state.
+    """
+
+    n_modes: int
+
+    def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
+        """Return the incumbents (S,), modes of this time, where they are best, and the best inputs elsewhere.
+
+        Modes of other times are not on offer.
+        """
+        other = self._menu.best(weights, table, np.full(len(incumbent), -1, dtype=np.int32))
+        worth = [np.einsum("sn,ns->s", weights, self.read(table, choice)) for choice in (incumbent, other)]
+        better = (other >= 0) & (worth[1] > worth[0] * (1.0 + WORTHWHILE))
+        return np.where(better, other, incumbent).astype(np.int32)
+
+    @cached_property
+    def _menu(self) -> BoxChoices:
+        """The same choices without the modes."""
+        size = self.size.copy()
+        size[:, : self.n_modes] = -1
+        shared = {field.name: getattr(self, field.name) for field in fields(BoxChoices)}
+        return BoxChoices(**{**shared, "size": size})
+
+
+def network_abstraction(
+    problem: Problem,
+    policies: Sequence[NetworkPolicy],
+    cells: CellCounts = None,
+    targets_per_cell: int | None = None,
+    with_menu: bool = False,
+) -> Abstraction:
+    """Return finite models of agents that networks move.
+
+    Parameters
+    ----------
+    problem : Problem
+        With linear agents.
+    policies : sequence of NetworkPolicy
+        One per agent.
+    cells : int, sequence of int or mapping from agent name, optional
+        Cells per axis.
+    targets_per_cell : int, optional
+        Lattice points per cell and axis at which values are read; by default as many as noise and cells ask for.
+    with_menu : bool
+        Whether inputs are offered besides the modes.
+
+    Raises
+    ------
+    ValueError
+        If the dynamics of an agent are not linear, or there are too many boxes.
+    """
+    models = []
+    for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
+        if not isinstance(agent, LinearAgent):
+            raise RelationRefused(
+                f"agent `{agent.name}`: expected linear dynamics to certify a network as it is, got expressions; leave "
+                "out `raw` to certify it wrapped on cells"
+            )
+        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
+        relation = network_relation(agent, grid, coordinates, policy, with_menu)
+        parts = box_model(agent, grid, coordinates, targets_per_cell, relation)
+        shared = {field.name: getattr(parts[3], field.name) for field in fields(BoxChoices)}
+        choices = NetworkChoices(**shared, n_modes=policy.n_modes)
+        labels = cell_labels(problem, i, grid, coordinates)
+        models.append(AgentModel(grid, parts[1], relation, parts[2], choices, labels, labels))
+    settings: dict[str, object] = {
+        "relation": "boxes",
+        "cells": [list(model.grid.shape) for model in models],
+        "targets_per_cell": targets_per_cell,
+        "raw": True,
+    }
+    return Abstraction(tuple(models), settings)
+
+
+def network_relation(
+    agent: LinearAgent, grid: Grid, coordinates: FloatArray, policy: NetworkPolicy, with_menu: bool
+) -> BoxRelation:
+    """Return the relation whose first choices are the modes of a network.
+
+    Cells are cut into as many parts as make boxes noticeably smaller: where the network bends within a cell.
+    """
+    box = agent.input_box
+    # The inputs of modes stand for nothing.
+    menu = np.tile(0.5 * box.low + 0.5 * box.high, (policy.n_modes, 1))
+    gains = np.zeros((len(menu), agent.n_inputs, agent.n_states))
+    if with_menu:
+        offered = relation_of(agent, grid, coordinates)
+        menu, gains = np.concatenate([menu, offered.menu]), np.concatenate([gains, offered.gains])
+    some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
+    best, width = None, np.inf
+    for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
+        written = {"network": policy.description, "parts": parts}
+        relation = box_relation(agent, coordinates, menu, gains, written)
+        boxes = relation.mean_boxes(grid.low[some], grid.high[some])
+        mean = float(np.mean((boxes.high - boxes.low)[:, : policy.n_modes] / np.mean(grid.half_widths, axis=0)))
+        if not mean < width * (1.0 - LEAST_SHRINKAGE):
+            break
+        best, width = relation, mean
+    assert best is not None
+    return best
+
+
+def network_tables(problem: Problem, abstraction: Abstraction) -> Policies:
+    """Return the policy tables (T, Q, S) of the networks: every cell does what the network does."""
+    n_q, tables = problem.automaton.n_states, []
+    for model in abstraction.models:
+        modes = np.arange(problem.horizon * n_q, dtype=np.int32).reshape(problem.horizon, n_q, 1)
+        tables.append(np.repeat(modes, model.grid.n_cells, axis=2))
+    return tuple(tables)

@@ -1,0 +1,249 @@
+"""Certificates of networks as they are deployed, and repairs of networks where they are poor.
+
+From every point of a cell the network leads to a mean within a known box (``relations.network_bounds``), and the value
+tree takes the least value over it. What is certified is the deployed network itself (docs/theory/networks.md).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..envs.agents import counted, tree_text
+from ..envs.problem import Problem
+from ..envs.suite import as_problem
+from .cells import CellCounts, FloatArray
+from .certificates import Certificate, Synthesis
+from .certification import certificate_of
+from .models import (
+    Abstraction,
+    JointModel,
+    NetworkChoices,
+    Policies,
+    join,
+    network_abstraction,
+    network_tables,
+    start_of,
+)
+from .relations import NetworkPolicy
+from .search import FINAL, Limits, Stage, sweep
+from .values import to_host
+
+COVERED = 0.99
+"""Share of all that a network loses that repairs make up for, by default: the rest is spread over many cells."""
+
+
+PASSES = 3
+"""Passes of the ascent: a poor network does not come to where it should act better, a repaired one does."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WeakPlaces:
+    """Where networks lose most against the inputs that a certificate could choose (estimates).
+
+    Parameters
+    ----------
+    problem : Problem
+    losses : tuple of (T, Q, S) arrays
+        For every agent: about what the value at the start would gain if the agent did better in this cell at this time
+        in this automaton state; 0 where the network is as good as any input on offer.
+    edges : tuple of tuples of arrays
+        Edges of the cells of every agent, by axis, in grid coordinates.
+    """
+
+    problem: Problem
+    losses: tuple[FloatArray, ...]
+    edges: tuple[tuple[FloatArray, ...], ...]
+
+    def __repr__(self) -> str:
+        rows = [(name, f"{loss.sum():.2g} in {counted(int(np.count_nonzero(loss)), 'place')}") for name, loss in
+                zip(self.problem.agent_names, self.losses, strict=True)]  # fmt: skip
+        return tree_text(f"WeakPlaces of {self.problem.name!r}", rows)
+
+    def worst(self, count: int = 10) -> list[dict[str, Any]]:
+        """Return the places that lose most: agent, time, automaton state, corners of the cell, and loss."""
+        places: list[dict[str, Any]] = []
+        for i, loss in enumerate(self.losses):
+            # Only the largest of each agent can be among the largest of all.
+            for flat in np.argsort(loss, axis=None)[::-1][:count]:
+                t, q, cell = (int(k) for k in np.unravel_index(flat, loss.shape))
+                index = np.unravel_index(cell, [len(edges) - 1 for edges in self.edges[i]])
+                low, high = ([float(e[k + side]) for e, k in zip(self.edges[i], index, strict=True)] for side in (0, 1))
+                names = {"agent": self.problem.agent_names[i], "time": t, "q": self.problem.automaton.state_names[q]}
+                places.append({**names, "low": low, "high": high, "loss": float(loss[t, q, cell])})
+        worst = sorted(places, key=lambda place: -place["loss"])
+        return [place for place in worst[:count] if place["loss"] > 0.0]
+
+    def least_of(self, share: float) -> float:
+        """Return the least loss among the fewest places that make up for this share of all losses."""
+        losses = np.sort(np.concatenate([loss[loss > 0.0] for loss in self.losses]))[::-1]
+        if not len(losses):
+            return np.inf
+        total = np.cumsum(losses)
+        return float(losses[min(int(np.searchsorted(total, share * total[-1])), len(losses) - 1)])
+
+
+def certify_network(
+    problem: Any, actor: Any, cells: CellCounts = None, *, targets_per_cell: int | None = None
+) -> Synthesis:
+    """Compute a certified lower bound on the satisfaction probability of networks as they are deployed.
+
+    Parameters
+    ----------
+    problem : Problem, id or path
+        Agents with linear dynamics.
+    actor : SharedActor or TeamActor
+        Networks that see the agent's own state, the automaton state and the time.
+    cells : int, sequence of int or mapping from agent name to one of these, optional
+        Cells per axis; the bound rises with their number.
+    targets_per_cell : int, optional
+        Lattice points per cell and axis at which values are read.
+
+    Returns
+    -------
+    Synthesis
+        ``certificate`` is about the networks, and ``controller`` evaluates them.
+
+    Raises
+    ------
+    ValueError
+        If a network sees more than its agent's own state, or dynamics are not linear.
+    """
+    problem, began = as_problem(problem), time.perf_counter()
+    abstraction = network_abstraction(problem, _policies(problem, actor), cells, targets_per_cell)
+    middle = time.perf_counter()
+    tables = network_tables(problem, abstraction)
+    return _certified(problem, abstraction, tables, "networks as they are", {}, (began, middle))
+
+
+def repair_network(
+    problem: Any,
+    actor: Any,
+    cells: CellCounts = None,
+    *,
+    share: float = COVERED,
+    targets_per_cell: int | None = None,
+) -> tuple[Synthesis, WeakPlaces]:
+    """Replace networks where they lose most, and certify the mixture; return also where they lose.
+
+    A few passes backward in time ask, agent by agent, in which cells an input of a menu is worth more than the network.
+    What the network loses is counted where better policies lead: those places that lose most are replaced, and the
+    network acts everywhere else.
+
+    Parameters
+    ----------
+    problem, actor, cells, targets_per_cell
+        As for ``certify_network``.
+    share : float
+        Share of all that is lost that the replaced places make up for, as few of them as can be: from 0 (nothing is
+        replaced) to 1 (everything that gains).
+    """
+    problem, began = as_problem(problem), time.perf_counter()
+    if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
+        raise ValueError(f"`share`: expected a number from 0 to 1, got {share!r}")
+    abstraction = network_abstraction(problem, _policies(problem, actor), cells, targets_per_cell, with_menu=True)
+    middle = time.perf_counter()
+    joint, tables = join(problem, abstraction), network_tables(problem, abstraction)
+    start, better = start_of(problem, joint), tables
+    for _ in range(PASSES - 1):
+        better = sweep(joint, better, start, Limits(), improve=True).policies
+    noted = _Losses(joint, tables)
+    sweep(joint, better, start, Limits(), improve=True, watch=noted.watch)
+    places = WeakPlaces(problem, tuple(noted.losses), tuple(model.grid.edges for model in joint.models))
+    mixed = noted.mixed(places.least_of(share) if share > 0.0 else np.inf)
+    changed = sum(int(np.sum(a != b)) for a, b in zip(mixed, tables, strict=True))
+    facts = {"share": float(share), "repaired": changed}
+    name = "networks, repaired where they lose most"
+    return _certified(problem, abstraction, mixed, name, facts, (began, middle)), places
+
+
+def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
+    """Return the networks of all agents, or raise ValueError if they see more than is certified."""
+    actor = getattr(actor, "actor", actor)  # of a training
+    if not hasattr(actor, "agent_policy"):
+        raise ValueError(
+            f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
+            f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or leave out `raw`"
+        )
+    if actor.problem.fingerprint != problem.fingerprint:
+        actor = type(actor)(
+            problem, *(getattr(actor, name) for name in ("network", "networks") if hasattr(actor, name))
+        )
+    policies = [actor.agent_policy(i) for i in range(problem.n_agents)]
+    for policy in policies:
+        if any(layer.dtype != np.float32 for layer in (*policy.network.weights, *policy.network.biases)):
+            raise ValueError("`policy`: expected networks with weights of single precision (float32), got others")
+        if policy.network.weights[0].shape[1] != policy.view.size:
+            raise ValueError("`policy`: expected networks for the agents of this problem, got others")
+    return policies
+
+
+class _Losses:
+    """What networks lose, noted while one sweep goes backward in time."""
+
+    def __init__(self, joint: JointModel, tables: Policies) -> None:
+        self.models, self.tables = joint.models, tables
+        self.losses = [np.zeros(table.shape) for table in tables]
+        self.others = [table.copy() for table in tables]
+        going = [q for q in range(joint.n_states) if not joint.absorbing[q]]
+        # The order in which a sweep shows its stages.
+        self.order = iter([(t, q) for t in reversed(range(joint.horizon)) for q in going])
+
+    def watch(self, stage: Stage) -> None:
+        """Note what better inputs add at a time in an automaton state, weighted by where the networks come to."""
+        t, q = next(self.order)
+        for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
+            assert isinstance(model.choices, NetworkChoices)
+            self.others[i][t, q] = stage.policies[i]
+            if stage.is_met:
+                smoothed = to_host(stage.smoothed[i])
+                better, own = (model.choices.read(smoothed, p) for p in (stage.policies[i], self.tables[i][t, q]))
+                self.losses[i][t, q] = np.maximum(np.einsum("sn,ns->s", to_host(weights), better - own), 0.0)
+
+    def mixed(self, least: float) -> Policies:
+        """Return policy tables with better inputs where networks lose at least so much."""
+        triples = zip(self.losses, self.others, self.tables, strict=True)
+        return tuple(np.where((loss > 0.0) & (loss >= least), other, own) for loss, other, own in triples)
+
+
+def _certified(
+    problem: Problem,
+    abstraction: Abstraction,
+    tables: Policies,
+    name: str,
+    facts: dict[str, Any],
+    began: tuple[float, float],
+) -> Synthesis:
+    """Return certificate and statistics of policy tables."""
+    joint = join(problem, abstraction)
+    # Whether unions from below pay is not known before; the policies are the same.
+    start = start_of(problem, joint)
+    tries = [sweep(joint, tables, start, FINAL, improve=False, climb=climb) for climb in (True, False)]
+    best = max(tries, key=lambda found: found.value)
+    settings = {**abstraction.settings, **facts, "final_limits": vars(FINAL)}
+    certificate = certificate_of(problem, abstraction, joint, best, settings, name)
+    seconds = {"abstract": began[1] - began[0], "synthesize": time.perf_counter() - began[1]}
+    stats = {"seconds": seconds, "rank": certificate.rank, "dropped": best.dropped, **facts}
+    return Synthesis(certificate, certificate.controller, stats)
+
+
+def differences(certificate: Certificate, actor: Any) -> list[str]:
+    """Return in which ways the networks of a certificate are not those of an actor; empty if it is about this actor.
+
+    ``check`` verifies a certificate for the networks stored in it; this compares them with those that are deployed.
+    """
+    problem, found = certificate.problem, []
+    policies = _policies(problem, actor)
+    for name, part, policy in zip(problem.agent_names, certificate.agents, policies, strict=True):
+        stored, given = part.relation.get("network"), policy.description
+        if stored is None:
+            found.append(f"agent `{name}` is not moved by a network")
+            continue
+        found += [f"agent `{name}`: its network has other {key}" for key in given if stored[key] != given[key]]
+        modes = policy.n_modes
+        if np.any((part.policy < 0) | (part.policy >= modes)):
+            found.append(f"agent `{name}`: its network was replaced in some cells")
+    return found
