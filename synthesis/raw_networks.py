@@ -36,6 +36,9 @@ COVERED = 0.99
 """Share of all that a network loses that repairs make up for, by default: the rest is spread over many cells."""
 
 
+LEAST_LOSS = 1e-8
+"""Loss of a place from which on it is replaced: smaller ones are of the order of what boxes are rounded by."""
+
 PASSES = 3
 """Passes of the ascent: a poor network does not come to where it should act better, a repaired one does."""
 
@@ -198,7 +201,7 @@ class _Losses:
         for i, (model, weights) in enumerate(zip(self.models, stage.weights(), strict=True)):
             assert isinstance(model.choices, NetworkChoices)
             self.others[i][t, q] = stage.policies[i]
-            if stage.is_met:
+            if stage.is_met and len(stage.rows):
                 smoothed = to_host(stage.smoothed[i])
                 better, own = (model.choices.read(smoothed, p) for p in (stage.policies[i], self.tables[i][t, q]))
                 self.losses[i][t, q] = np.maximum(np.einsum("sn,ns->s", to_host(weights), better - own), 0.0)
@@ -206,7 +209,7 @@ class _Losses:
     def mixed(self, least: float) -> Policies:
         """Return policy tables with better inputs where networks lose at least so much."""
         triples = zip(self.losses, self.others, self.tables, strict=True)
-        return tuple(np.where((loss > 0.0) & (loss >= least), other, own) for loss, other, own in triples)
+        return tuple(np.where(loss >= max(least, LEAST_LOSS), other, own) for loss, other, own in triples)
 
 
 def _certified(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 import certigym as cg
+from certigym.cli.main import main
 from certigym.envs.agents import LinearAgent
 from certigym.synthesis.checking.network_spans import network_spans
 from certigym.synthesis.models import network_abstraction
@@ -19,6 +21,7 @@ from certigym.synthesis.models.network_model import NetworkChoices
 from certigym.synthesis.raw_networks import certify_network, differences, repair_network
 from certigym.synthesis.relations import Network, boxes
 from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
+from certigym.validation.figures import network_figure
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from problems import cart, linear, scalar_agent
@@ -332,3 +335,36 @@ def test_losses_are_those_of_a_step() -> None:
     expected = max(values[actor.agent_policy(0).n_modes :]) - own
     assert expected > 0.1
     assert places.losses[0].sum() == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An actor beside its problem, and in the place of it; list and picture of weak places; bounds as in Python."""
+    problem = cg.make_problem("reach-avoid-v0", horizon=2)
+    actor = proportional(problem)
+    save_actor(actor, tmp_path / "a.npz")
+    file, out, picture = str(tmp_path / "a.npz"), str(tmp_path / "c.npz"), str(tmp_path / "weak.svg")
+    common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
+    assert main(["certify", file, "--raw", "--out", out, *common]) == 0
+    assert "holds for the deployed network" in capsys.readouterr().out
+    stored = cg.load_certificate(out)
+    assert stored.lower_bound == cg.certify(problem, actor, 60, raw=True).certificate.lower_bound
+    options = ["certify", "reach-avoid-v0", "--policy", file, "--repair", "0.9", "--plot", picture]
+    assert main([*options, "--json", out + ".json", *common]) == 0
+    assert "replaced in" in capsys.readouterr().out
+    assert "where the network loses" in Path(picture).read_text(encoding="utf-8")
+    assert isinstance(json.loads(Path(out + ".json").read_text(encoding="utf-8"))["weak_places"], list)
+    # Mistakes are one line and status 2.
+    assert main(["certify", "reach-avoid-v0", *common]) == 2
+    assert "--policy" in capsys.readouterr().err
+    assert main(["certify", file, "--raw", "--relation", "exact", *common]) == 2
+
+
+def test_weak_places_are_drawn() -> None:
+    """Scalar agents over cells and times, planar ones over cells; others are refused."""
+    for agent in (scalar_agent("a"), cart(initial_state=[-1.0, 0.0])):
+        problem = reach(agent, horizon=2)
+        repaired, places = repair_network(problem, proportional(problem), 20)
+        figure = network_figure(places, repaired.certificate)
+        assert "P >=" in figure.axes[0].get_title(loc="left")
+    with pytest.raises(ValueError, match="agent"):
+        network_figure(places, agent=1)

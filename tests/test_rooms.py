@@ -52,7 +52,7 @@ MAY_IMPORT = {
     "validation.audits": f"{EVIDENCE} synthesis.checking",
     "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.shielding",
     "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.shielding validation.shields",
-    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis.permissions "
+    "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.permissions "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.search synthesis.bounds "

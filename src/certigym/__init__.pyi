@@ -39,6 +39,7 @@ from .synthesis.permissions import check_permission as check_permission
 from .synthesis.permissions import load_permission as load_permission
 from .synthesis.permissions import permit as permit
 from .synthesis.permissions import save_permission as save_permission
+from .synthesis.raw_networks import repair_network as repair_network
 from .synthesis.shielding import Shield as Shield
 from .synthesis.synthesize import synthesize as synthesize
 from .validation.audits import AuditReport as AuditReport

@@ -21,7 +21,10 @@ from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
 from .choices import Policies, StepPolicy
 
-LEAST_SHRINKAGE = 0.02
+DEFAULT_CELLS = {1: 1000, 2: 100}
+"""Cells per axis by dimension: more than elsewhere, since boxes lose first order in the cells and are cheap."""
+
+LEAST_SHRINKAGE = 0.1
 """By how much boxes must shrink, on average, for cells to be cut into more parts."""
 
 SAMPLED_CELLS = 200
@@ -78,7 +81,7 @@ def network_abstraction(
     policies : sequence of NetworkPolicy
         One per agent.
     cells : int, sequence of int or mapping from agent name, optional
-        Cells per axis.
+        Cells per axis. Default: 1000 for scalar agents, 100 per axis for two dimensions, 24 for three.
     targets_per_cell : int, optional
         Lattice points per cell and axis at which values are read; by default as many as noise and cells ask for.
     with_menu : bool
@@ -96,7 +99,8 @@ def network_abstraction(
                 f"agent `{agent.name}`: expected linear dynamics to certify a network as it is, got expressions; leave "
                 "out `raw` to certify it wrapped on cells"
             )
-        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
+        asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
+        grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
         relation = network_relation(agent, grid, coordinates, policy, with_menu)
         parts = box_model(agent, grid, coordinates, targets_per_cell, relation)
         shared = {field.name: getattr(parts[3], field.name) for field in fields(BoxChoices)}

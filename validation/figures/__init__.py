@@ -5,6 +5,7 @@ from .comparison_figures import draw_comparison, draw_curves
 from .figure_scenes import automaton_figure, rollouts_figure, tree_figure
 from .figure_style import check_format, save_figure
 from .menu_figures import menu_figure
+from .network_figures import network_figure
 
 __all__ = [
     "automaton_figure",
@@ -13,6 +14,7 @@ __all__ = [
     "draw_curves",
     "horizon_figure",
     "menu_figure",
+    "network_figure",
     "rank_figure",
     "relation_figure",
     "rollouts_figure",

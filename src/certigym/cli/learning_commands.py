@@ -41,6 +41,7 @@ from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, show
+from .network_commands import certify_raw, is_actor, problem_of_actor
 from .work import trained, trials
 
 
@@ -185,9 +186,16 @@ def compare(options: Namespace) -> int:
 
 
 def certify(options: Namespace) -> int:
-    """Certify a policy wrapped on a grid; the status is 1 if its rollouts refute the bound."""
-    problem = problem_of(options)
-    policy = _policy_of_file(problem, options.policy)
+    """Certify a policy wrapped on a grid, or as it is (``--raw``); the status is 1 if its rollouts refute the bound."""
+    if is_actor(options):
+        problem, file = problem_of_actor(options.problem, options.horizon), options.problem
+    elif options.policy is None:
+        raise ValueError("`--policy`: expected an actor (.npz) or FILE.py:NAME, or an actor in place of the problem")
+    else:
+        problem, file = problem_of(options), options.policy
+    policy = _policy_of_file(problem, file)
+    if options.raw or options.repair is not None:
+        return certify_raw(options, problem, policy)
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}

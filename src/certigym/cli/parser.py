@@ -253,9 +253,21 @@ def _add_comparing(commands: Any) -> None:
     add_picture(compare, "the comparison")
     add_trials(compare, 10_000, " per policy", 0.99)
 
-    certify = commands.add_parser("certify", help="certify a decentralised policy, wrapped on a grid")
+    certify = commands.add_parser("certify", help="certify a decentralised policy, wrapped on a grid or as it is")
     add_problem(certify)
-    certify.add_argument("--policy", required=True, metavar="POLICY", help="actor (.npz) or FILE.py:NAME")
+    certify.add_argument(
+        "--policy", metavar="POLICY", help="actor (.npz) or FILE.py:NAME (default: the actor in place of the problem)"
+    )
+    certify.add_argument("--raw", action="store_true", help="certify the network itself as it is deployed")
+    certify.add_argument(
+        "--repair",
+        nargs="?",
+        type=float,
+        const=0.99,
+        metavar="SHARE",
+        help="replace the network where it loses most: the places with this share of all it loses (default: .99)",
+    )
+    add_picture(certify, "where it loses (with --repair)")
     add_models(certify, "the same as quick")
     certify.add_argument("--improve", action="store_true", help="also improve it by coordinate ascent")
     certify.add_argument("--out", metavar="CERT", help="save the certificate, with --improve the improved one (.npz)")

@@ -1,0 +1,70 @@
+"""What ``certify --raw`` and ``certify --repair`` do: certificates of networks as they are deployed."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..envs.problem import Problem
+from ..synthesis.certificates import save_certificate
+from ..synthesis.certify import certify as certify_policy
+from ..synthesis.raw_networks import WeakPlaces, repair_network
+from ..validation.figures import network_figure, save_figure
+from ..validation.policies import compare as compare_policies
+from .given import cells_of, named_problem, show
+from .work import trials
+
+PLACES_SHOWN = 10
+"""Weak places that are printed."""
+
+
+def problem_of_actor(path: str, horizon: int | None) -> Problem:
+    """Return the problem on which an actor was trained, by the name in its file."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            name = str(json.loads(str(stored["header"]))["problem"])
+    except (KeyError, ValueError, TypeError, EOFError) as error:
+        raise ValueError(f"`{path}`: expected the file of an actor (.npz of `certigym train`)") from error
+    return named_problem(name, horizon)
+
+
+def is_actor(options: Namespace) -> bool:
+    """Return whether an actor stands in the place of the problem."""
+    return options.policy is None and options.problem.endswith(".npz") and Path(options.problem).is_file()
+
+
+def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
+    """Certify networks as they are, and repaired; the status is 1 if rollouts refute a bound."""
+    if options.relation != ["auto"] or options.delta is not None or options.improve:
+        raise ValueError("`--raw`: expected none of --relation, --delta and --improve beside it; leave them out")
+    cells, settings = cells_of(options), {"targets_per_cell": options.targets}
+    policies: dict[str, Any] = {"deployed": policy}
+    last = policies["certified"] = certify_policy(problem, policy, cells, raw=True, **settings)
+    places: WeakPlaces | None = None
+    if options.repair is not None:
+        last, places = repair_network(problem, policy, cells, share=options.repair, **settings)
+        policies["repaired"] = last
+        if options.plot:
+            save_figure(network_figure(places, last.certificate), options.plot)
+    if options.out:
+        save_certificate(last.certificate, options.out)
+    with trials(options, options.episodes * len(policies)) as plan:
+        result = compare_policies(problem, policies, plan)
+    lines = [str(result), "The bound of `certified` holds for the deployed network: it is the same policy."]
+    weakest = [] if places is None else places.worst(PLACES_SHOWN)
+    if places is not None:
+        lines.append(f"replaced in {last.stats['repaired']} places; where the network loses most:")
+        lines += [_place_text(place) for place in weakest]
+    show(options, "\n".join(lines), {**result.to_dict(), "weak_places": weakest})
+    return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
+
+
+def _place_text(place: dict[str, Any]) -> str:
+    """Return a weak place in words."""
+    sides = zip(place["low"], place["high"], strict=True)
+    cell = " x ".join(f"[{low:g}, {high:g}]" for low, high in sides)
+    return f"  {place['agent']} at time {place['time']} in {place['q']}, cell {cell}: {place['loss']:.2g}"
