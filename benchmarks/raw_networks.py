@@ -1,8 +1,8 @@
 """Certified bounds of networks as they are deployed, against what they attain: ``python benchmarks/raw_networks.py``.
 
 Every problem is learned by PPO (seed 0), and its networks are certified raw, wrapped and repaired. `share` is the part
-of the measured rate that the raw bound proves; aims: .98, and .9 for ``meeting-v0``, whose learner starts from certified
-controllers. The row `early` is a learner that was stopped too soon: what repairs are for.
+of the measured rate that the raw bound proves; aims: .98, and .9 for ``meeting-v0``, whose learner starts from
+certified controllers. The row `early` is a learner that was stopped too soon: what repairs are for.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from certigym.synthesis.certificates import rounded_down
 
 ROWS: dict[str, dict[str, Any]] = {
     "reach-avoid-v0, T = 5": {"id": "reach-avoid-v0", "horizon": 5, "steps": 200_000, "cells": 1000},
-    "reach-avoid-v0, T = 5, early": {"id": "reach-avoid-v0", "horizon": 5, "steps": 20_000, "cells": 1000},
+    "reach-avoid-n-v0, early": {"id": "reach-avoid-n-v0", "steps": 1_000, "cells": 1000, "worlds": 16},
     "invariance-4-v0": {"id": "invariance-4-v0", "steps": 100_000, "cells": 500},
     "reach-avoid-n-v0": {"id": "reach-avoid-n-v0", "steps": 300_000, "cells": 2000},
     "meeting-v0, warm start": {"id": "meeting-v0", "steps": 100_000, "cells": 100, "warm_start": "certificate"},
@@ -28,7 +28,7 @@ def measured(row: dict[str, Any], episodes: int) -> dict[str, Any]:
     """Return bounds, rates and seconds of one row."""
     problem = cg.make_problem(row["id"])
     problem = problem.replace(horizon=row["horizon"]) if "horizon" in row else problem
-    warm = {"warm_start": row["warm_start"]} if "warm_start" in row else {}
+    warm = {name: row[name] for name in ("warm_start", "worlds") if name in row}
     actor: Any = cg.train(problem, "ppo", steps=row["steps"], seed=0, **warm).actor
     began = time.perf_counter()
     raw = cg.certify(problem, actor, row["cells"], raw=True)

@@ -86,7 +86,7 @@ def certify(
     -------
     Synthesis
         ``certificate`` and ``controller`` belong to the wrapped policy. Simulate the raw one with
-        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it.
+        ``rollout(problem, as_controller(problem, policy), ...)``; no bound holds for it but with ``raw``.
 
     Raises
     ------

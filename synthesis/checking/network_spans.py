@@ -149,7 +149,8 @@ def _seen(
     off[:, :d] = HALF_UNIT * reach + doubled
     constants[:, width + q] = 1.0
     constants[:, width + network["states"]] = float(np.float32(1.0 - time / network["horizon"]))
-    constants[:, width + network["states"] + 1 + network["agent"]] = 1.0
+    if network["agents"]:
+        constants[:, width + network["states"] + 1 + network["agent"]] = 1.0
     forms = Forms(slopes, constants, np.zeros((n, size, 0)), np.zeros((n, size)))
     low, high = forms.between(half)
     return forms, low - off, high + off, off
@@ -161,19 +162,24 @@ def chord(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
     def value(z: FloatArray) -> FloatArray:
         return np.tanh(z) if kind == "tanh" else np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))
 
-    wide = high - low > 1e-12
-    slope = np.where(wide, (value(high) - value(low)) / np.where(wide, high - low, 1.0), 0.0)
+    wide, first, last = high - low > 1e-12, value(low), value(high)
+    slope = np.where(wide, (last - first) / np.where(wide, high - low, 1.0), 0.0)
     slope = np.minimum(np.maximum(slope, 0.0), 1.0)
     # What is left is extreme at the ends, or where the function has the slope of the line, or a kink.
-    turns = {"relu": [np.zeros_like(low)], "cut": [-np.ones_like(low), np.ones_like(low)]}.get(kind, [])
+    at_ends = first - slope * low, last - slope * high
+    smallest, largest = np.minimum(*at_ends), np.maximum(*at_ends)
+    steep = np.minimum(np.sqrt(1.0 - slope), 1.0 - 1e-16)  # the tangent of z where its derivative is the slope
+    places = {"relu": [0.0], "cut": [-1.0, 1.0]}.get(kind, [])
+    turns: list[tuple[Any, Any]] = [(z, np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))) for z in places]
     if kind == "tanh":
-        where = np.arctanh(np.minimum(np.sqrt(1.0 - slope), 1.0 - 1e-16))
-        turns = [where, -where]
-    rest = [value(z) - slope * z for z in (low, high, *(np.minimum(np.maximum(z, low), high) for z in turns))]
-    smallest, largest = np.minimum.reduce(rest), np.maximum.reduce(rest)
+        turns = [(side * np.arctanh(steep), side * steep) for side in (-1.0, 1.0)]
+    for z, there in turns:
+        inside, left = (z >= low) & (z <= high), there - slope * z
+        smallest = np.where(inside, np.minimum(smallest, left), smallest)
+        largest = np.where(inside, np.maximum(largest, left), largest)
     radius = 0.5 * (largest - smallest)
     if kind == "tanh":
-        radius = radius + TANGENS * np.maximum(np.abs(value(low)), np.abs(value(high)))
+        radius = radius + TANGENS * np.maximum(np.abs(first), np.abs(last))
     return slope, 0.5 * (smallest + largest), radius * SPARE + 5e-16 * (1.0 + np.abs(low) + np.abs(high))
 
 
@@ -196,13 +202,18 @@ def wrong_networks(certificate: Certificate) -> list[str]:
     width = max(agent.n_states for agent in problem.agents)
     n_q, horizon = problem.automaton.n_states, problem.horizon
     expected: dict[str, Any] = {"agents": problem.n_agents, "width": width, "states": n_q, "horizon": horizon}
+
+    def alone(network: dict[str, Any]) -> dict[str, Any]:
+        # A single agent need not be told which one it is.
+        return {"agents": 0} if problem.n_agents == 1 and network["agents"] == 0 else {}
+
     for i, (agent, part) in enumerate(zip(problem.agents, certificate.agents, strict=True)):
         network = part.relation.get("network")
         if network is None:
             continue
         if not isinstance(agent, LinearAgent) or part.relation["kind"] != "boxes":
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
-        elif any(network[name] != value for name, value in (expected | {"agent": i}).items()):
+        elif any(network[name] != value for name, value in (expected | {"agent": i} | alone(network)).items()):
             failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
         elif len(part.policy) != horizon:
             failures.append(f"the policy of agent `{agent.name}` does not say what its network does at each time")

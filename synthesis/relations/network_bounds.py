@@ -34,6 +34,9 @@ FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 """Activations, and what is done to outputs."""
 
+KINKS = {"relu": (0.0,), "clip": (-1.0, 1.0)}
+"""Where they bend, if they do so at points."""
+
 WIDER = 1.0 + 1e-7
 """Factor on what single precision is off by: the rounding of this file is 2e-9 of that, for each of a few sums."""
 
@@ -77,21 +80,22 @@ def line_around(kind: str, low: FloatArray, high: FloatArray) -> Line:
 
     The difference to the line is extreme at an end, a kink, or where the derivative is that of the line.
     """
-    function = FUNCTIONS[kind]
-    width = high - low
+    function, width = FUNCTIONS[kind], high - low
+    ends = function(low), function(high)
     # Where an interval is nearly a point, rounding may give any slope; all slopes between 0 and 1 are sound.
-    chord = (function(high) - function(low)) / np.where(width > 0.0, width, 1.0)
+    chord = (ends[1] - ends[0]) / np.where(width > 0.0, width, 1.0)
     slope = np.clip(np.where(width > 1e-12, chord, 0.0), 0.0, 1.0)
-    points = [low, high]
+    rest = [ends[0] - slope * low, ends[1] - slope * high]
     if kind == "tanh":
-        flat = np.arctanh(np.minimum(np.sqrt(1.0 - slope), 1.0 - 1e-16))
-        points += [np.clip(side * flat, low, high) for side in (-1.0, 1.0)]
+        # The derivative is 1 - tanh^2, so that tanh is +-sqrt(1 - s) there.
+        value = np.minimum(np.sqrt(1.0 - slope), 1.0 - 1e-16)
+        turns = [(side * np.arctanh(value), side * value) for side in (-1.0, 1.0)]
     else:
-        points += [np.clip(kink, low, high) for kink in ((0.0,) if kind == "relu" else (-1.0, 1.0))]
-    rest = np.stack([function(z) - slope * z for z in points])
-    least, most = rest.min(axis=0), rest.max(axis=0)
+        turns = [(np.full_like(low, kink), function(np.full_like(low, kink))) for kink in KINKS[kind]]
+    rest += [np.where((low <= z) & (z <= high), value - slope * z, rest[0]) for z, value in turns]
+    least, most = np.minimum.reduce(rest), np.maximum.reduce(rest)
     computed = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
-    error = TANH * np.maximum(np.abs(function(low)), np.abs(function(high))) if kind == "tanh" else 0.0
+    error = TANH * np.maximum(np.abs(ends[0]), np.abs(ends[1])) if kind == "tanh" else 0.0
     return Line(slope, 0.5 * (least + most), (0.5 * (most - least) + error) * WIDER + computed)
 
 
@@ -130,7 +134,11 @@ class NetworkBounds:
             centre = centre + _times(rows, np.broadcast_to(self.biases[k - 1], error.shape))
             radius = radius + _times(np.abs(rows), error)
             rows = rows @ self.weights[k - 1]
-        slopes = rows @ self.first.slopes
+        if rows.ndim == 2:  # axis by axis: a few large products in place of many small ones
+            columns = [self.first.slopes[..., k] @ rows.T for k in range(self.first.slopes.shape[2])]
+            slopes = np.stack(columns, axis=-1)
+        else:
+            slopes = rows @ self.first.slopes
         centre, radius = centre + _times(rows, self.first.centre), radius + _times(np.abs(rows), self.first.radius)
         return Form(slopes, np.asarray(centre), np.asarray(radius))
 

@@ -60,7 +60,7 @@ class OwnView:
     Parameters
     ----------
     agent, agents : int
-        Number of the agent, and how many there are.
+        Number of the agent, and how many there are; 0 if a network for a single agent is not told so.
     width : int
         Columns of the state; those that the agent does not have are 0.
     states : int
@@ -85,7 +85,8 @@ class OwnView:
         rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
         rows[:, : len(states)] = scaled(workspace, states).T
         write_task(rows, self.width, self.states, q, 1.0 - np.asarray(time) / self.horizon)
-        rows[:, self.width + self.states + 1 + self.agent] = 1.0
+        if self.agents:
+            rows[:, self.width + self.states + 1 + self.agent] = 1.0
         return rows
 
 

@@ -20,7 +20,7 @@ from ...envs.agents import write_bytes
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.relations import ACTIVATIONS, Network, NetworkPolicy, inputs_of
+from ...synthesis.relations import ACTIVATIONS, Network, NetworkPolicy, OwnView, inputs_of
 from ..simulation import BatchPolicy
 from .rollout_policies import as_controller
 from .views import CentralView, SharedView, View
@@ -108,6 +108,18 @@ class CentralActor:
 
     view = "central"
     information = CentralView.information
+
+    def agent_policy(self, agent: int) -> NetworkPolicy:
+        """Return the policy of the only agent; of several agents, ValueError: each sees the states of all."""
+        problem = self.problem
+        if problem.n_agents > 1:
+            raise ValueError(
+                "`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
+                "one that sees the states of all agents; train `ppo`, `ippo` or `mappo`, or leave out `raw`"
+            )
+        alone = problem.agents[agent]
+        view = OwnView(0, 0, alone.n_states, problem.automaton.n_states, problem.horizon)
+        return NetworkPolicy(self.network, view, alone.workspace, alone.input_box)
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """Return the policy for batched rollouts."""
