@@ -176,11 +176,25 @@ def _of_task(
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
         return path_certificate(problem)
-    if relation == "auto" and cells is None and plan.budget is None and start is None and _beyond_grids(problem):
+    is_open = relation == "auto" and cells is None and plan.budget is None and start is None
+    if not is_open:
+        return _on_grids(problem, cells, relation, plan, start)
+    # Where a grid does not reach, or no relation applies on it, a path may.
+    ways = [lambda: _on_grids(problem, None, relation, plan, None), lambda: path_certificate(problem)]
+    first, second = reversed(ways) if _beyond_grids(problem) else ways
+    try:
+        return first()
+    except RelationRefused as refusal:
         try:
-            return path_certificate(problem)
+            return second()
         except RelationRefused:
-            pass  # whatever is refused below says what to do
+            raise refusal from None
+
+
+def _on_grids(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> Synthesis:
+    """Synthesize one task on grids."""
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if plan.budget is not None:
         _refuse_start(start, "a budget")

@@ -80,7 +80,8 @@ class Motion:
         unit = 2.0 * (d + m + 4.0) * UNIT
         size_B, size_K = float(np.linalg.norm(agent.B)) * TAIL, float(np.linalg.norm(path.gain)) * TAIL
         size_A, size_c = float(np.linalg.norm(agent.A)) * TAIL, float(np.linalg.norm(agent.offset)) * TAIL
-        closed = Powers.of(agent.A + agent.B @ path.gain, unit * (size_A + size_B * size_K), steps + 1)
+        wrong = unit * (size_A + size_B * size_K) if size_K else 0.0  # without feedback nothing is added
+        closed = Powers.of(agent.A + agent.B @ path.gain, wrong, steps + 1)
         states, rounded = np.zeros((steps + 1, d)), []
         states[0] = agent.initial.low
         for t, u in enumerate(path.inputs):

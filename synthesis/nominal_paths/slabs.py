@@ -24,7 +24,7 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 
-OUTWARD = 1.0 + 1e-9
+OUTWARD = 1.0 + 3e-9
 """Factor on deviations and on failure probabilities, far above the rounding of paths of a few hundred steps."""
 
 SMALLEST = 1e-300
