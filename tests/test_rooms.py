@@ -57,7 +57,7 @@ MAY_IMPORT = {
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.search synthesis.bounds "
-    "validation.verdicts",
+    "synthesis.checking validation.verdicts",
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 
