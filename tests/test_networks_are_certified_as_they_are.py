@@ -380,3 +380,21 @@ def test_weak_places_are_drawn() -> None:
         assert "P >=" in figure.axes[0].get_title(loc="left")
     with pytest.raises(ValueError, match="agent"):
         network_figure(places, agent=1)
+
+
+@pytest.mark.parametrize("algorithm", ["ippo", "sac"])
+def test_trained_actors_are_certified(algorithm: str) -> None:
+    """Actors of Stable-Baselines3, hardly trained: PPO clips and has tanh, SAC squashes and has relu."""
+    pytest.importorskip("stable_baselines3")
+    agents = [scalar_agent("a"), scalar_agent("b")] if algorithm == "ippo" else [scalar_agent("a")]
+    problem = reach(*agents, horizon=3)
+    settings: dict[str, Any] = {"worlds": 8, "hidden": [16, 16]}
+    settings |= {"learning_starts": 64, "batch_size": 32} if algorithm == "sac" else {}
+    actor: Any = cg.train(problem, algorithm, steps=256, seed=0, **settings).actor
+    certified = cg.certify(problem, actor, 150, raw=True)
+    assert cg.check(certified) and differences(certified.certificate, actor) == []
+    found = {part.relation["network"]["activation"] for part in certified.certificate.agents}
+    assert found == {"tanh" if algorithm == "ippo" else "relu"}
+    # False alarm 1e-6; a bound that is too large by .04 is refuted.
+    report = cg.validate(certified, episodes=4000, seed=1, confidence=1.0 - 1e-6)
+    assert report.ci_high >= certified.certificate.lower_bound
