@@ -20,7 +20,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "reach-avoid-n-v0, early": {"id": "reach-avoid-n-v0", "steps": 1_000, "cells": 1000, "worlds": 16},
     "invariance-4-v0": {"id": "invariance-4-v0", "steps": 100_000, "cells": 500},
     "reach-avoid-n-v0": {"id": "reach-avoid-n-v0", "steps": 300_000, "cells": 2000},
-    "meeting-v0, warm start": {"id": "meeting-v0", "steps": 100_000, "cells": 100, "warm_start": "certificate"},
+    "meeting-v0, warm start": {"id": "meeting-v0", "steps": 100_000, "cells": 60, "warm_start": "certificate"},
 }
 
 
