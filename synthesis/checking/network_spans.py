@@ -126,9 +126,23 @@ def _mean_between(
     total = forms.through(gain, np.zeros(len(gain)))
     least, most = Forms(total.slopes + A, total.constants + still, total.symbols, total.own).between(half)
     up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
-    spare = np.abs(B) @ (LATER * (np.abs(box.low) + np.abs(box.high)))
+    spare = np.abs(B) @ ((LATER + _cancelled(layers)) * (np.abs(box.low) + np.abs(box.high)))
     least = np.maximum(least, still - moved + low @ up.T + high @ down.T) - spare
     return least, np.minimum(most, still + moved + high @ up.T + low @ down.T) + spare
+
+
+def _cancelled(layers: list[tuple[Any, Any]]) -> float:
+    """What double precision is off by in actions, at most, however much weights cancel each other.
+
+    No number of any layer, nor any coefficient of a form, is larger than what absolute values lead to, and what is
+    rounded in one layer grows in the later ones as these do.
+    """
+    size, widest = 4.0, 0
+    for weights, biases in layers:
+        matrix = np.abs(np.array(weights, dtype=float))
+        size = float(np.max(matrix.sum(axis=1) * size + np.abs(np.array(biases, dtype=float)))) + 1.0
+        widest = max(widest, matrix.shape[1])
+    return len(layers) * (widest + 16.0) * 2.0**-50 * size
 
 
 def _seen(

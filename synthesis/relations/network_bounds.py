@@ -179,8 +179,21 @@ def mean_bounds(
                 np.minimum(first[block, mode], ends[0], out=first[block, mode])
                 np.maximum(last[block, mode], ends[1], out=last[block, mode])
     box = policy.input_box
-    spare = OUTWARD * (last - first) + ABSOLUTE * (np.abs(moves[1]) @ (np.abs(box.low) + np.abs(box.high)))
+    absolute = ABSOLUTE + 2.0 * _double_rounding(policy)
+    spare = OUTWARD * (last - first) + absolute * (np.abs(moves[1]) @ (np.abs(box.low) + np.abs(box.high)))
     return first - spare, last + spare
+
+
+def _double_rounding(policy: NetworkPolicy) -> float:
+    """Return an upper bound on what double precision is off by in actions, with all weights taken as positive.
+
+    Rows that are pulled back through layers may be sums of large numbers that cancel each other.
+    """
+    size, widest, network = 4.0, 0, policy.network
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        size = float((np.abs(weight).astype(float).sum(axis=1) * size + np.abs(bias)).max()) + 1.0
+        widest = max(widest, weight.shape[1])
+    return len(network.weights) * (widest + 16.0) * 2.0**-50 * size
 
 
 def _means(
