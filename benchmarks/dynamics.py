@@ -47,7 +47,8 @@ def measure(name: str, problem: cg.Problem, settings: dict[str, Any]) -> bool:
 def main(names: list[str]) -> int:
     """Measure the cases whose names are given, or all."""
     chosen = names or [*CASES]
-    return 0 if all([measure(name, CASES[name][0](), CASES[name][1]) for name in chosen]) else 1
+    held = [measure(name, CASES[name][0](), CASES[name][1]) for name in chosen]
+    return 0 if all(held) else 1
 
 
 if __name__ == "__main__":

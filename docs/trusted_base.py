@@ -33,11 +33,14 @@ TRUSTED = {
         "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
+        "synthesis.certificates.path_certificate "
+        "synthesis.certificates.path_file "
         "synthesis.certificates.product synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
-        "synthesis.controllers.controller synthesis.controllers.product_controller "
+        "synthesis.controllers.controller synthesis.controllers.path_controller "
+        "synthesis.controllers.product_controller "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.rows "
@@ -49,6 +52,7 @@ TRUSTED = {
         "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.own_intervals "
+        "synthesis.checking.path_check "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
         "synthesis.checking.upper_end"
     ),

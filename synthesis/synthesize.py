@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ..envs.agents import Agent, LinearAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
@@ -38,9 +40,13 @@ from .models import (
     join,
     relations_of,
 )
+from .nominal_paths import path_certificate
 from .parts import synthesize_parts
 from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best
 from .values import HOST, device_put
+
+MOST_GRID_STATES = 3
+"""States of an agent up to which it has a grid by default; certificates along a path need none."""
 
 MOST_LINEAR_AGENTS = 2
 """Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
@@ -105,10 +111,11 @@ def synthesize(
         ``abstract``); it is doubled where relations are compared and none applies.
     relation : str, or mapping from agent name to str
         ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents), ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also
-        holds for agents that a mapping leaves out, takes ``exact`` where it leaves most of the inputs to the policy;
-        elsewhere it tries those of ``exact``, ``tube`` and ``ellipsoid`` that apply and keeps the largest bound (see
-        ``relation_choice``). ``"best"`` tries all of these without any shortcut, and ``paper``. ``"quick"`` takes
+        choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
+        ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also holds for agents that a mapping leaves out,
+        takes ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``,
+        ``tube`` and ``ellipsoid`` that apply and keeps the largest bound (see ``relation_choice``); agents that no grid
+        can hold get a path. ``"best"`` tries all of these without any shortcut, and ``paper``. ``"quick"`` takes
         ``exact`` or ``tube`` without comparing (see ``abstract``).
     max_sweeps : int
         Largest number of improving sweeps after the first; the search stops earlier when nothing improves.
@@ -166,6 +173,29 @@ def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesize one task, by the procedure that relations, budget and start ask for."""
+    if relation == "path":
+        if cells is not None or plan.budget is not None or start is not None:
+            raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
+        return path_certificate(problem)
+    is_open = relation == "auto" and cells is None and plan.budget is None and start is None
+    if not is_open:
+        return _on_grids(problem, cells, relation, plan, start)
+    # Where a grid does not reach, or no relation applies on it, a path may.
+    ways = [lambda: _on_grids(problem, None, relation, plan, None), lambda: path_certificate(problem)]
+    first, second = reversed(ways) if _beyond_grids(problem) else ways
+    try:
+        return first()
+    except RelationRefused as refusal:
+        try:
+            return second()
+        except RelationRefused:
+            raise refusal from None
+
+
+def _on_grids(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> Synthesis:
+    """Synthesize one task on grids."""
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if plan.budget is not None:
         _refuse_start(start, "a budget")
@@ -183,6 +213,14 @@ def _of_task(
     if {"auto", "best"} & {*kinds}:
         return _compared(problem, cells, kinds, plan)
     return _plain(problem, cells, kinds, plan)
+
+
+def _beyond_grids(problem: Problem) -> bool:
+    """Return whether an agent has more states than a grid has room for, or states without noise."""
+    for agent in problem.agents:
+        if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < agent.n_states:
+            return True
+    return False
 
 
 def _plain(

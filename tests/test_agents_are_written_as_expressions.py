@@ -176,7 +176,7 @@ def test_outputs_may_be_expressions() -> None:
         ({"noise": [{"law": "gaussian", "std": 0.1}] * 2}, "either `noise` or `noise_covariance`"),
         ({"noise_covariance": None}, "either `noise` or `noise_covariance`"),
         ({"noise_covariance": None, "noise": [{"law": "cauchy", "std": 1}] * 2}, "one of the laws gaussian"),
-        ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": -1}] * 2}, "a positive std"),
+        ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": -1}] * 2}, "std of at least 0"),
         ({"noise_covariance": None, "noise": [{"law": "gaussian", "std": 1}]}, "2 laws"),
         ({"state_low": [-3]}, "state_low"),
     ],
@@ -186,7 +186,7 @@ def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
         oscillator(**changes)
 
 
-def test_mistakes_in_files_are_named_on_one_line(tmp_path: Path) -> None:
+def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Path) -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     for old, new, message in (
         ("damping*rate", "dampin*rate", "did you mean 'damping'"),
@@ -198,7 +198,10 @@ def test_mistakes_in_files_are_named_on_one_line(tmp_path: Path) -> None:
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
         with pytest.raises(ValueError, match=message) as caught:
             cg.load_problem(path)
-        assert "\n" not in str(caught.value) and "[[agents]] number 1 ('pendulum')" in str(caught.value)
+        said, *below = str(caught.value).split("\n")
+        assert "[[agents]] number 1 ('pendulum')" in said
+        assert not below or (new in below[0] and below[0].index(new) == below[1].index("^"))
+        assert bool(below) == (old == "damping*rate")
 
 
 def test_commands_take_such_problems(capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,7 +55,7 @@ def test_equal_agents_get_equal_cells_and_share_their_kernel() -> None:
     ("id", "horizon", "memory", "relation"),
     [
         ("reach-avoid-v0", 7, 10e6, "auto"),
-        ("car-park-planar-v0", 10, 40e6, "auto"),
+        ("car-park-planar-v0", 10, 40e6, "exact"),
         ("reach-avoid-kinematic-v0", 4, 15e6, "tube"),
     ],
 )

@@ -239,7 +239,7 @@ def test_only_what_is_not_worth_a_search_is_passed_over(monkeypatch: pytest.Monk
 
 def test_default_cells_are_doubled_where_no_relation_applies() -> None:
     problem = cg.make_problem("integrator-chain-v0", horizon=2)
-    first, second = cg.synthesize_horizons(problem, [1, 2])
+    first, second = cg.synthesize_horizons(problem, [1, 2], relation="best")
     shapes = {part.grid.shape for part in first.certificate.agents}
     assert len(shapes) == 1 and min(next(iter(shapes))) > DEFAULT_CELLS[2]
     assert {part.grid.shape for part in second.certificate.agents} == shapes

@@ -44,8 +44,9 @@ MAY_IMPORT = {
     "synthesis.shielding": f"{ENVS} {CERTIFICATES} synthesis.checking",
     "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
+    "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing",
+    "synthesis.choosing synthesis.nominal_paths",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
@@ -56,11 +57,11 @@ MAY_IMPORT = {
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
     "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.search synthesis.bounds "
-    "validation.verdicts",
+    "synthesis.checking validation.verdicts",
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 
-SEARCH = ("search", "models", "bounds", "choosing")
+SEARCH = ("search", "models", "bounds", "choosing", "nominal_paths")
 """Rooms that the check must not reach."""
 
 

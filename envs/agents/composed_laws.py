@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.stats
 from scipy.special import ndtr, ndtri
 
 from .checks import shown
@@ -188,6 +187,8 @@ class ScipyLaw(Law):
         raise ValueError("`noise`: expected laws that can be scaled, got one of scipy; give the scaled law itself")
 
     def to_dict(self) -> dict[str, Any]:
+        import scipy.stats
+
         name = str(getattr(getattr(self.frozen, "dist", None), "name", ""))
         if type(getattr(scipy.stats, name, None)) is not type(getattr(self.frozen, "dist", None)):
             raise ValueError("`noise`: expected a law that `scipy.stats` knows by name, got one that no file can hold")
@@ -212,6 +213,8 @@ def scipy_law(entry: Mapping[str, Any]) -> ScipyLaw:
         )
     frozen = entry["law"]
     if frozen == "scipy":
+        import scipy.stats  # takes a second, which only those wait for who ask for it
+
         dist = getattr(scipy.stats, str(entry.get("name")), None)
         if not isinstance(dist, scipy.stats.rv_continuous):
             raise ValueError(f"`noise`: expected the name of a continuous law of scipy, got {shown(entry.get('name'))}")

@@ -67,7 +67,8 @@ def _check_numbers(name: str, numbers: dict[str, float]) -> None:
     for key in ("std", "scale", "spread"):
         least = 0.0 if key == "std" else math.ulp(0.0)
         if key in numbers and not numbers[key] >= least:
-            raise ValueError(f"`noise`: expected a positive {key} of a {name} law, got {numbers[key]:g}")
+            wanted = f"a {key} of at least 0" if key == "std" else f"a positive {key}"
+            raise ValueError(f"`noise`: expected {wanted} of a {name} law, got {numbers[key]:g}")
     if "low" in numbers and not numbers["low"] < numbers["high"]:
         raise ValueError(f"`noise`: expected low < high, got {numbers['low']:g} and {numbers['high']:g}")
     if "mode" in numbers and not numbers["low"] <= numbers["mode"] <= numbers["high"]:

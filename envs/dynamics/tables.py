@@ -14,6 +14,7 @@ every case instead of once for every world.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -164,6 +165,9 @@ def reader(
     if accepting[automaton.initial] or not all(block.identity_output for block in blocks):
         return None
     counts = tuple(Counts.of(block, labeling) for block in blocks)
+    # Codes of agents with many states are too many to be listed at all.
+    if any(math.prod(len(edges) + 1 for edges in each.edges) > MOST_ENTRIES for each in counts):
+        return None
     places = sorted((int(i), b, k) for b, block in enumerate(blocks) for k, i in enumerate(block.agents))
     n_states, n_nodes = automaton.n_states, automaton.variable.size
     # A row is a pair: the automaton state before the step, and the entry of the diagrams that the agents read so far

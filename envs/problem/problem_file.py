@@ -265,8 +265,14 @@ def _prefixed(where: str, make: Any) -> Any:
 
 
 def _line(error: Exception) -> str:
-    """Return the message of an error on one line; instead of carets it gives the number of the character."""
+    """Return the message of an error on one line, below it an expression with a caret under the mistake if it has one.
+
+    Formulas may be long: the number of the character stands for the caret.
+    """
     if isinstance(error, FormulaError):
         place = f" (character {error.start + 1} of the formula)" if error.text else ""
         return " ".join(error.problem.split()) + place
+    said, _, below = str(error).partition("\n    ")
+    if below.endswith("^"):
+        return " ".join(said.split()) + "\n    " + below
     return " ".join(str(error).split()) or type(error).__name__

@@ -6,21 +6,25 @@ from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .checked_laws import law_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
-from .given_certificate import as_certificate, of_one_task
+from .given_certificate import any_certificate, as_certificate, of_one_task
 from .part import AgentPart
+from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 
 __all__ = [
     "AgentPart",
+    "AgentPath",
     "BrokenTrainError",
     "Certificate",
     "Claim",
     "EXACT_GAP",
+    "PathCertificate",
     "ProductCertificate",
     "Synthesis",
     "UNREADABLE",
+    "any_certificate",
     "as_certificate",
     "axis_tables",
     "certificate_bytes",

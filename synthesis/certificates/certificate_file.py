@@ -28,6 +28,8 @@ from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
 from .part import AgentPart
+from .path_certificate import PathCertificate
+from .path_file import path_header, path_in
 from .product import ProductCertificate, product_certificate
 from .result import Synthesis
 
@@ -59,7 +61,9 @@ UNREADABLE = (
 """What unpacking, parsing and checking may raise when a file was damaged or made up."""
 
 
-def save_certificate(certificate: Synthesis | Certificate | ProductCertificate, path: str | Path) -> None:
+def save_certificate(
+    certificate: Synthesis | Certificate | ProductCertificate | PathCertificate, path: str | Path
+) -> None:
     """Write a certificate, or that of a synthesis, to ``path`` (``.npz``), or raise ValueError if it is neither."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
@@ -84,10 +88,12 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: Certificate) -> bytes:
+def _packed(certificate: Certificate | PathCertificate) -> bytes:
     """Return the bytes of the file of a single certificate."""
-    checked_certificate(certificate)
     pool = _Pool()
+    if isinstance(certificate, PathCertificate):
+        return _archived({"format": FORMAT, "version": VERSION, **path_header(certificate, pool.put)}, pool)
+    checked_certificate(certificate)
     terms, rounding = certificate.terms, certificate.rounding
     header = {
         "format": FORMAT,
@@ -141,6 +147,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
         header, arrays = _unarchived(Path(path).read_bytes(), max_bytes)
         if "parts" in header:
             return _product(header, arrays, max_bytes)  # type: ignore[return-value]
+        if "path" in header:
+            return path_in(header, arrays)  # type: ignore[return-value]
         return CertificateReader(header, arrays).certificate()
     except UNREADABLE as error:
         message = str(error) or type(error).__name__
@@ -188,8 +196,14 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
         if "parts" in part_header:
             raise ValueError("a part of it has parts again")
-        certificates[name] = CertificateReader(part_header, part_arrays).certificate()
+        read = path_in if "path" in part_header else _read
+        certificates[name] = read(part_header, part_arrays)  # type: ignore[assignment]
     return product_certificate(problem, tuple(certificates[str(int(number))] for number in header["parts"]))
+
+
+def _read(header: dict[str, Any], arrays: dict[str, NDArray]) -> Certificate:
+    """Return the certificate on grids that a header describes."""
+    return CertificateReader(header, arrays).certificate()
 
 
 def _check_sizes(archive: zipfile.ZipFile, max_bytes: int) -> None:

@@ -7,12 +7,13 @@ from typing import Any
 
 from .certificate import Certificate
 from .certificate_file import load_certificate
+from .path_certificate import PathCertificate
 from .product import ProductCertificate
 from .result import Synthesis
 
 
 def as_certificate(value: Any) -> Certificate | ProductCertificate:
-    """Return the certificate that a value stands for.
+    """Return the certificate on grids that a value stands for.
 
     Parameters
     ----------
@@ -22,13 +23,25 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
     Raises
     ------
     ValueError
-        If `value` is none of these, or if the file holds no certificate.
+        If `value` is none of these, if the file holds no certificate, or if it is one along a path.
     """
+    certificate = any_certificate(value)
+    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
+    if any(isinstance(part, PathCertificate) for part in parts):
+        raise ValueError(
+            "`certificate`: expected one on grids, got one along a path, which says nothing of other states; it can be "
+            "checked, validated, simulated and compared"
+        )
+    return certificate
+
+
+def any_certificate(value: Any) -> Any:
+    """Return the certificate of any kind that a value stands for: on grids, of independent tasks, or along a path."""
     if isinstance(value, Synthesis):
         return value.certificate
     if isinstance(value, str | Path):
         return load_certificate(value)
-    if not isinstance(value, Certificate | ProductCertificate):
+    if not isinstance(value, Certificate | ProductCertificate | PathCertificate):
         raise ValueError(
             f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
             "one with `synthesize`, `certify` or `load_certificate`"

@@ -204,7 +204,7 @@ def nameless(problem: Problem) -> str:
 
 def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, float | str]:
     """Return the bound of each relation that was tried, or why there is none; of parts that are alike, those of one."""
-    if isinstance(certificate, Certificate):
+    if not isinstance(certificate, ProductCertificate):
         return dict(certificate.settings.get("relations_tried", {}))
     tried: dict[str, float | str] = {}
     for same in certificate.alike:

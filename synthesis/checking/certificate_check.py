@@ -32,8 +32,9 @@ from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
+    PathCertificate,
     ProductCertificate,
-    as_certificate,
+    any_certificate,
     grid_noise,
     significant_down,
     significant_up,
@@ -43,6 +44,7 @@ from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .linear_check import places_of
+from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .train_check import Value, regrown_trains, train_start_value
@@ -108,17 +110,33 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
         the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
-    certificate = as_certificate(certificate)
+    certificate = any_certificate(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
+    one = _check_path if isinstance(certificate, PathCertificate) else _check_one
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return _check_one(certificate, problem)
+            return one(certificate, problem)
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+
+
+def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:
+    """Verify a certificate along a path."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    failure = 1.0
+    if not failures:
+        failures, failure = wrong_paths(certificate)
+    if not failures and not failure <= certificate.failure:
+        claimed = f"it says that it fails with probability {certificate.failure:.6g} at most"
+        failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
+    recomputed = float("nan") if failures else 1.0 - failure
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
 def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:

@@ -3,6 +3,7 @@
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
+from .path_controller import PathController, nominal_states
 from .product_controller import ProductController
 
 __all__ = [
@@ -11,8 +12,10 @@ __all__ = [
     "Decentralised",
     "InputTable",
     "LOCAL",
+    "PathController",
     "Policy",
     "ProductController",
     "decentralised",
+    "nominal_states",
     "vectorized",
 ]

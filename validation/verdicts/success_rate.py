@@ -19,7 +19,7 @@ from ...synthesis.certificates import (
     Certificate,
     ProductCertificate,
     Synthesis,
-    as_certificate,
+    any_certificate,
     relations_tried,
     rounded_up,
     shown_bound,
@@ -272,7 +272,7 @@ def validate(
     """
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
-    certificate = as_certificate(result)
+    certificate = any_certificate(result)
     behaviours = _behaviours(certificate) if disturbance is None else {_name(disturbance): disturbance}
     if len(behaviours) == 1:
         how = _Trial(initial_state, sequential, mismatch, *next(iter(behaviours.items())))

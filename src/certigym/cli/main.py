@@ -32,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         module = import_module(f".{MODULES[options.command]}", __package__)
         return int(getattr(module, options.command.replace("-", "_"))(options))
     except (ValueError, OSError) as error:
-        first = str(error).strip().replace("\n", " | ") or type(error).__name__
+        said = str(error).strip()
+        # An expression with a caret under the mistake keeps its lines.
+        first = said if said.endswith("^") else said.replace("\n", " | ") or type(error).__name__
         print(f"certigym: {first}", file=sys.stderr)
         return 2
     except MemoryError:

@@ -46,7 +46,7 @@ def add_models(parser: argparse.ArgumentParser, automatic: str = "what certifies
         metavar="NAME",
         default=["auto"],
         help=f"auto (default: {automatic}), quick (no comparison), best (no shortcut), exact, linear, "
-        "boxes, tube, ellipsoid or paper; AGENT=NAME for single agents",
+        "boxes, tube, ellipsoid, paper or path (no grid); AGENT=NAME for single agents",
     )
     parser.add_argument(
         "--delta", type=float, metavar="P", help="failure probability per step and agent of `ellipsoid` or `paper`"

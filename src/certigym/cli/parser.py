@@ -142,9 +142,11 @@ def _add_validation(commands: Any) -> None:
     add_trials(report, 100_000)
 
     reproduce = commands.add_parser(
-        "reproduce", help="recompute the paper's figures and tables beside the published values"
+        "reproduce",
+        help="recompute the paper's figures and tables, and the field's benchmarks, beside the published values",
     )
-    reproduce.add_argument("what", choices=["fig3", "fig4", "table1", "table2", "refutation"])
+    reproduce.add_argument("what", choices=["fig3", "fig4", "table1", "table2", "refutation", "arch"])
+    reproduce.add_argument("--row", metavar="NAME", help="one row of arch alone")
     reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
 
 

@@ -145,9 +145,19 @@ def _agent_lines(agent: AnyAgent) -> list[str]:
     workspace = f"{_vector(agent.workspace.low)} .. {_vector(agent.workspace.high)}"
     inputs = f"{_vector(agent.input_box.low)} .. {_vector(agent.input_box.high)}"
     return [
-        f"agent {agent.name}: {_motion(agent)}, covariance of w {agent.noise_covariance.tolist()}",
+        f"agent {agent.name}: {_motion(agent)}, {_noise(agent)}",
         f"    workspace {workspace}, inputs {inputs}, start {start}",
     ]
+
+
+def _noise(agent: AnyAgent) -> str:
+    """Return the noise of an agent: a covariance, or the law of each component."""
+    if agent.laws is None:
+        return f"covariance of w {agent.noise_covariance.tolist()}"
+    laws = [law.to_dict() for law in agent.laws]
+    words = [f"{law.pop('law')} ({', '.join(f'{key} {value}' for key, value in law.items())})" for law in laws]
+    axes = "" if np.array_equal(agent.noise_axes, np.eye(agent.n_states)) else f" along {agent.noise_axes.T.tolist()}"
+    return f"w {' x '.join(words)}{axes}"
 
 
 def _motion(agent: AnyAgent) -> str:

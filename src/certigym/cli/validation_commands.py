@@ -16,6 +16,7 @@ from ..synthesis.certificates import load_certificate, rounded_down
 from ..validation.audits import audit as audit_certificate
 from ..validation.paper import refute_published
 from ..validation.paper import reproduce as paper_figures
+from ..validation.paper.arch import arch
 from ..validation.reports import report as write_report
 from ..validation.simulation import Mismatch
 from ..validation.verdicts import (
@@ -125,6 +126,14 @@ def reproduce(options: Namespace) -> int:
         if options.json != "-":
             print(text)
 
+    if options.row is not None and options.what != "arch":
+        raise ValueError("`--row`: expected only with arch; leave it out")
+    if options.what == "arch":
+        folder = Path(options.out or "reproduced")
+        rows: Any = arch(folder, options.row, progress=say)
+        say(f"written to {folder}")
+        write_json(options, rows)
+        return 0 if all(row["check"] == "valid" for row in rows) else 1
     if options.what == "refutation":
         result: Any = refute_published()
         where = ", ".join(f"{x:g}" for x in result["worst_initial_state"])

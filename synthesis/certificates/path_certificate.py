@@ -1,0 +1,108 @@
+"""Certificates along a path: no grid, any number of states, noise that need not reach all of them.
+
+Linear agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
+nominal path under the nominal inputs ubar. Then all deviations are jointly Gaussian with mean 0. At every time the
+certificate says which propositions are to hold and which are not; as long as they do, no agent leaves its workspace and
+no input its box, the automaton reads a word that it accepts. The certified bound is that of these linear inequalities
+(docs/theory/paths.md): everything else is computed from the matrices of the problem.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import tree_text
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..controllers import PathController
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPath:
+    """Nominal inputs of one agent and its feedback.
+
+    Parameters
+    ----------
+    inputs : (S, m) array
+        Nominal inputs at times 0 to S - 1.
+    gain : (m, d) array
+        Feedback K on the deviation from the nominal path; 0 for none.
+    """
+
+    inputs: FloatArray
+    gain: FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathCertificate:
+    """A certified lower bound from a start that is known, along a nominal path.
+
+    Parameters
+    ----------
+    problem : Problem
+    paths : tuple of AgentPath
+        One for each agent, for S steps; S is the horizon unless the task is satisfied earlier.
+    letters : (S + 1, P) int8 array
+        Of each proposition of the automaton at times 0 to S: 1 if it is to hold, -1 if not, 0 if that does not matter.
+    faces : (S + 1, P) int array
+        Where a proposition is not to hold: the side of its region that is kept away from, ``2 k`` for below the lower
+        limit of output k, ``2 k + 1`` for above the upper one; -1 elsewhere.
+    failure : float
+        Upper bound on the probability that the task is not satisfied.
+    settings : dict
+        How the path was found.
+    """
+
+    problem: Problem
+    paths: tuple[AgentPath, ...]
+    letters: NDArray[np.int8]
+    faces: NDArray[np.int64]
+    failure: float
+    settings: dict[str, Any]
+
+    start = "point"
+    bound = "path"
+    rank = 1
+    gap = None
+    exact = False
+
+    def __repr__(self) -> str:
+        rows = [
+            ("horizon", f"{self.problem.horizon} control steps"),
+            ("path", f"{self.n_steps} steps"),
+            ("failure", f"at most {self.failure:.3g}"),
+            ("bound", f"P >= {self.lower_bound:.10g}"),
+        ]
+        return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps S of the path."""
+        return len(self.letters) - 1
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
+
+    @property
+    def method(self) -> str:
+        """How the bound was found, in words."""
+        gains = any(np.any(path.gain) for path in self.paths)
+        return f"nominal path of {self.n_steps} steps, {'with feedback' if gains else 'open loop'}"
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> PathController:
+        """The controllers the bound belongs to."""
+        return PathController(self.problem, tuple((path.inputs, path.gain) for path in self.paths))

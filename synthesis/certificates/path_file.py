@@ -1,0 +1,52 @@
+"""Certificates along a path as entries of a file: numbers are put into a pool of arrays, and read with suspicion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import problem_from_dict
+from .path_certificate import AgentPath, PathCertificate
+
+
+def path_header(certificate: PathCertificate, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
+    """Return the header of a file of a certificate along a path; ``put`` stores an array and returns its number."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "settings": certificate.settings,
+        "failure": float(certificate.failure),
+        "path": {
+            "letters": put(certificate.letters),
+            "faces": put(certificate.faces),
+            "agents": [[put(path.inputs), put(path.gain)] for path in certificate.paths],
+        },
+    }
+
+
+def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCertificate:
+    """Return the certificate along a path that a header and its arrays describe; raise ValueError if they do not."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    failure, entry = header["failure"], header["path"]
+    if isinstance(failure, bool) or not isinstance(failure, int | float) or not 0.0 <= failure <= 1.0:
+        raise ValueError("its probability of failing is none")
+    if not isinstance(header["settings"], dict) or len(entry["agents"]) != problem.n_agents:
+        raise ValueError("its settings or its agents are not those of a path")
+    letters, faces = (np.asarray(arrays[str(int(entry[name]))]) for name in ("letters", "faces"))
+    if letters.dtype.kind != "i" or faces.dtype.kind != "i" or letters.ndim != 2 or letters.shape != faces.shape:
+        raise ValueError("its letters are no whole numbers")
+    if not 2 <= len(letters) <= problem.horizon + 1:
+        raise ValueError("its path does not fit the horizon")
+    paths = []
+    for agent, numbers in zip(problem.agents, entry["agents"], strict=True):
+        inputs, gain = (np.asarray(arrays[str(int(number))], dtype=float) for number in numbers)
+        shapes = (len(letters) - 1, agent.n_inputs), (agent.n_inputs, agent.n_states)
+        if (inputs.shape, gain.shape) != shapes or not (np.all(np.isfinite(inputs)) and np.all(np.isfinite(gain))):
+            raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
+        paths.append(AgentPath(inputs, gain))
+    return PathCertificate(problem, tuple(paths), letters, faces, float(failure), header["settings"])

@@ -1,0 +1,281 @@
+"""Certificates along a path, once more: from the matrices of the problem alone.
+
+Deviations from the nominal path are ``e_t = sum_k F^k w_{t-1-k}`` with ``F = A + B K``, so that ``c e_t`` has the
+variance ``sum_k c F^k Sigma F'^k c'``. What has to hold is read from the letters of the certificate, and the automaton
+is followed through every letter that agrees with them. Numbers are off by rounding; each is moved to the side that
+makes a failure more probable, by a bound that goes along with it: the same sums of absolute values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfc
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..certificates import AgentPath, PathCertificate
+
+UNIT = 2.0**-52
+"""Twice the relative rounding of one operation."""
+
+SMALLEST = 1e-300
+"""What is added to tails, because smaller ones come out as 0."""
+
+TAIL = 1.0 + 1e-11
+"""Factor on tails and sums of them, far above what the complementary error function is off by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """Powers ``F^k`` of a matrix as they were computed, and bounds on norms of the true ones and of the difference.
+
+    With ``P_k+1 = fl(F P_k)``, the difference of P_k from ``F^k`` is a sum of ``F^j`` times the rounding of one
+    product, so that its norm is bounded by norms of true powers, and these by induction (Frobenius norms).
+    """
+
+    computed: list[FloatArray]
+    norms: list[float]
+    errors: list[float]
+
+    @classmethod
+    def of(cls, matrix: FloatArray, off: float, count: int) -> Powers:
+        """Return the powers 0 to count - 1 of a matrix that is known up to ``off``."""
+        d = len(matrix)
+        unit, size = (d + 2.0) * UNIT, float(np.linalg.norm(matrix)) * TAIL
+        computed, norms, errors, rounded = [np.eye(d)], [float(np.sqrt(d)) * TAIL], [0.0], list[float]()
+        for k in range(1, count):
+            last = float(np.linalg.norm(computed[-1])) * TAIL
+            rounded.append((unit * size + off) * last)
+            computed.append(matrix @ computed[-1])
+            errors.append(sum(norms[j] * rounded[k - 1 - j] for j in range(k)) * TAIL)
+            norms.append(float(np.linalg.norm(computed[-1])) * TAIL + errors[-1])
+        return cls(computed, norms, errors)
+
+    def carried(self, each: list[float]) -> list[float]:
+        """Return bounds on ``sum_s F^(t-1-s) r_s`` for all t, with r_s no longer than ``each[s]``."""
+        return [sum(self.norms[t - 1 - s] * each[s] for s in range(t)) * TAIL for t in range(len(each) + 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Nominal path of one agent, what means may be off by, and the deviations from it.
+
+    ``states`` (S + 1, d) are nominal states as they were computed, ``off`` (S + 1,) bounds on how far the mean of the
+    state may be from them, ``powers`` those of the closed loop.
+    """
+
+    agent: LinearAgent
+    path: AgentPath
+    states: FloatArray
+    off: list[float]
+    powers: Powers
+
+    @classmethod
+    def of(cls, agent: LinearAgent, path: AgentPath) -> Motion:
+        """Follow the nominal inputs of an agent."""
+        steps, d, m = len(path.inputs), agent.n_states, agent.n_inputs
+        unit = 2.0 * (d + m + 4.0) * UNIT
+        size_B, size_K = float(np.linalg.norm(agent.B)) * TAIL, float(np.linalg.norm(path.gain)) * TAIL
+        size_A, size_c = float(np.linalg.norm(agent.A)) * TAIL, float(np.linalg.norm(agent.offset)) * TAIL
+        wrong = unit * (size_A + size_B * size_K) if size_K else 0.0  # without feedback nothing is added
+        closed = Powers.of(agent.A + agent.B @ path.gain, wrong, steps + 1)
+        states, rounded = np.zeros((steps + 1, d)), []
+        states[0] = agent.initial.low
+        for t, u in enumerate(path.inputs):
+            states[t + 1] = agent.A @ states[t] + agent.B @ u + agent.offset
+            parts = size_A * float(np.linalg.norm(states[t])) + size_B * float(np.linalg.norm(u)) + size_c
+            rounded.append(unit * parts * TAIL)
+        # The nominal states are off by what is rounded, in the controller as well as here.
+        off = Powers.of(agent.A, 0.0, steps + 1).carried(rounded)
+        if size_K:
+            # Its inputs are off by that, and by their own rounding; the loop carries on what they cause.
+            largest = float(np.linalg.norm(np.maximum(np.abs(agent.state_low), np.abs(agent.state_high))))
+            pushed = []
+            for t, u in enumerate(path.inputs):
+                span = largest + float(np.linalg.norm(states[t])) + off[t]
+                pushed.append(size_B * (size_K * off[t] + unit * (float(np.linalg.norm(u)) + size_K * span)) * TAIL)
+            off = [first + second for first, second in zip(off, closed.carried(pushed), strict=True)]
+        return cls(agent, path, states, off, closed)
+
+    def variances(self, t: int, rows: FloatArray) -> FloatArray:
+        """Variances (J,) of rows (J, d) of the deviation at time t, from above."""
+        noise, total, error = self.agent.noise_covariance, np.zeros(len(rows)), np.zeros(len(rows))
+        size, lengths, d = float(np.linalg.norm(noise)) * TAIL, np.linalg.norm(rows, axis=1) * TAIL, len(noise)
+        for k in range(t):
+            moved = rows @ self.powers.computed[k]
+            total += np.einsum("jd,de,je->j", moved, noise, moved, optimize=True)
+            moved_size = np.linalg.norm(moved, axis=1) * TAIL
+            wrong = lengths * (self.powers.errors[k] + (d + 2.0) * UNIT * self.powers.norms[k])
+            error += size * (2.0 * moved_size * wrong + wrong**2 + (2.0 * d + t + 4.0) * UNIT * moved_size**2)
+        return np.maximum(total, 0.0) + error * TAIL
+
+
+def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
+    """What is wrong with a certificate along a path, and an upper bound on the probability of failing."""
+    problem = certificate.problem
+    failures = _wrong_form(certificate)
+    if failures:
+        return failures, 1.0
+    failures = _wrong_word(certificate)
+    if failures:
+        return failures, 1.0
+    log_kept = 0.0
+    for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
+        assert isinstance(agent, LinearAgent)
+        log_kept += float(np.log1p(-min(1.0 - 1e-16, _failure(certificate, i, Motion.of(agent, path)))))
+    return [], min(1.0, float(-np.expm1(log_kept)) * TAIL)
+
+
+def _wrong_form(certificate: PathCertificate) -> list[str]:
+    """Shapes, signs, kinds of agents, starts."""
+    problem, steps = certificate.problem, certificate.n_steps
+    shape = (steps + 1, len(problem.automaton.propositions))
+    failures = []
+    if problem.groups:
+        failures.append("it is of independent tasks, which have certificates of their own")
+    elif not 1 <= steps <= problem.horizon or len(certificate.paths) != problem.n_agents:
+        failures.append("its path does not fit the horizon or the agents")
+    elif certificate.letters.shape != shape or certificate.faces.shape != shape:
+        failures.append("its letters do not fit the path")
+    elif not np.all(np.isin(certificate.letters, (-1, 0, 1))):
+        failures.append("its letters are none")
+    elif not 0.0 <= certificate.failure <= 1.0:
+        failures.append("its probability of failing is none")
+    for agent, path in zip(problem.agents, certificate.paths):
+        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+            failures.append(f"agent `{agent.name}` is not linear with Gaussian noise")
+        elif not np.array_equal(agent.initial.low, agent.initial.high):
+            failures.append(f"the start of agent `{agent.name}` is no point")
+        elif path.inputs.shape != (steps, agent.n_inputs) or path.gain.shape != (agent.n_inputs, agent.n_states):
+            failures.append(f"the inputs of agent `{agent.name}` do not fit")
+        elif not (np.all(np.isfinite(path.inputs)) and np.all(np.isfinite(path.gain))):
+            failures.append(f"the inputs of agent `{agent.name}` are no numbers")
+    return failures
+
+
+def _wrong_word(certificate: PathCertificate) -> list[str]:
+    """Whether every word that agrees with the letters is accepted."""
+    problem, automaton = certificate.problem, certificate.problem.automaton
+    first = np.zeros(len(automaton.propositions), dtype=bool)
+    for i, agent in enumerate(problem.agents):
+        first[problem.labeling.agent_propositions[i]] = problem.labeling.class_at(i, agent.initial.low)
+    states = {int(automaton.next_state(automaton.initial, first))}
+    for t in range(1, certificate.n_steps + 1):
+        known = _known(problem, certificate.letters[t].tolist())
+        states = {target for q in states for target in _targets(certificate, q, known)}
+    if not automaton.is_co_safe and certificate.n_steps != problem.horizon:
+        return ["its path ends before the horizon, and the task is judged there"]
+    if not all(automaton.accepting[q] for q in states):
+        return ["a word that agrees with its letters is not accepted"]
+    return []
+
+
+def _known(problem: Problem, letter: list[int]) -> dict[int, bool]:
+    """What is known of propositions: what the letter says, and that regions do not meet one that holds."""
+    names = problem.automaton.propositions
+    known = {p: value > 0 for p, value in enumerate(letter) if value}
+    for p, name in enumerate(names):
+        region = problem.propositions[name]
+        for q, value in enumerate(letter):
+            other = problem.propositions[names[q]]
+            if p in known or value <= 0 or region.agent != other.agent:
+                continue
+            if np.any(region.high <= other.low) or np.any(other.high <= region.low):
+                known[p] = False
+    return known
+
+
+def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> set[int]:
+    """States to which a state leads by the letters that agree with what is known."""
+    automaton = certificate.problem.automaton
+    entries, seen, targets = [int(automaton.root[q])], set(), set()
+    while entries:
+        entry = entries.pop()
+        if entry < 0:
+            targets.add(-1 - entry)
+        elif entry not in seen:
+            seen.add(entry)
+            p = int(automaton.variable[entry])
+            if known.get(p, True):
+                entries.append(int(automaton.high[entry]))
+            if not known.get(p, False):
+                entries.append(int(automaton.low[entry]))
+    return targets
+
+
+def _failure(certificate: PathCertificate, i: int, motion: Motion) -> float:
+    """Upper bound on the probability that an inequality of agent i fails."""
+    agent, path = motion.agent, motion.path
+    below, above = [], []
+    for t in range(1, certificate.n_steps + 1):
+        rows, low, high = _limits(certificate, i, t)
+        off = np.linalg.norm(rows, axis=1) * motion.off[t] * TAIL
+        tails = _tails(rows @ motion.states[t], off, motion.variances(t, rows), low, high)
+        below.append(tails[0])
+        above.append(tails[1])
+    for t, u in enumerate(path.inputs):
+        if not np.any(path.gain) or t == 0:
+            if np.any(u < agent.input_low) or np.any(u > agent.input_high):
+                return 1.0
+            continue
+        rounding = 16.0 * len(path.gain[0]) * UNIT * np.abs(u)
+        off = np.linalg.norm(path.gain, axis=1) * motion.off[t] * TAIL + rounding
+        tails = _tails(u, off, motion.variances(t, path.gain), agent.input_low, agent.input_high)
+        below.append(tails[0])
+        above.append(tails[1])
+    left, right = np.concatenate(below), np.concatenate(above)
+    boole = float(np.sum(left) + np.sum(right)) * TAIL
+    nearer = np.maximum(left, right)
+    correlated = 1.0
+    if np.all(nearer < 0.5):
+        correlated = float(-np.expm1(np.sum(np.log1p(-2.0 * nearer)))) * TAIL
+    return min(1.0, boole, correlated)
+
+
+def _limits(certificate: PathCertificate, i: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rows (J, d) of the inequalities on the state of agent i at time t, and their limits."""
+    problem, agent = certificate.problem, certificate.problem.agents[i]
+    assert isinstance(agent, LinearAgent)
+    rows, low, high = [*np.eye(agent.n_states)], [*agent.state_low], [*agent.state_high]
+    for p, name in enumerate(problem.automaton.propositions):
+        region, value = problem.propositions[name], int(certificate.letters[t, p])
+        if region.agent != agent.name or value == 0:
+            continue
+        outputs = range(agent.n_outputs)
+        if value < 0:
+            face = int(certificate.faces[t, p])
+            if not 0 <= face < 2 * agent.n_outputs:
+                return np.zeros((1, agent.n_states)), np.array([1.0]), np.array([1.0])  # no side: it never holds
+            k = face // 2
+            rows.append(agent.output_matrix[k])
+            low.append(region.high[k] if face % 2 else -np.inf)
+            high.append(np.inf if face % 2 else region.low[k])
+            continue
+        for k in outputs:
+            rows.append(agent.output_matrix[k])
+            low.append(region.low[k])
+            high.append(region.high[k])
+    # Of several limits of one row the narrowest ones say all.
+    distinct, which = np.unique(np.array(rows), axis=0, return_inverse=True)
+    narrow_low, narrow_high = np.full(len(distinct), -np.inf), np.full(len(distinct), np.inf)
+    np.maximum.at(narrow_low, which.ravel(), np.array(low))
+    np.minimum.at(narrow_high, which.ravel(), np.array(high))
+    return distinct, narrow_low, narrow_high
+
+
+def _tails(
+    at: FloatArray, off: FloatArray, variances: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Probabilities (J,) to be below and above limits, for means that may be off, from above."""
+    tails = []
+    for distance, limit in ((at - low, low), (high - at, high)):
+        rounded = off + 4.0 * UNIT * (np.abs(at) + np.where(np.isfinite(limit), np.abs(limit), 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.where(variances > 0.0, (distance - rounded) / np.sqrt(2.0 * np.maximum(variances, 1e-300)), np.inf)
+        # Without noise a limit either holds for sure or does not.
+        z = np.where((variances <= 0.0) & ~(distance > rounded), -np.inf, z)
+        tails.append(np.where(z == np.inf, 0.0, np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)))
+    return tails[0], tails[1]

@@ -1,0 +1,110 @@
+"""Controllers that follow nominal paths: ``u_t = ubar_t + K (x_t - xbar_t)``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import LinearAgent, tree_text
+from ...envs.dynamics import Dynamics, Worlds
+from ...envs.problem import Problem
+from ..cells import FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathController:
+    """Controllers of all agents along their nominal paths; after the end of a path its last input is repeated.
+
+    Agents see their own state and the time.
+
+    Parameters
+    ----------
+    problem : Problem
+        Linear agents with a start that is a point.
+    paths : tuple of (inputs, gain)
+        Nominal inputs (S, m) and feedback (m, d) of every agent.
+    """
+
+    problem: Problem
+    paths: tuple[tuple[FloatArray, FloatArray], ...]
+
+    def __repr__(self) -> str:
+        rows = [("agents", len(self.paths)), ("steps", len(self.paths[0][0]))]
+        return tree_text(f"PathController of {self.problem.name!r}", rows)
+
+    @cached_property
+    def nominal(self) -> tuple[FloatArray, ...]:
+        """Nominal states (S + 1, d) of every agent (rounded)."""
+        pairs = zip(self.problem.agents, self.paths, strict=True)
+        return tuple(nominal_states(agent, inputs) for agent, (inputs, _) in pairs)  # type: ignore[arg-type]
+
+    def reset(
+        self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
+    ) -> None:
+        """Begin an episode; nothing is remembered and nothing is drawn."""
+
+    def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
+        """Return the action of every agent observed: name -> (m,) float64.
+
+        State and time are read from ``infos[agent]`` if that is given, else from the observation.
+        """
+        actions = {}
+        numbers = {name: i for i, name in enumerate(self.problem.agent_names)}
+        for name, observation in observations.items():
+            i, info = numbers[name], infos.get(name) if infos is not None else None
+            d = self.problem.agents[i].n_states
+            if info is not None and "state" in info:
+                state, time = np.asarray(info["state"], dtype=float), int(info["time"])
+            else:
+                own = np.asarray(observation, dtype=float)
+                state, time = own[:d], round((1.0 - float(own[-1])) * self.problem.horizon)
+            actions[name] = self._inputs(i, state[:, None], time)[:, 0]
+        return actions
+
+    def _inputs(self, i: int, states: FloatArray, time: int) -> FloatArray:
+        """Return the inputs (m, M) of agent i at states (d, M), within its input box."""
+        agent, (inputs, gain) = self.problem.agents[i], self.paths[i]
+        t = min(time, len(inputs) - 1)
+        wanted = inputs[t][:, None] + gain @ (states - self.nominal[i][t][:, None])
+        return np.clip(wanted, agent.input_low[:, None], agent.input_high[:, None])
+
+    def batch(self, dynamics: Dynamics) -> BatchPaths:
+        """Return the same controllers for batched rollouts of ``dynamics``."""
+        return BatchPaths(self, tuple(block.agents for block in dynamics.blocks))
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPaths:
+    """Path controllers arranged for batches."""
+
+    controller: PathController
+    blocks: tuple[NDArray[np.int64], ...]
+
+    def begin(self, worlds: Worlds, rng: Any) -> None:
+        """Nothing is remembered."""
+
+    def selected(self, memory: None, which: NDArray[Any]) -> None:
+        """Nothing is remembered of any world."""
+
+    def act(self, worlds: Worlds, memory: None) -> tuple[tuple[FloatArray, ...], None]:
+        """Return inputs (m, n, M) per block."""
+        time = worlds.time if isinstance(worlds.time, int) else int(np.max(worlds.time))
+        blocks = []
+        for members, states in zip(self.blocks, worlds.states, strict=True):
+            each = [self.controller._inputs(int(i), states[:, k], time) for k, i in enumerate(members)]
+            blocks.append(np.stack(each, axis=1))
+        return tuple(blocks), None
+
+
+def nominal_states(agent: LinearAgent, inputs: FloatArray) -> FloatArray:
+    """Return the states (S + 1, d) of an agent without noise under inputs (S, m), from its start (rounded)."""
+    states = np.empty((len(inputs) + 1, agent.n_states))
+    states[0] = agent.initial.low
+    for t, u in enumerate(inputs):
+        states[t + 1] = agent.A @ states[t] + agent.B @ u + agent.offset
+    return states

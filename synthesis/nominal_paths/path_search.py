@@ -1,0 +1,276 @@
+"""The best path that is found: ways through the automaton, times of the jumps, feedbacks, and nominal inputs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, solve_discrete_are
+
+from ...envs.agents import LinearAgent
+from ...envs.problem import Problem
+from ..cells import FloatArray, RelationRefused
+from ..certificates import AgentPath, PathCertificate, Synthesis
+from ..controllers import nominal_states
+from .nominal import ENOUGH, Response, nominal_inputs
+from .slabs import Slabs, covariances_of, failure_of, input_slabs, limits_of, state_slabs
+from .words import Way, ways_of, without_needless
+
+GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
+"""Costs of inputs, against states, of the feedbacks that are tried."""
+
+FACE_ROUNDS = 4
+"""How often the sides on which regions are passed are chosen anew."""
+
+MOST_PLANS = 40
+"""Ways with times that are tried, and moves of single times after that."""
+
+HOPELESS = 1.0 - 1e-12
+"""Probability of failing from which a plan counts as impossible."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A way with the times of its jumps, over some steps."""
+
+    way: Way
+    times: tuple[int, ...]
+    steps: int
+
+
+def path_certificate(problem: Problem) -> Synthesis:
+    """Return a certificate along a path, with its controllers.
+
+    Raises
+    ------
+    ValueError
+        If an agent is not linear, its noise not Gaussian or its start no point, or if no path was found.
+    """
+    began = time.perf_counter()
+    _check(problem)
+    finder = _Finder(problem)
+    best: tuple[float, Plan, Any] | None = None
+    for number, plan in enumerate(_plans(problem)):
+        if number >= MOST_PLANS or (best is not None and best[0] <= ENOUGH):
+            break
+        found = finder.of_plan(plan)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found[0], plan, found[1]
+    best = None if best is None else _with_better_times(finder, best)
+    if best is None or best[0] >= HOPELESS:
+        raise RelationRefused("no nominal path along which the task is satisfied was found; ask for another relation")
+    failure, plan, (paths, letters, faces) = best
+    settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
+    certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)
+    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
+    stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
+    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def _check(problem: Problem) -> None:
+    """Raise RelationRefused unless all agents are linear with Gaussian noise and start from a point."""
+    for agent in problem.agents:
+        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+            raise RelationRefused(f"agent `{agent.name}`: paths are for linear dynamics with Gaussian noise")
+        if not agent.initial.is_point:
+            raise RelationRefused(f"agent `{agent.name}`: paths are for a start that is a point, got a box")
+
+
+def _plans(problem: Problem) -> Iterator[Plan]:
+    """Yield ways with times of their jumps: evenly spread, or as early or as late as possible."""
+    horizon, co_safe = problem.horizon, problem.automaton.is_co_safe
+    for way in ways_of(problem):
+        n = len(way.jumps)
+        if n > horizon or (n == 0 and co_safe):
+            continue
+        seen = set()
+        for share in (1.0, 0.6, 0.8):
+            last = max(n, round(share * horizon))
+            times = tuple(max(k + 1, round((k + 1) * last / n)) for k in range(n))
+            if times not in seen and all(a < b for a, b in zip(times, times[1:])):
+                seen.add(times)
+                yield Plan(way, times, times[-1] if co_safe else horizon)
+
+
+def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[float, Plan, Any]:
+    """Return the best plan after moves of single jumps, as long as they help."""
+    step = max(1, finder.problem.horizon // 8)
+    while step and best[0] > ENOUGH:
+        improved = False
+        for k in range(len(best[1].times)):
+            for move in (-step, step):
+                times = list(best[1].times)
+                times[k] += move
+                is_last = k == len(times) - 1
+                fits = 1 <= times[0] and times[-1] <= finder.problem.horizon
+                if not fits or any(a >= b for a, b in zip(times, times[1:])):
+                    continue
+                steps = times[-1] if is_last and finder.problem.automaton.is_co_safe else best[1].steps
+                plan = Plan(best[1].way, tuple(times), steps)
+                found = finder.of_plan(plan)
+                if found is not None and found[0] < best[0]:
+                    best, improved = (found[0], plan, found[1]), True
+        step = step if improved else step // 2
+    return best
+
+
+class _Finder:
+    """Paths for plans; what depends on steps and feedback alone is computed once."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.tried = problem, 0
+        self.gains: dict[tuple[int, int], FloatArray | None] = {}
+        self.known: dict[object, Any] = {}
+
+    def of_plan(self, plan: Plan) -> tuple[float, Any] | None:
+        """Return failure, paths, letters and faces of a plan; None if it cannot be followed."""
+        self.tried += 1
+        problem = self.problem
+        letters = plan.way.letters(plan.times, plan.steps, len(problem.automaton.propositions))
+        if letters is None:
+            return None
+        letters = without_implied(problem, without_needless(problem, letters))
+        if letters is None:
+            return None
+        faces = np.full(letters.shape, -1)
+        log_kept, paths = 0.0, []
+        for i in range(problem.n_agents):
+            failure, path = self._of_agent(i, letters, faces)
+            if path is None or failure >= 1.0:
+                return None
+            log_kept += float(np.log1p(-failure))
+            paths.append(path)
+        return float(-np.expm1(log_kept)) * (1.0 + 1e-12), (paths, letters, faces)
+
+    def _of_agent(self, i: int, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> tuple[float, AgentPath | None]:
+        """Return failure and path of one agent; its columns of ``faces`` are set."""
+        own = [p for p, name in enumerate(self.problem.automaton.propositions)
+               if self.problem.propositions[name].agent == self.problem.agents[i].name]  # fmt: skip
+        key = (i, letters[:, own].tobytes(), len(letters))
+        if key not in self.known:
+            self.known[key] = self._solved(i, letters, own)
+        failure, path, chosen = self.known[key]
+        faces[:, own] = chosen
+        return failure, path
+
+    def gain(self, i: int, number: int) -> FloatArray | None:
+        """Return a feedback of agent i, made when it is asked for."""
+        if (i, number) not in self.gains:
+            self.gains[i, number] = feedback(self.problem.agents[i], number)  # type: ignore[arg-type]
+        return self.gains[i, number]
+
+    def _solved(self, i: int, letters: NDArray[np.int8], own: list[int]) -> tuple[float, AgentPath | None, Any]:
+        agent, steps = self.problem.agents[i], len(letters) - 1
+        assert isinstance(agent, LinearAgent)
+        response = Response.of(agent, steps)
+        best: tuple[float, AgentPath | None, Any] = (1.0, None, np.full((len(letters), len(own)), -1))
+        for number in range(len(GAIN_COSTS) + 1):
+            gain = self.gain(i, number)
+            if gain is None:
+                continue
+            covariances = covariances_of(agent, gain, steps)
+            if not np.all(np.isfinite(covariances)):
+                continue
+            inputs = input_slabs(agent, gain, covariances, steps)
+            u: FloatArray | None = None
+            avoided = bool(np.any(letters[1:, own] < 0))
+            for _ in range(FACE_ROUNDS if avoided else 1):
+                faces = chosen_faces(self.problem, i, letters, agent, u)
+                states = state_slabs(limits_of(self.problem, i, letters, faces), covariances)
+                if np.any(states.low >= states.high):
+                    continue  # regions that do not meet, on this side
+                # Without noise in a limit only the nominal path counts; the start is exact.
+                u = nominal_inputs(agent, states, inputs, response)
+                failure = failure_along(agent, u, states, inputs)
+                if failure < best[0]:
+                    best = failure, AgentPath(u, gain), faces[:, own]
+            if best[0] <= ENOUGH:
+                break
+        return best
+
+
+def failure_along(agent: LinearAgent, u: FloatArray, states: Slabs, inputs: Slabs) -> float:
+    """Return an upper bound on the probability that an inequality fails along the path of nominal inputs (S, m)."""
+    path = nominal_states(agent, u)
+    size = np.abs(path).max(axis=0)
+    at = np.einsum("jd,jd->j", states.rows, path[states.times])
+    off = np.abs(states.rows) @ size
+    tails = [states.failure(at, off), inputs.failure(u.ravel(), np.abs(u.ravel()) * (inputs.deviations > 0.0))]
+    # Inputs that no feedback moves are admissible if they are in their box, limits included.
+    flat = inputs.deviations <= 0.0
+    inside = (inputs.low <= u.ravel()) & (u.ravel() <= inputs.high)
+    below, above = tails[1]
+    below[flat], above[flat] = np.where(inside[flat], 0.0, 1.0), 0.0
+    return failure_of(tails)
+
+
+def feedback(agent: LinearAgent, number: int) -> FloatArray | None:
+    """Return a feedback to try: none for 0, else one that keeps states near the nominal path; None if there is none."""
+    if number == 0:
+        return np.zeros((agent.n_inputs, agent.n_states))
+    width = 1.0 / (agent.state_high - agent.state_low) ** 2
+    reach = 1.0 / np.maximum(0.5 * (agent.input_high - agent.input_low), 1e-9) ** 2
+    R = GAIN_COSTS[number - 1] * np.diag(reach)
+    try:
+        P = solve_discrete_are(agent.A, agent.B, np.diag(width), R)
+    except (LinAlgError, ValueError):
+        return None
+    K = -np.linalg.solve(R + agent.B.T @ P @ agent.B, agent.B.T @ P @ agent.A)
+    return np.asarray(K) if np.all(np.isfinite(K)) else None
+
+
+def chosen_faces(
+    problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent, u: FloatArray | None
+) -> NDArray[np.int64]:
+    """Return the sides on which regions are passed: those that the path is farthest beyond, against their size."""
+    faces = np.full(letters.shape, -1)
+    if u is not None:
+        path = nominal_states(agent, u)
+    else:
+        # A straight line from the start to the middle of what is to hold last.
+        path = np.linspace(agent.initial.low, _aim(problem, i, letters, agent), len(letters))
+    outputs = path @ agent.output_matrix.T
+    for p, name in enumerate(problem.automaton.propositions):
+        region = problem.propositions[name]
+        if region.agent != agent.name:
+            continue
+        beyond = np.stack([region.low - outputs, outputs - region.high], axis=2) / (region.high - region.low)[:, None]
+        best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
+        faces[letters[:, p] < 0, p] = best[letters[:, p] < 0]
+    return faces
+
+
+def _aim(problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent) -> FloatArray:
+    """Return a state in the middle of what is to hold at the end."""
+    aim = np.array(agent.initial.low, dtype=float)
+    for p, name in enumerate(problem.automaton.propositions):
+        region = problem.propositions[name]
+        if region.agent == agent.name and letters[-1, p] > 0:
+            middle = 0.5 * (region.low + region.high)
+            aim = aim + np.linalg.pinv(agent.output_matrix) @ (middle - agent.output_matrix @ aim)
+    return aim
+
+
+def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8] | None:
+    """Return letters without what follows from the rest; None if they contradict each other.
+
+    A proposition does not hold where its region and one that is to hold do not meet.
+    """
+    letters = letters.copy()
+    names = problem.automaton.propositions
+    for p, name in enumerate(names):
+        for q, other in enumerate(names):
+            first, second = problem.propositions[name], problem.propositions[other]
+            if p == q or first.agent != second.agent:
+                continue
+            if np.any((first.high <= second.low) | (second.high <= first.low)):
+                both = (letters[:, p] != 0) & (letters[:, q] > 0)
+                if np.any(letters[both, p] > 0):
+                    return None
+                letters[both, p] = 0
+    return letters

@@ -1,0 +1,155 @@
+"""Words that the automaton accepts, as ways through its states: which cube of letters is read, and how long.
+
+A *cube* says of some propositions that they hold and of others that they do not. A way is a sequence of different
+automaton states from that after the first letter to an accepting one; it stays in a state while cubes of its loop are
+read, and leaves it at a time of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+
+MOST_STEPS = 20_000
+"""Steps of the search for cubes of a state."""
+
+CUBES_KEPT = 3
+"""Cubes of an edge, those that ask for least, among which a way chooses."""
+
+MOST_WAYS, MOST_CHOICES = 12, 60
+"""Ways through the automaton that are tried, the shortest ones first, and choices of cubes for all of them."""
+
+Cube = tuple[tuple[int, bool], ...]
+"""Propositions by their number, and whether they hold."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way through the automaton: the cube of each stay (None where it does not stay), and of each jump."""
+
+    stays: tuple[Cube | None, ...]
+    jumps: tuple[Cube, ...]
+
+    def letters(self, times: tuple[int, ...], steps: int, n_propositions: int) -> NDArray[np.int8] | None:
+        """Return the letters (steps + 1, P) of a way that jumps at some times; None if it cannot stay where it must."""
+        letters = np.zeros((steps + 1, n_propositions), dtype=np.int8)
+        state = 0
+        for t in range(1, steps + 1):
+            jumps_now = state < len(times) and t == times[state]
+            cube = self.jumps[state] if jumps_now else self.stays[state]
+            if cube is None:
+                return None
+            for p, holds in cube:
+                letters[t, p] = 1 if holds else -1
+            state += jumps_now
+        return letters
+
+
+def ways_of(problem: Problem) -> Iterator[Way]:
+    """Yield ways from the state after the first letter to acceptance, the shortest first."""
+    automaton = problem.automaton
+    start = first_state(problem)
+    cubes = {int(q): cubes_of(problem, int(q)) for q in np.flatnonzero(~automaton.dead)}
+    for states in _state_sequences(problem, cubes, start):
+        loops: list[list[Cube | None]] = [[*cubes[q].get(q, [])[:CUBES_KEPT]] or [None] for q in states]
+        if automaton.is_co_safe and automaton.accepting[states[-1]]:
+            loops[-1] = [()]  # what is read after acceptance does not matter
+        edges = [cubes[a][b] for a, b in zip(states, states[1:])]
+        for number, choice in enumerate(product(*loops, *edges)):
+            if number >= MOST_CHOICES:
+                break
+            yield Way(choice[: len(loops)], choice[len(loops) :])  # type: ignore[arg-type]
+
+
+def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], start: int) -> list[tuple[int, ...]]:
+    """Return sequences of different states that end in acceptance, the shortest first."""
+    automaton = problem.automaton
+    found: list[tuple[int, ...]] = []
+    queue: list[tuple[int, ...]] = [(start,)]
+    while queue and len(found) < MOST_WAYS:
+        path = queue.pop(0)
+        if automaton.accepting[path[-1]]:
+            found.append(path)
+            if automaton.is_co_safe:
+                continue
+        if len(path) > problem.horizon:
+            continue
+        queue += [(*path, q) for q in cubes.get(path[-1], {}) if q not in path and q in cubes]
+    return found
+
+
+def cubes_of(problem: Problem, q: int) -> dict[int, list[Cube]]:
+    """Return, by target, a few cubes of letters that lead from state q there, those that ask for least first.
+
+    What is asked for least is few propositions that must hold, then few that must not.
+    """
+    automaton = problem.automaton
+    found: dict[int, list[Cube]] = {}
+    heap: list[tuple[int, int, int, int, Cube]] = [(0, 0, 0, int(automaton.root[q]), ())]
+    for number in range(1, MOST_STEPS):
+        if not heap:
+            break
+        hold, fail, _, entry, cube = heappop(heap)
+        if entry < 0:
+            cubes = found.setdefault(-1 - entry, [])
+            if len(cubes) < CUBES_KEPT:
+                cubes.append(cube)
+            continue
+        p = int(automaton.variable[entry])
+        heappush(heap, (hold, fail + 1, 2 * number, int(automaton.low[entry]), (*cube, (p, False))))
+        heappush(heap, (hold + 1, fail, 2 * number + 1, int(automaton.high[entry]), (*cube, (p, True))))
+    return found
+
+
+def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
+    """Return whether every word that agrees with letters (S + 1, P) at times 1 to S is accepted."""
+    automaton = problem.automaton
+    states = {first_state(problem)}
+    for letter in letters[1:]:
+        following: set[int] = set()
+        for q in states:
+            stack = [int(automaton.root[q])]
+            while stack:
+                entry = stack.pop()
+                if entry < 0:
+                    following.add(-1 - entry)
+                    continue
+                holds = int(letter[automaton.variable[entry]])
+                if holds >= 0:
+                    stack.append(int(automaton.high[entry]))
+                if holds <= 0:
+                    stack.append(int(automaton.low[entry]))
+        states = following
+    return all(automaton.accepting[q] for q in states)
+
+
+def first_state(problem: Problem) -> int:
+    """Return the automaton state after the letter of the start, a point."""
+    automaton = problem.automaton
+    letter = np.zeros(len(automaton.propositions), dtype=bool)
+    for i, agent in enumerate(problem.agents):
+        letter[problem.labeling.agent_propositions[i]] = problem.labeling.class_at(i, agent.initial.low)
+    return int(automaton.next_state(automaton.initial, letter))
+
+
+def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return letters that ask for less, as long as every word that agrees with them is accepted.
+
+    A diagram asks that a goal does not hold while one waits for it; a task seldom does.
+    """
+    for value in (-1, 1):
+        for p in range(letters.shape[1]):
+            asked = letters[:, p] == value
+            if asked.any():
+                less = letters.copy()
+                less[asked, p] = 0
+                if is_accepted(problem, less):
+                    letters = less
+    return letters

@@ -1,0 +1,244 @@
+"""Certificates along a path: below the truth, checked by other code, carried out, kept in files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import certigym as cg
+from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.nominal_paths import path_search, slabs
+
+FALSE_ALARM = 1e-6
+"""Probability that a test of rollouts fails although the claim is true."""
+
+
+def chain(n: int, horizon: int, safe: float = 10.0, start: list[float] | None = None) -> cg.Problem:
+    """Return the chain of n integrators that is to stay in a box."""
+    tau = 0.1
+    rows = [[tau ** (j - i) / math.factorial(j - i) if j >= i else 0.0 for j in range(n)] for i in range(n)]
+    agent = cg.LinearAgent(
+        name="chain", A=rows, B=[[tau ** (n - i) / math.factorial(n - i)] for i in range(n)],
+        noise_covariance=0.01 * np.eye(n), state_low=[-safe] * n, state_high=[safe] * n, input_low=[-1.0],
+        input_high=[1.0], initial_state=[0.0] * n if start is None else start,
+    )  # fmt: skip
+    return problem_of([agent], {"safe": cg.Proposition("chain", [-safe] * n, [safe] * n)}, "G safe", horizon)
+
+
+def problem_of(agents: list[Any], regions: dict[str, cg.Proposition], formula: str, horizon: int) -> cg.Problem:
+    """Return a problem; formulas with G are judged at the end."""
+    task = cg.Specification(formula, "finite-trace" if "G" in formula else "co-safe")
+    return cg.Problem(name="along", agents=agents, propositions=regions, specification=task, horizon=horizon)
+
+
+def boat(name: str, start: list[float], noise: Any = None) -> cg.LinearAgent:
+    """Return an agent in the plane with two velocities: four states."""
+    A = [[1.0, 0.0, 0.5, 0.0], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    return cg.LinearAgent(
+        name=name, A=A, B=[[0.0, 0.0], [0.0, 0.0], [0.5, 0.0], [0.0, 0.5]],
+        noise_covariance=0.002 * np.eye(4) if noise is None else noise, state_low=[-5, -5, -3, -3],
+        state_high=[5, 5, 3, 3], input_low=[-2, -2], input_high=[2, 2], initial_state=start,
+        output_matrix=[[1, 0, 0, 0], [0, 1, 0, 0]],
+    )  # fmt: skip
+
+
+def harbour(horizon: int = 14) -> cg.Problem:
+    """Two boats: one passes a rock, then both are at the pier."""
+    regions = {
+        "rock": cg.Proposition("left", [-1, -1.5], [1, 1]),
+        "pier": cg.Proposition("left", [2, -1], [4, 1]),
+        "buoy": cg.Proposition("right", [2, 2], [4, 4]),
+    }
+    agents = [boat("left", [-3, 0, 0, 0]), boat("right", [0, 0, 0, 0])]
+    return problem_of(agents, regions, "(!rock) U (pier & buoy)", horizon)
+
+
+def singular() -> cg.Problem:
+    """Noise reaches the velocities alone."""
+    agents = [boat("left", [-3, 0, 0, 0], np.diag([0.0, 0.0, 0.004, 0.004]))]
+    return problem_of(agents, {"pier": cg.Proposition("left", [2, -1], [4, 1])}, "F pier", 12)
+
+
+PROBLEMS = {"chain": chain(3, 30), "harbour": harbour(), "singular": singular(), "short": chain(2, 5, 1.0)}
+
+
+def path_of(problem: cg.Problem) -> PathCertificate:
+    """Return the certificate along a path of a problem."""
+    found: Any = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(found, PathCertificate)
+    return found
+
+
+@pytest.fixture(scope="module", params=sorted(PROBLEMS))
+def certificate(request: pytest.FixtureRequest) -> PathCertificate:
+    return path_of(PROBLEMS[request.param])
+
+
+def test_certificates_are_checked_and_not_refuted(certificate: PathCertificate) -> None:
+    report = cg.check(certificate, certificate.problem)
+    assert report.valid, report.failures
+    assert certificate.lower_bound > 0.3
+    verdict = cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM / 4)
+    assert verdict.verdict != "refuted"
+
+
+def test_one_step_is_exact_and_several_are_below_the_truth() -> None:
+    """A scalar that is to stay in an interval, against quadrature on a fine grid."""
+    agent = cg.LinearAgent(
+        name="chain", A=[[1.0]], B=[[1.0]], noise_covariance=[[0.16]], state_low=[-1], state_high=[1],
+        input_low=[0.0], input_high=[0.0], initial_state=[0.2],
+    )  # fmt: skip
+    for horizon in (1, 3):
+        problem = problem_of([agent], {"safe": cg.Proposition("chain", [-1], [1])}, "G safe", horizon)
+        certificate = path_of(problem)
+        x = np.linspace(-1.0, 1.0, 4001)
+        value, weight = np.ones_like(x), np.full_like(x, x[1] - x[0])
+        weight[[0, -1]] *= 0.5
+        for _ in range(horizon - 1):
+            value = norm.pdf(x[None] - x[:, None], scale=0.4) @ (weight * value)
+        truth = float(norm.pdf(x - 0.2, scale=0.4) @ (weight * value))
+        assert certificate.lower_bound <= truth + 1e-7
+        assert certificate.lower_bound > truth - (1e-6 if horizon == 1 else 0.2)
+        assert cg.check(certificate).valid
+
+
+def test_small_failures_are_not_rounded_to_none() -> None:
+    certificate = path_of(chain(20, 5))
+    assert 0.0 < certificate.failure < 1e-200 and certificate.lower_bound < 1.0
+    assert cg.check(certificate).valid
+
+
+def shifted(certificate: PathCertificate) -> PathCertificate:
+    letters = certificate.letters.copy()
+    letters[-1] = 0
+    return replace(certificate, letters=letters)
+
+
+FORGERIES = {
+    "failure": lambda c: replace(c, failure=0.99 * c.failure),
+    "no failure": lambda c: replace(c, failure=0.0),
+    "letters": shifted,
+    "inputs": lambda c: replace(c, paths=tuple(AgentPath(p.inputs * 1.5 + 0.1, p.gain) for p in c.paths)),
+    "gain": lambda c: replace(c, paths=tuple(AgentPath(p.inputs, p.gain - 0.5) for p in c.paths)),
+    "too large inputs": lambda c: replace(c, paths=tuple(AgentPath(p.inputs + 5.0, p.gain) for p in c.paths)),
+}
+
+
+@pytest.mark.parametrize("name", sorted(FORGERIES))
+def test_forgeries_are_refused(name: str) -> None:
+    certificate = path_of(PROBLEMS["harbour"])
+    assert not cg.check(FORGERIES[name](certificate))
+
+
+def test_another_side_of_a_region_is_refused() -> None:
+    certificate = path_of(PROBLEMS["harbour"])
+    faces = np.where(certificate.faces >= 0, certificate.faces ^ 1, -1)
+    assert np.any(certificate.faces >= 0) and not cg.check(replace(certificate, faces=faces))
+
+
+SABOTAGES = {
+    "variance for deviation": (slabs.Slabs, "failure", None),
+    "noise of one step less": (path_search, "covariances_of", lambda f: lambda a, g, s: np.roll(f(a, g, s), 1, axis=0)),
+    "workspace left out": (
+        path_search, "limits_of", lambda f: lambda p, i, le, fa: [x for x in f(p, i, le, fa) if x[0] > 3],
+    ),
+    "smaller noise": (path_search, "covariances_of", lambda f: lambda a, g, s: 0.98 * f(a, g, s)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(SABOTAGES))
+def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a path whose probability of failing is not negligible."""
+    problem = chain(2, 5, 1.0)
+    room, attribute, broken = SABOTAGES[name]
+    if broken is None:
+        truth = slabs.state_slabs
+
+        def squared(limits: Any, covariances: Any) -> Any:
+            honest = truth(limits, covariances)
+            return replace(honest, deviations=honest.deviations**2)
+
+        monkeypatch.setattr(path_search, "state_slabs", squared)
+    else:
+        monkeypatch.setattr(room, attribute, broken(getattr(room, attribute)))
+    certificate = path_of(problem)
+    monkeypatch.undo()
+    assert cg.check(path_of(problem))
+    assert not cg.check(certificate)
+
+
+def test_files_keep_paths(certificate: PathCertificate, tmp_path: Path) -> None:
+    cg.save_certificate(certificate, tmp_path / "path.npz")
+    again: Any = cg.load_certificate(tmp_path / "path.npz")
+    assert isinstance(again, PathCertificate) and again.failure == certificate.failure
+    assert cg.check(again, certificate.problem).valid
+    assert len(repr(again).splitlines()) == 5
+
+
+def test_controllers_act_alike_in_environments_and_in_batches() -> None:
+    """One episode in the PettingZoo environment, with the inputs that rollouts would use."""
+    certificate = path_of(PROBLEMS["harbour"])
+    environment = cg.parallel_env(certificate.problem)
+    observations, infos = environment.reset(seed=3)
+    certificate.controller.reset(observations, infos)
+    for t in range(3):
+        actions = certificate.controller.act(observations, infos)
+        for i, name in enumerate(certificate.problem.agent_names):
+            path, state = certificate.paths[i], np.asarray(infos[name]["state"])
+            wanted = path.inputs[t] + path.gain @ (state - certificate.controller.nominal[i][t])
+            np.testing.assert_allclose(actions[name], np.clip(wanted, -2.0, 2.0), atol=1e-12)
+        observations, _, _, _, infos = environment.step(actions)
+        assert "error" not in infos
+
+
+def test_paths_are_taken_where_grids_do_not_reach() -> None:
+    assert isinstance(cg.synthesize(PROBLEMS["harbour"]).certificate, PathCertificate)
+    assert isinstance(cg.synthesize(PROBLEMS["singular"]).certificate, PathCertificate)
+    assert not isinstance(cg.synthesize(chain(2, 3), 40, relation="boxes").certificate, PathCertificate)
+
+
+def test_random_problems_are_not_refuted() -> None:
+    """Random agents and regions; rollouts against each claim, false alarm 1e-6 for all of them together."""
+    rng, certified = np.random.default_rng(7), 0
+    for number in range(25):
+        d, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
+        A = np.eye(d) + 0.3 * rng.standard_normal((d, d))
+        A /= max(1.0, np.abs(np.linalg.eigvals(A)).max() / 1.05)
+        spread = rng.standard_normal((d, d)) * 0.15
+        agent = cg.LinearAgent(
+            name="r", A=A, B=rng.standard_normal((d, m)), noise_covariance=np.round(spread @ spread.T, 12),
+            state_low=[-4.0] * d, state_high=[4.0] * d, input_low=[-1.0] * m, input_high=[1.0] * m,
+            initial_state=rng.uniform(-1.0, 1.0, d), offset=0.1 * rng.standard_normal(d),
+        )  # fmt: skip
+        low = rng.uniform(-3.0, 1.0, d)
+        regions = {"goal": cg.Proposition("r", low, low + 2.5), "bad": cg.Proposition("r", low - 2.0, low - 1.0)}
+        problem = problem_of([agent], regions, ["(!bad) U goal", "F goal", "G !bad"][number % 3], 6)
+        try:
+            certificate = path_of(problem)
+        except ValueError as refusal:
+            assert "no nominal path" in str(refusal)
+            continue
+        report = cg.check(certificate, problem)
+        assert report.valid, report.failures
+        certified += certificate.lower_bound > 0.05
+        verdict = cg.validate(certificate, 4000, seed=number, confidence=1.0 - FALSE_ALARM / 25)
+        assert verdict.verdict != "refuted"
+    assert certified >= 8
+
+
+def test_what_paths_do_not_do_is_said() -> None:
+    problem = chain(2, 3)
+    box = problem.replace(initial_low=[-0.1, -0.1], initial_high=[0.1, 0.1])
+    with pytest.raises(ValueError, match="a start that is a point"):
+        cg.synthesize(box, relation="path")
+    with pytest.raises(ValueError, match="which has no grid"):
+        cg.synthesize(problem, 40, relation="path")
+    far = problem_of(list(problem.agents), {"goal": cg.Proposition("chain", [8, -10], [9, 10])}, "F goal", 3)
+    with pytest.raises(ValueError, match="no nominal path"):
+        cg.synthesize(far, relation="path")

@@ -1,0 +1,116 @@
+"""The field's own benchmarks, certified here beside what was published about them.
+
+Problem files and published numbers lie in ``benchmarks/arch`` of a checkout. Every row is synthesized as it is asked
+for there, checked, and met by rollouts. Published seconds are of other machines, ours are processor seconds of this
+one, imports apart: they are of one order, and no race.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ...envs.agents import write_json, write_text
+from ...envs.problem import load_problem
+from ...synthesis.checking import check
+from ...synthesis.synthesize import synthesize
+from ..simulation import rollout
+from ..statistics import clopper_pearson
+
+Row = dict[str, Any]
+
+FOLDER = Path("benchmarks/arch")
+"""Where the rows lie, seen from the root of a checkout."""
+
+EPISODES, ERROR = 100_000, 1e-6
+"""Rollouts of every row, and the probability that their limits miss the truth."""
+
+COLUMNS = (
+    "row", "published", "tool", "published_seconds", "machine", "certified", "failure", "seconds", "check", "rollouts",
+    "upper_limit", "outcome", "note",
+)  # fmt: skip
+
+
+def arch(
+    out: Path, row: str | None = None, folder: Path = FOLDER, progress: Callable[[str], None] = print
+) -> list[Row]:
+    """Certify the rows of the field's benchmarks, or one of them, and write CSV, JSON and a page into a folder.
+
+    Raises
+    ------
+    ValueError
+        If there is no such row, or no folder with rows.
+    """
+    if not (folder / "rows.json").is_file():
+        raise ValueError(f"`arch`: expected the folder {folder} with rows.json; run this at the root of a checkout")
+    wanted = json.loads((folder / "rows.json").read_text(encoding="utf-8"))
+    names = [entry["row"] for entry in wanted]
+    if row is not None and row not in names:
+        raise ValueError(f"`--row`: expected one of {', '.join(names)}, got {row!r}")
+    rows = []
+    for entry in wanted:
+        if row in (None, entry["row"]):
+            rows.append(_certified(entry, folder))
+            last = rows[-1]
+            progress(f"{last['row']:24} certified {last['certified']:<22} published {last['published'] or 'nothing'}")
+    out.mkdir(parents=True, exist_ok=True)
+    text = StringIO()
+    writer = csv.DictWriter(text, COLUMNS)
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(out / "arch.csv", text.getvalue())
+    write_json(out / "arch.json", rows)
+    write_text(out / "arch.md", _page(rows))
+    return rows
+
+
+def _certified(entry: Row, folder: Path) -> Row:
+    """Return a row with what is certified, how long that took, and what rollouts say."""
+    problem = load_problem(folder / entry["problem"])
+    assert problem.automaton  # translating the formula is no part of what is timed
+    began = time.process_time()
+    certificate: Any = synthesize(problem, relation=entry["relation"]).certificate
+    seconds = time.process_time() - began
+    report = check(certificate, problem)
+    successes = rollout(problem, certificate.controller, EPISODES, seed=0).successes
+    _, high = clopper_pearson(successes, EPISODES, 1.0 - ERROR)
+    bound, published = certificate.lower_bound, entry["published"]
+    failure = getattr(certificate, "failure", 1.0 - bound)
+    outcome = "no published number"
+    if published is not None:
+        outcome = "not below" if bound >= published else "below the published number"
+    return {
+        "row": entry["row"],
+        "published": published,
+        "tool": entry["tool"],
+        "published_seconds": entry["seconds"],
+        "machine": entry["machine"],
+        "certified": bound,
+        "failure": failure,
+        "seconds": round(seconds, 4),
+        "check": "valid" if report and bound <= high else "NOT valid",
+        "rollouts": successes / EPISODES,
+        "upper_limit": high,
+        "outcome": outcome,
+        "note": entry["note"],
+    }
+
+
+def _page(rows: list[Row]) -> str:
+    """Return the rows as a table in Markdown."""
+    lines = [
+        "| row | published | tool, seconds, machine | failure at most | seconds | check | rollouts | outcome |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        seconds = "" if row["published_seconds"] is None else f", {row['published_seconds']:g} s, {row['machine']}"
+        published = "-" if row["published"] is None else f"{row['published']:g}"
+        cells = [row["row"], published, f"{row['tool'] or '-'}{seconds}", f"{row['failure']:.3g}"]
+        cells += [f"{row['seconds']:g}", row["check"], f"{row['rollouts']:.5f}", row["outcome"]]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", *(f"- **{row['row']}**: {row['note']}" for row in rows)]) + "\n"
