@@ -81,8 +81,7 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
             _summary(id, problem),
             *([story] if story else []),
             "## Dynamics",
-            "`x' = A x + B u + c + w`, `w ~ N(0, Sigma)` independent over time and agents; Sigma is a covariance. The "
-            "workspace is closed; an agent that leaves it violates the task.",
+            _law(problem) + "The workspace is closed; an agent that leaves it violates the task.",
             _dynamics(problem),
             "## Regions",
             _regions(problem),
@@ -190,7 +189,38 @@ def _matrix(value: np.ndarray) -> str:
     return "`[" + rows[0] + "]`" if value.ndim == 1 else "`[[" + "], [".join(rows) + "]]`"
 
 
+def _law(problem: cg.Problem) -> str:
+    if all(isinstance(agent, LinearAgent) for agent in problem.agents):
+        law = "`x' = A x + B u + c + w`, `w ~ N(0, Sigma)`"
+    else:
+        law = "`x' = f(x, u) + w` with the means below, `w ~ N(0, Sigma)`"
+    return f"{law} independent over time and agents; Sigma is a covariance. "
+
+
+def _written_dynamics(problem: cg.Problem) -> str:
+    """Expressions of all agents, those that are equal up to the names of neighbours once."""
+    groups: dict[Any, list[cg.Agent]] = {}
+    for agent in problem.agents:
+        assert isinstance(agent, cg.Agent)
+        groups.setdefault(agent.motion_key, []).append(agent)
+    lines = ["| agents | mean one step later | Sigma | workspace | inputs |", "|---|---|---|---|---|"]
+    notes = []
+    for agents in groups.values():
+        agent = agents[0]
+        means = "<br>".join(f"`{x}' = {text}`" for x, text in zip(agent.states, agent.dynamics))
+        boxes = _box(agent.state_low, agent.state_high), _box(agent.input_low, agent.input_high)
+        sigma = _matrix(agent.noise_covariance)
+        lines.append(f"| {_names([a.name for a in agents])} | {means} | {sigma} | {boxes[0]} | {boxes[1]} |")
+        ranges = [f"`{name}` in [{low:g}, {high:g}]" for name, (low, high) in agent.disturbances.items()]
+        notes += [f"Bounded, and otherwise unknown: {', '.join(ranges)}."] if ranges else []
+        told = [f"`{name}`" for name in agent.communicated]
+        notes += [f"`{agent.name}` is told the states of {' and '.join(told)} before it acts."] if told else []
+    return "\n".join(lines) + "".join(f"\n\n{note}" for note in dict.fromkeys(notes))
+
+
 def _dynamics(problem: cg.Problem) -> str:
+    if any(isinstance(agent, cg.Agent) for agent in problem.agents):
+        return _written_dynamics(problem)
     groups: dict[str, list[LinearAgent]] = {}
     for agent in problem.agents:
         assert isinstance(agent, LinearAgent)
@@ -329,11 +359,16 @@ def _numbers(problem: cg.Problem, measured: dict[str, Any] | None) -> str:
         )
         lines.append(
             f"- Synthesis took {_number(certificate['seconds'])} CPU seconds, the process {certificate['mebibytes']} "
-            f"MiB; no policy on these finite models does better than {_up(certificate['abstract_upper_bound'])}."
+            f"MiB{_at_most(certificate['abstract_upper_bound'])}."
         )
     lines.append(f"- Measured under inputs drawn uniformly: {_rate(measured['random'])}.")
     lines.append("\nNumbers of `python docs/measure_environments.py`; the horizon and the start are the defaults.")
     return "\n".join(lines)
+
+
+def _at_most(bound: float | None) -> str:
+    """What is known from above; nothing is under mean boxes."""
+    return "" if bound is None else f"; no policy on these finite models does better than {_up(bound)}"
 
 
 def _cells(shapes: list[list[int]]) -> str:
@@ -369,8 +404,8 @@ def _rate(rollouts: dict[str, Any]) -> str:
 def _index(measured: dict[str, Any]) -> str:
     lines = [
         "# Environments\n",
-        "One page for every problem of the suite. All are cooperative, with linear agents, Gaussian noise and a "
-        "temporal-logic task.\n",
+        "One page for every problem of the suite. All are cooperative, with Gaussian noise and a temporal-logic "
+        "task; agents are linear, or move as expressions say.\n",
         USE,
         "| id | agents | horizon | certified | what it is about |",
         "|---|---|---|---|---|",
@@ -416,7 +451,7 @@ def _measured_rows(measured: dict[str, Any]) -> list[str]:
             _number(certificate["seconds"]),
             str(certificate["mebibytes"]),
         ]
-        best = _up(certificate["abstract_upper_bound"])
+        best = "" if certificate["abstract_upper_bound"] is None else _up(certificate["abstract_upper_bound"])
         rows.append(f"| [{id}]({id}.md) | {problem.horizon} | {bound} | {best} | {' | '.join(cells)} |")
     return rows
 

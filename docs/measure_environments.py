@@ -30,6 +30,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "decoupled-chain-14-v0": {"cells": 4000},
     "decoupled-chain-v0": {"cells": 4000},
     "door-formation-v0": {"cells": 24},
+    "dubins-team-v0": {"cells": [32, 32, 24]},
     "integrator-chain-v0": {"cells": [800, 800]},
     "meeting-v0": {"cells": 64},
     "package-delivery-eased-v0": {"cells": 250},
@@ -39,6 +40,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "patrol-recharge-v0": {"cells": 160},
     "reach-avoid-kinematic-v0": {"cells": [150, 60]},
     "reach-avoid-planar-v0": {"cells": 240},
+    "van-der-pol-v0": {"cells": [240, 34]},
 }
 """Settings of `synthesize` where the defaults would be too many cells for a page, or too few."""
 
@@ -76,7 +78,7 @@ def measured(id: str) -> dict[str, Any]:
 
 
 def _rollouts(problem: cg.Problem, policy: Any) -> dict[str, Any]:
-    runs = rollout(problem, policy, EPISODES, SEED)
+    runs = rollout(problem, policy, episodes=EPISODES, seed=SEED)
     low, high = clopper_pearson(runs.successes, runs.episodes, CONFIDENCE)
     return {
         "episodes": EPISODES,

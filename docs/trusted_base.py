@@ -18,7 +18,7 @@ TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
-        "envs.agents.noise "
+        "envs.agents.neighbours envs.agents.noise "
         "envs.agents.products "
         "envs.expressions.affine_inputs envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "

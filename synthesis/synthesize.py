@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import LinearAgent
+from ..envs.agents import Agent, LinearAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused
@@ -17,6 +17,7 @@ from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import (
     GOOD,
+    SOLVED,
     Budget,
     Run,
     Tries,
@@ -325,7 +326,9 @@ def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     began = time.perf_counter()
     first = _compared(problem, first_cells(problem), kinds, plan)
     certificate = first.certificate
-    if certificate.lower_bound >= GOOD or certificate.rounding is not None or plan.settings.delta is not None:
+    # Agents with expressions begin with cells so coarse that finer ones pay, until there is nothing left to gain.
+    enough = SOLVED if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
+    if certificate.lower_bound >= enough or certificate.rounding is not None or plan.settings.delta is not None:
         return first
     best, record = finer_levels(problem, plan.settings, first, _run_of_levels(problem, plan))
     if best.certificate is certificate:

@@ -39,7 +39,8 @@ def test_measured_numbers_are_about_these_problems() -> None:
         if entry["certificate"] is not None:
             assert environment_pages.verdict(entry["certificate"]) in ("confirmed", "consistent")
             assert entry["certificate"]["rollouts"]["episodes"] >= 100_000
-            assert entry["certificate"]["lower_bound"] <= entry["certificate"]["abstract_upper_bound"]
+            most = entry["certificate"]["abstract_upper_bound"]  # unknown under mean boxes
+            assert entry["certificate"]["lower_bound"] <= (1.0 if most is None else most)
 
 
 def test_the_table_has_a_row_for_every_problem(texts: dict[str, str]) -> None:

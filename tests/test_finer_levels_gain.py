@@ -8,6 +8,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
+from certigym.synthesis.choosing.cell_budget import axis_weights
 from certigym.synthesis.models import Settings, abstraction_of
 from certigym.synthesis.relations import CoupledRelation
 
@@ -73,3 +74,31 @@ def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytes
     bounds = [level["lower_bound"] for level in levels]
     assert len(levels) > 1 and max(bounds) == synthesis.certificate.lower_bound > bounds[0] + 0.01
     assert cg.check(synthesis.certificate, problem).valid
+
+
+def test_axes_that_matter_little_get_wide_cells() -> None:
+    """Along an axis with targets only what it moves elsewhere counts; first cells and levels keep to that."""
+    drift = cg.Agent(
+        name="drift",
+        states=["x", "v"],
+        inputs=["u"],
+        dynamics=["x + 0.5*v", "v - 0.1*x**2 + u"],
+        noise_covariance=[[0.04, 0.0], [0.0, 0.01]],
+        state_low=[-4.0, -2.0],
+        state_high=[4.0, 2.0],
+        input_low=[-1.0],
+        input_high=[1.0],
+        initial_state=[0.0, 0.0],
+    )
+    # A deviation of x moves the mean of x by one deviation, one of v by 0.5 * 0.1 / 0.2 deviations.
+    np.testing.assert_allclose(axis_weights(drift), [1.0, 0.25], rtol=1e-6)
+    # An input that is not seen to command v leaves both axes as they are: v then widens its own boxes, too.
+    np.testing.assert_allclose(
+        axis_weights(drift.replace(dynamics=["x + 0.5*v", "v + tanh(u)"])), [0.8, 1.0], rtol=1e-6
+    )
+    np.testing.assert_array_equal(axis_weights(coordinate("robot")), [1.0, 1.0])
+    goal = {"goal": cg.Proposition("drift", [1.0, -2.0], [2.0, 2.0])}
+    problem = cg.Problem(
+        name="drift", agents=[drift], propositions=goal, specification=cg.Specification("F goal", "co-safe"), horizon=5
+    )
+    assert levels_of_cells.first_cells(problem) == {"drift": (24, 5)}

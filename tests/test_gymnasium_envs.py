@@ -20,6 +20,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import certigym as cg
 import fake_pygame
+from certigym.envs.agents import place_of
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
@@ -216,7 +217,13 @@ def test_the_noise_has_the_stated_moments(id: str) -> None:
     n = len(before)
     for agent, part in zip(problem.agents, parts):
         u = agent.input_box.center
-        error = after[:, part] - (before[:, part] @ linear(agent).A.T + linear(agent).B @ u + linear(agent).offset)
+        if isinstance(agent, cg.Agent):
+            places = [place_of(name, problem.agents) for name in agent.others]
+            beside = before[:, [ends[i] + k for i, k in places]].T
+            mean = agent.mean(before[:, part].T, np.tile(u[:, None], n), None, beside).T
+        else:
+            mean = before[:, part] @ linear(agent).A.T + linear(agent).B @ u + linear(agent).offset
+        error = after[:, part] - mean
         white = np.linalg.solve(agent.noise_factor, error.T)
         assert (np.abs(white.mean(axis=1)) <= quantile / np.sqrt(n)).all()
         spread = np.sqrt((1.0 + np.eye(len(white))) / n)

@@ -308,3 +308,58 @@ def test_the_kinematic_delivery_follows_the_table_on_positions() -> None:
     joint[:, 0::2], joint[:, 1::2] = positions, rng.uniform(-5, 5, (3000, 8))
     for q in ("init", "carrying"):
         assert read(problem, q, joint) == read(plain, q, positions)
+
+
+def test_rooms_exchange_warmth_with_their_neighbours() -> None:
+    """One step without noise, by hand; every number of rooms is one block."""
+    for n in (3, 8, 100):
+        problem = cg.make_problem("room-network-v0", n_agents=n, disturbance_scale=0.0)
+        dynamics = core.Dynamics.of(problem)
+        assert [len(block.agents) for block in dynamics.blocks] == [n]
+        x = np.linspace(19.0, 22.0, n)
+        worlds = core.initial_at(dynamics, x[None])
+        after = core.transition(dynamics, worlds, [np.full((1, n, 1), 0.7)], [np.zeros((1, n, 1))])
+        expected = x + 0.05 * (np.roll(x, 1) + np.roll(x, -1) - 2 * x) + 0.05 * (5 - x) + 0.7
+        np.testing.assert_allclose(after.states[0][0, :, 0], expected, rtol=1e-13)
+
+
+def test_vehicles_are_pulled_by_the_one_ahead() -> None:
+    problem = cg.make_problem("platoon-v0", n_agents=4, disturbance_scale=0.0)
+    dynamics = core.Dynamics.of(problem)
+    start = np.array([[1.0, 0.5, 0.0, -0.5, 0.2, 0.0, -1.0, 1.0]])
+    worlds = core.initial_at(dynamics, start)
+    inputs = [np.full((1, len(block.agents), 1), 0.25) for block in dynamics.blocks]
+    still = [np.zeros((2, len(block.agents), 1)) for block in dynamics.blocks]
+    after = core.joint(dynamics, core.transition(dynamics, worlds, inputs, still))[0].reshape(4, 2)
+    place, speed = start.reshape(4, 2).T
+    pull = 0.1 * (place[:-1] - place[1:]) + 0.1 * (speed[:-1] - speed[1:])
+    np.testing.assert_allclose(after[:, 0], place + 0.5 * speed, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(after[:, 1], speed + np.append(0.0, pull) + 0.25, rtol=1e-13, atol=1e-13)
+
+
+def test_patrols_go_west_then_east_then_home() -> None:
+    problem = cg.make_problem("patrol-robot-v0")
+    west, east, home, pillar = [-3.0, 3.0], [3.0, 3.0], [0.0, -4.0], [0.0, 0.0]
+    for places, holds in (
+        ([home, west, east, home], True),
+        ([west, home, east, home], True),
+        ([east, west, home], False),
+        ([west, pillar, east, home], False),
+        ([west, east, home, pillar], True),
+    ):
+        assert word(problem, np.array(places)) is holds
+
+
+@pytest.mark.parametrize(("id", "cells"), [("room-network-v0", 48), ("platoon-v0", [60, 20])])
+def test_teams_of_any_size_share_what_is_certified(id: str, cells: int | list[int]) -> None:
+    """With couplings cancelled, the bound of n agents is about the n-th power of that of one."""
+    few, many = (cg.synthesize(cg.make_problem(id, n_agents=n), cells=cells, max_sweeps=1).certificate for n in (3, 8))
+    assert cg.check(many)
+    assert many.lower_bound >= few.lower_bound ** (8 / 2) - 1e-9
+
+
+@pytest.mark.parametrize("id", ["dubins-team-v0", "room-network-v0", "platoon-v0", "windy-delivery-v0"])
+def test_new_families_take_a_number_of_agents(id: str) -> None:
+    assert [cg.make_problem(id, n_agents=n).n_agents for n in (3, 8)] == [3, 8]
+    with pytest.raises(ValueError, match="`n_agents`"):
+        cg.make_problem(id, n_agents=0)

@@ -16,6 +16,7 @@ from .checks import (
 from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
 from .laws import Gaussian, Law
+from .neighbours import neighbour, place_of, states_of_others, tied
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .saving import write_bytes, write_json, write_text
@@ -40,11 +41,15 @@ __all__ = [
     "inside",
     "linear",
     "names_text",
+    "neighbour",
+    "place_of",
     "read_only",
     "row_times",
     "shortened",
     "shown",
     "slices_of",
+    "states_of_others",
+    "tied",
     "tree_text",
     "unknown_argument",
     "write_bytes",

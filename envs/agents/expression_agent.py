@@ -4,6 +4,8 @@ Model (docs/theory/boxes.md, "Boxes of expressions"), with noise w independent o
 
     x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
 
+`f` may also name states of other agents, such as `leader.position` (see ``neighbours``).
+
 `f` and `g` are functions of real numbers; simulations compute them in double precision.
 """
 
@@ -17,11 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression
+from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression, substituted
 from .any_agent import AnyAgent, checked_name, checked_start, summary_rows
 from .box import Box
 from .checks import float_array, read_only, shown
 from .laws import Law
+from .neighbours import neighbour, states_of_others
 from .noise import declared_noise
 from .printing import counted, names_text, shortened, tree_text
 
@@ -56,7 +59,8 @@ class Agent(AnyAgent):
     states, inputs : sequence of str
         Names of the d states and m inputs, at least one of each.
     dynamics : sequence of str
-        The mean of each state one step later, in states, inputs, parameters and disturbances.
+        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states of other
+        agents of the problem (`leader.position`).
     parameters : mapping from str to float, optional
         Numbers by name.
     disturbances : mapping from str to (low, high), optional
@@ -74,6 +78,9 @@ class Agent(AnyAgent):
         Input box, closed.
     initial_state : array_like, shape (d,), optional
         Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
+    communicated : sequence of str, optional
+        Names of the other agents whose states the agent is told at every step. Controllers then cancel what these do
+        where an input reaches it. Of all others certificates assume anything in their workspaces.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
 
@@ -110,8 +117,10 @@ class Agent(AnyAgent):
     initial_low: np.ndarray | None
     initial_high: np.ndarray | None
     output_expressions: tuple[str, ...]
+    communicated: tuple[str, ...]
+    neighbour_ranges: tuple[tuple[float, float], ...] | None
 
-    # Eighteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Nineteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -131,6 +140,7 @@ class Agent(AnyAgent):
         initial_state: Any = None,
         initial_low: Any = None,
         initial_high: Any = None,
+        communicated: Any = None,
         outputs: Any = None,
     ) -> None:
         state_names, input_names = _names(states, "states"), _names(inputs, "inputs")
@@ -155,6 +165,8 @@ class Agent(AnyAgent):
             "input_high": input_box.high,
             "initial_low": None if start is None else start.low,
             "initial_high": None if start is None else start.high,
+            "communicated": () if not communicated else _texts(communicated, "communicated", None),
+            "neighbour_ranges": None,
             "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),
         }
         for key, value in values.items():
@@ -171,6 +183,12 @@ class Agent(AnyAgent):
                 if name in seen:
                     raise ValueError(f"`{argument}`: expected different names, got {name!r} twice; rename one")
                 seen.add(name)
+        owners = [name.split(".")[0] for name in self.others]
+        if self.name in owners:
+            raise ValueError(f"`dynamics`: expected states of other agents, got one of {self.name!r} itself")
+        for name in self.communicated:
+            if name not in owners:
+                raise ValueError(f"`communicated`: expected agents whose states `dynamics` name, got {shown(name)}")
 
     # Copy and pickle the arguments alone: what is cached can be computed again.
     def __getstate__(self) -> dict[str, Any]:
@@ -189,13 +207,50 @@ class Agent(AnyAgent):
         ranges = [f"{name} in [{low:g}, {high:g}]" for name, (low, high) in self.disturbances.items()]
         rows += [("parameters", names_text(numbers))] if numbers else []
         rows += [("unknown", names_text(ranges))] if ranges else []
+        rows += [("beside", names_text(list(self.others)))] if self.others else []
+        rows += [("told by", names_text(list(self.communicated)))] if self.communicated else []
         return tree_text(f"Agent {self.name!r}: {', '.join(sizes)}", [*rows, *summary_rows(self)])
 
     @cached_property
     def trees(self) -> tuple[Tree, ...]:
         """Dynamics as expression trees, the parameters put in."""
-        names = (*self.states, *self.inputs, *self.disturbances)
-        return tuple(self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
+        names = (*self.states, *self.inputs, *self.disturbances, *self.others)
+        inside: dict[str, Tree] = {name: Name(neighbour(k)) for k, name in enumerate(self.others)}
+        trees = (self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
+        return tuple(substituted(tree, inside) if inside else tree for tree in trees)
+
+    @cached_property
+    def others(self) -> tuple[str, ...]:
+        """States of other agents that the dynamics name, such as `leader.position`."""
+        return states_of_others(self.dynamics)
+
+    @cached_property
+    def measured(self) -> frozenset[str]:
+        """Names in trees of those states of others that the agent is told."""
+        told = [name.split(".")[0] in self.communicated for name in self.others]
+        return frozenset(neighbour(k) for k, is_told in enumerate(told) if is_told)
+
+    def tied_to(self, ranges: tuple[tuple[float, float], ...]) -> Agent:
+        """Return the agent in a problem where the states of others lie in these intervals."""
+        if ranges == self.neighbour_ranges:
+            return self
+        agent = type(self)(**self.to_dict())
+        object.__setattr__(agent, "neighbour_ranges", ranges)
+        return agent
+
+    @property
+    def unknowns(self) -> dict[str, tuple[float, float]]:
+        """Intervals of everything that moves the mean besides state and input, by names in trees.
+
+        Raises
+        ------
+        ValueError
+            If the agent names states of others and does not belong to a problem.
+        """
+        if len(self.neighbour_ranges or ()) != len(self.others):
+            raise ValueError(f"`agent`: expected an agent of a problem, as {self.name!r} names states of others")
+        named = {neighbour(k): ends for k, ends in enumerate(self.neighbour_ranges or ())}
+        return {**self.disturbances, **named}
 
     @cached_property
     def output_trees(self) -> tuple[Tree, ...]:
@@ -231,13 +286,15 @@ class Agent(AnyAgent):
     @cached_property
     def motion_key(self) -> tuple[bytes, ...]:
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
-        parts = (
+        parts: tuple[object, ...] = (
             self.states,
             self.inputs,
             self.dynamics,
             tuple(self.parameters.items()),
             tuple(self.disturbances.items()),
         )
+        if self.others:  # agents in equal places are equal, though their neighbours have other names
+            parts = (*parts[:2], repr(self.trees), *parts[3:], self.neighbour_ranges, tuple(sorted(self.measured)))
         return (b"expressions", repr(parts).encode())
 
     @cached_property
@@ -245,21 +302,33 @@ class Agent(AnyAgent):
         """What determines its outputs."""
         return (b"expressions", repr((self.states, self.output_expressions, tuple(self.parameters.items()))).encode())
 
-    def mean(self, x: np.ndarray, u: np.ndarray, disturbances: np.ndarray | None = None) -> np.ndarray:
+    def mean(
+        self,
+        x: np.ndarray,
+        u: np.ndarray,
+        disturbances: np.ndarray | None = None,
+        neighbours: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded).
 
         `disturbances` (k, *S) are those of the step; by default each is the number of its interval nearest to 0.
+        `neighbours` (l, *S) are the states of `others`; by default the middles of their intervals.
         """
         if disturbances is None:
             calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)
             disturbances = np.broadcast_to(calm.reshape(-1, *[1] * (x.ndim - 1)), (len(calm), *x.shape[1:]))
-        values = {
-            name: _one_axis(row) for names, rows in self._rows(x, u, disturbances) for name, row in zip(names, rows)
-        }
+        if neighbours is None and self.others:
+            middles = [0.5 * low + 0.5 * high for low, high in list(self.unknowns.values())[len(self.disturbances) :]]
+            neighbours = np.broadcast_to(
+                np.array(middles).reshape(-1, *[1] * (x.ndim - 1)), (len(middles), *x.shape[1:])
+            )
+        arrays = (x, u, disturbances, () if neighbours is None else neighbours)
+        values = {name: _one_axis(row) for names, rows in self._rows(*arrays) for name, row in zip(names, rows)}
         return np.stack(computed(self.trees, values)).reshape(x.shape)
 
-    def _rows(self, *arrays: np.ndarray) -> list[tuple[Sequence[str], np.ndarray]]:
-        return list(zip((self.states, self.inputs, tuple(self.disturbances)), arrays))
+    def _rows(self, *arrays: Any) -> list[tuple[Sequence[str], Any]]:
+        beside = [neighbour(k) for k in range(len(self.others))]
+        return list(zip((self.states, self.inputs, tuple(self.disturbances), beside), arrays))
 
     def outputs(self, x: np.ndarray) -> np.ndarray:
         """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
@@ -291,6 +360,8 @@ class Agent(AnyAgent):
             data["parameters"] = dict(self.parameters)
         if self.disturbances:
             data["disturbances"] = {name: list(ends) for name, ends in self.disturbances.items()}
+        if self.communicated:
+            data["communicated"] = list(self.communicated)
         data |= self.noise_data()
         data |= {key: getattr(self, key).tolist() for key in _ARRAYS if getattr(self, key) is not None}
         if not self.has_identity_output:

@@ -2,7 +2,7 @@
 
 from .disturbances import BEHAVIOURS, Against, Behaviour, checked_behaviour
 from .one_world import OneWorld, World
-from .worlds import Draws, Dynamics, Worlds, joint
+from .worlds import Draws, Dynamics, Worlds, joint, neighbours
 
 __all__ = [
     "Against",
@@ -15,4 +15,5 @@ __all__ = [
     "Worlds",
     "checked_behaviour",
     "joint",
+    "neighbours",
 ]

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, read_only
+from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
 from ..problem import Problem
 
 Sparse = tuple[np.ndarray, tuple[int, ...]]
@@ -62,6 +62,8 @@ class Block:
     region_low, region_high : np.ndarray, shape (p, k, 1)
     columns : np.ndarray of int, shape (d, n)
         Positions of the components in a joint state.
+    beside : np.ndarray of int, shape (l, n)
+        Positions in a joint state of those states of other agents that the dynamics name.
     """
 
     agents: np.ndarray
@@ -80,6 +82,7 @@ class Block:
     region_low: np.ndarray
     region_high: np.ndarray
     columns: np.ndarray
+    beside: np.ndarray
 
     def __repr__(self) -> str:
         (m, n), d, p = self.input_low.shape[:2], len(self.state_low), len(self.region_low)
@@ -161,7 +164,15 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         columns=read_only(
             np.stack([np.arange(problem.columns[i].start, problem.columns[i].stop) for i in group], axis=1)
         ),
+        beside=read_only(np.stack([_beside(problem, agent) for agent in agents], axis=1)),
     )
+
+
+def _beside(problem: Problem, agent: AnyAgent) -> np.ndarray:
+    """Return the positions (l,) in a joint state of the states of others that an agent's dynamics name."""
+    names = agent.others if isinstance(agent, Agent) else ()
+    places = [place_of(name, problem.agents) for name in names]
+    return np.array([problem.columns[i].start + k for i, k in places], dtype=np.int64)
 
 
 def _motion(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, LinearAgent, contains, counted, inside, row_times, slices_of
+from ..agents import Agent, AnyAgent, LinearAgent, contains, counted, inside, place_of, row_times, slices_of
 from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
 from .worlds import Dynamics, Worlds, extra_rows, split_joint
@@ -45,16 +45,22 @@ class AgentNumbers(NamedTuple):
     """The agent itself, if its dynamics are expressions."""
     extra: tuple[int, ...]
     """Positions of the numbers that its disturbances take, if these are random."""
+    beside: tuple[tuple[int, int], ...]
+    """Agents and components of the states of others that its dynamics name."""
     lawful: AnyAgent | None
     """The agent itself, if its noise is not Gaussian."""
 
-    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None = None) -> list[float]:
-        """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1)."""
+    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None = None, states: Any = ()) -> list[float]:
+        """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1).
+
+        `states` are those of all agents.
+        """
         if self.lawful is not None:
             z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
         if self.written is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
-        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None], v)
+        others = np.array([states[i][k] for i, k in self.beside])[:, None] if self.beside else None
+        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None], v, others)
         return noisy(means[:, 0].tolist(), self.noise_factor, z)
 
     def outputs(self, x: Any) -> Any:
@@ -135,7 +141,9 @@ class OneWorld:
             positions = tuple(block_draws[block].start + c * n + place for c in range(rows[block]))
             draws = positions[: agent.n_states], positions[agent.n_states :]
             corners = labeling.low[i].T, labeling.high[i].T
-            numbers.append(_numbers(agent, *corners, labeling.agent_propositions[i], draws))
+            beside = [place_of(name, problem.agents) for name in agent.others] if isinstance(agent, Agent) else []
+            own = _numbers(agent, *corners, labeling.agent_propositions[i], draws)
+            numbers.append(own._replace(beside=tuple(beside)))
         automaton = problem.automaton
         finite = np.asarray(automaton.accepting & ~automaton.finished)
         return cls(
@@ -172,7 +180,7 @@ class OneWorld:
         # Read the letter, ask the automaton, and decide in the order of `rules.decided`.
         unknown = self._disturbances(world, inputs, normals)
         steps = zip(self.agents, world.states, inputs, unknown)
-        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v) for a, x, u, v in steps])
+        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, world.states) for a, x, u, v in steps])
         letter, outside = self._letter(states)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
@@ -270,5 +278,6 @@ def _numbers(
         draws=draws[0],
         extra=draws[1],
         written=agent if isinstance(agent, Agent) else None,
+        beside=(),
         lawful=None if agent.laws is None else agent,
     )

@@ -252,21 +252,39 @@ def transition(
     if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
     unknown = disturbances(dynamics, worlds, inputs, normals)
-    steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown)
-    states = tuple(successor(block, x, u, z, v) for block, x, u, z, v in steps)
+    steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, neighbours(dynamics, worlds.states))
+    states = tuple(successor(block, x, u, z, v, beside) for block, x, u, z, v, beside in steps)
     return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
-def successor(block: Block, x: np.ndarray, u: np.ndarray, z: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
-    """Return the next states of a block, shape (d, n, M), under disturbances v (k, n, M) if there are any.
+def neighbours(dynamics: Dynamics, states: Sequence[np.ndarray]) -> tuple[np.ndarray | None, ...]:
+    """Return the states of others (l, n, M) that the dynamics of each block name; None for blocks that name none."""
+    if not any(block.beside.size for block in dynamics.blocks):
+        return (None,) * len(dynamics.blocks)
+    rows = np.empty((dynamics.problem.n_states, states[0].shape[-1]))
+    for block, x in zip(dynamics.blocks, states):
+        rows[block.columns] = x
+    return tuple(rows[block.beside] if block.beside.size else None for block in dynamics.blocks)
 
+
+def successor(
+    block: Block,
+    x: np.ndarray,
+    u: np.ndarray,
+    z: np.ndarray,
+    v: np.ndarray | None = None,
+    beside: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the next states of a block, shape (d, n, M).
+
+    `v` (k, n, M) are disturbances and `beside` (l, n, M) states of others, if there are any.
     Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []
     z = block.noise_of.components(z[: len(x)])
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
-            return np.stack(noisy(block.motion.agent.mean(x, u, v), block.noise_factor, z))
+            return np.stack(noisy(block.motion.agent.mean(x, u, v, beside), block.noise_factor, z))
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]

@@ -30,6 +30,7 @@ from ..agents import (
     shortened,
     shown,
     slices_of,
+    tied,
 )
 from ..logic import Automaton, over_propositions, translate, within
 from .families import checked_propositions, expand
@@ -118,11 +119,16 @@ class Problem:
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
         # Expand families first: the labelling, the groups and the automaton all speak of single propositions.
-        members = _checked_agents(agents)
+        members = tied(_checked_agents(agents))
         declared = checked_propositions(propositions)
         expanded, families = expand(declared, [agent.name for agent in members])
         labeling = Labeling.of(members, expanded)
         groups = _groups(specification, labeling, families)
+        if groups and any(getattr(agent, "others", ()) for agent in members):
+            raise ValueError(
+                "`specification`: expected one task of agents whose dynamics name states of others, got independent "
+                "tasks whose joint automaton would be too large; take fewer agents or another formula"
+            )
         values = {
             "name": title,
             "horizon": checked_horizon(horizon),
@@ -303,6 +309,8 @@ class Problem:
                 raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
             agents = changes.get("agents", self.agents)
             changes["agents"] = tuple(agent.with_noise_times(factor) for agent in agents)
+        if "agents" in changes:
+            changes["agents"] = tied(changes["agents"])
         return self._with(changes)
 
     def _with(self, changes: Mapping[str, Any]) -> Problem:

@@ -11,6 +11,7 @@ IDS = (
     "decoupled-chain-14-v0",
     "decoupled-chain-v0",
     "door-formation-v0",
+    "dubins-team-v0",
     "integrator-chain-v0",
     "invariance-20-v0",
     "invariance-4-v0",
@@ -23,11 +24,16 @@ IDS = (
     "package-delivery-single-v0",
     "package-delivery-v0",
     "patrol-recharge-v0",
+    "patrol-robot-v0",
+    "platoon-v0",
     "reach-avoid-20-v0",
     "reach-avoid-kinematic-v0",
     "reach-avoid-n-v0",
     "reach-avoid-planar-v0",
     "reach-avoid-v0",
+    "room-network-v0",
+    "van-der-pol-v0",
+    "windy-delivery-v0",
 )
 
 MODULES = {id: id.replace("-", "_") for id in IDS}

@@ -18,6 +18,9 @@ from .part import AgentPart
 STARTS = {"point": "from the initial state", "mean": "on average over the initial boxes"}
 """What a claim says about its start, in words."""
 
+MOST_TOLD = 3
+"""Agents of which a summary says who tells them of states: a line has room for them."""
+
 
 class Certified(Protocol):
     """What summaries read of a certificate of either kind."""
@@ -66,7 +69,18 @@ def certificate_facts(certificate: Certified) -> list[tuple[str, str]]:
         ("theorem", certificate.bound),
         ("cells", f"{cells} ({counted(len(certificate.agents), 'agent')})"),
         ("rank", str(certificate.rank)),
+        *_told(certificate.problem),
     ]
+
+
+def _told(problem: Problem) -> list[tuple[str, str]]:
+    """Return a row about the agents who are assumed to know states of others; no row if there are none."""
+    named = ((agent.name, getattr(agent, "communicated", ())) for agent in problem.agents)
+    told = [f"{name} by {', '.join(others)}" for name, others in named if others]
+    if not told:
+        return []
+    more = f", and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+    return [("told", f"states at every step: {shortened('; '.join(told[:MOST_TOLD]))}{more}")]
 
 
 def task_text(problem: Problem) -> str:

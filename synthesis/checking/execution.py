@@ -255,7 +255,8 @@ def _wrong_means(
     index = np.unravel_index(cells, part.grid.shape)
     axes = zip(part.grid.edges, index, share, strict=True)
     states = part.coordinates @ np.stack([e[k] + r * (e[k + 1] - e[k]) for e, k, r in axes])
-    inputs = controller.act(states[:, None], q, t, None)[0][:, 0]
+    beside = _anywhere(agent, count, rng)
+    inputs = controller.act(states[:, None], q, t, None, None, None if beside is None else beside[:, None])[0][:, 0]
     if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
         return ["its controller was seen to ask for inputs beyond its input box"]
     # Where cells are so narrow that they cannot be told apart, all that is claimed is charged for misread cells.
@@ -263,7 +264,8 @@ def _wrong_means(
         return []
     choice = part.policy[t, q, cells]
     if not isinstance(agent, LinearAgent):
-        return _wrong_written(agent, part, states, inputs, np.where(choice >= 0, cells, -1), np.maximum(choice, 0))
+        chosen = np.where(choice >= 0, cells, -1), np.maximum(choice, 0)
+        return _wrong_written(agent, part, states, inputs, *chosen, beside)
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     networked = choice < network_modes(part)
     for mode in np.unique(choice[networked & (choice >= 0)]):
@@ -278,6 +280,14 @@ def _wrong_means(
     return []
 
 
+def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:
+    """States of others (l, count) that dynamics name, anywhere in their workspaces; None if there are none."""
+    if not isinstance(agent, Agent) or not agent.others:
+        return None
+    low, high = np.array(list(agent.unknowns.values())[len(agent.disturbances) :]).T[..., None]
+    return np.asarray(low + (high - low) * rng.random((len(low), count)))
+
+
 def _wrong_written(
     agent: AnyAgent,
     part: AgentPart,
@@ -285,6 +295,7 @@ def _wrong_written(
     inputs: FloatArray,
     cells: NDArray[np.int64],
     choice: NDArray[Any],
+    beside: FloatArray | None,
 ) -> list[str]:
     """Inputs of agents with expressions that are not those of the menu, or steer elsewhere than to their targets.
 
@@ -298,7 +309,8 @@ def _wrong_written(
     which = np.flatnonzero(steer & (cells >= 0))
     centre = (0.5 * (low + high))[cells[which]].T
     targets = agent.mean(centre, menu[choice[which]].T)
-    means = agent.mean(states[:, which], inputs[:, which])
+    others = None if beside is None else beside[:, which]
+    means = agent.mean(states[:, which], inputs[:, which], None, others)
     commands = commands_of(agent)
     # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate.
     first, _ = steered_spans(agent, low[cells[which]], high[cells[which]], menu[choice[which]], commands, 1)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent
-from ...envs.dynamics import Dynamics, Worlds, joint
+from ...envs.dynamics import Dynamics, Worlds, joint, neighbours
 from ..cells import FloatArray
 from ..certificates import Certificate
 from .later_values import ValueInTime, value_in_time
@@ -63,11 +63,12 @@ class Greedy:
         if self._value is None:
             self._value = value_in_time(self.certificate)
         means = []
-        for block, x, u, v in zip(dynamics.blocks, worlds.states, inputs, unknown, strict=True):
+        others = neighbours(dynamics, worlds.states)
+        for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):
             agents = [dynamics.problem.agents[i] for i in block.agents]
             # Agents with the same expressions move in one call; linear ones one by one.
             if isinstance(agents[0], Agent):
-                means.append(agents[0].mean(x, u, v))
+                means.append(agents[0].mean(x, u, v, beside))
             else:
                 means.append(np.stack([agent.mean(x[:, k], u[:, k]) for k, agent in enumerate(agents)], axis=1))
         following = Worlds(tuple(means), worlds.q, worlds.time, worlds.failed, worlds.accepted)

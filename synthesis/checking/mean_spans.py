@@ -46,7 +46,7 @@ def mean_spans(
     rows = None if plain else np.linalg.inv(coordinates)
     first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
-    calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
+    calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
@@ -79,7 +79,7 @@ def steered_spans(
     asked_and_rest = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest)]
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
-    unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.disturbances.values()]
+    unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
 
     def outputs(of: Sequence[Tree], on: FloatArray, with_slopes: bool = False) -> list[Span]:
         leaves = _leaves(agent, on, inputs, np.eye(agent.n_states), with_slopes)
@@ -125,7 +125,7 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
 def _leaves(
     agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
 ) -> dict[str, Span]:
-    """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then the disturbances."""
+    """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then disturbances and neighbours."""
     v, d, n = len(box), agent.n_states, box.shape[2]
     unit = np.zeros((v, 2, v if with_slopes else 0, n))
     for k in range(v if with_slopes else 0):
@@ -142,7 +142,7 @@ def _leaves(
         leaves[name] = total
     for name, column in zip(agent.inputs, inputs.T, strict=False):  # outputs read no inputs
         leaves[name] = Span.of(column, column, variables[0])
-    return leaves | dict(zip(agent.disturbances, variables[d:], strict=False))
+    return leaves | dict(zip(agent.unknowns, variables[d:], strict=False))
 
 
 def _means(

@@ -2,13 +2,14 @@
 
 from .cell_choice import Budget, refine
 from .given_start import policies_from
-from .levels import GOOD, Run, finer_levels, first_cells, linear_levels
+from .levels import GOOD, SOLVED, Run, finer_levels, first_cells, linear_levels
 from .relation_choice import Tries, groups_of
 
 __all__ = [
     "Budget",
     "GOOD",
     "Run",
+    "SOLVED",
     "Tries",
     "finer_levels",
     "first_cells",

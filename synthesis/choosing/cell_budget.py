@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ...envs.problem import Problem
-from ..cells import DEFAULT_TARGETS, region_boundaries
+from ..cells import DEFAULT_TARGETS, FloatArray, region_boundaries
 from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS, has_full_rank
-from ..relations import coupling_failure
+from ..relations import commands_of, coupling_failure
 
 Shape = tuple[int, ...]
 
@@ -44,6 +44,12 @@ MOST_NUMBERS = 24
 
 POINTS_OF_BOXES = 4
 """Lattice points per cell and axis under the relation ``boxes``, about."""
+
+WEIGHING_STATES, DIFFERENCE = 64, 1e-5
+"""States at which Jacobians are taken, and the step for it, as a share of the workspace."""
+
+LEAST_WEIGHT = 0.15
+"""Least weight of an axis: wider cells on commanded axes would cost inputs and labels too much."""
 
 UNKNOWN_STATES = 3
 """Automaton states assumed for independent tasks, where the automaton of the whole is not built."""
@@ -131,13 +137,46 @@ def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
     return min(1.0, -math.expm1(problem.horizon * log_kept))
 
 
+def axis_weights(agent: AnyAgent) -> FloatArray:
+    """Return how fine the cells of each axis should be against the noise, relative to the axis that matters most.
+
+    Under mean boxes a cell costs as much as it widens the boxes along axes without targets, in deviations of the noise:
+    ``sum_k |J_kj| h_j / sigma_k``. For a given number of cells the sum over the axes j is least if all of them cost the
+    same. The Jacobian J is averaged over the workspace, by differences. Linear agents have equal weights.
+    """
+    if not isinstance(agent, Agent):
+        return np.ones(agent.n_states)
+    # An even sample of states, at the middle of the inputs: weights need one digit.
+    d, middle = agent.n_states, agent.input_box.center
+    shares = (np.arange(WEIGHING_STATES) + 0.5)[:, None] * np.sqrt(np.arange(2, 2 + d) + 0.5) % 1.0
+    span = agent.state_high - agent.state_low
+    states = (agent.state_low + shares * span).T
+    inputs = np.broadcast_to(middle[:, None], (len(middle), WEIGHING_STATES))
+    deviations = np.maximum(np.sqrt(np.diag(agent.noise_covariance)), 1e-12 * span)
+    free = np.ones(d, dtype=bool)
+    free[[command.axis for command in commands_of(agent)]] = False
+    free = free if np.any(free) else ~free
+    cost = np.zeros(d)
+    for j in range(d):
+        step = np.zeros((d, 1))
+        step[j] = DIFFERENCE * span[j]
+        with np.errstate(all="ignore"):
+            moved = np.abs(agent.mean(states + step, inputs) - agent.mean(states, inputs)) / step[j]
+        mean = np.nan_to_num(moved, nan=0.0, posinf=0.0).mean(axis=1)
+        cost[j] = float(np.sum((mean / deviations)[free])) * deviations[j]
+    if not np.max(cost) > 0.0:
+        return np.ones(d)
+    return np.asarray(np.maximum(cost / np.max(cost), LEAST_WEIGHT))
+
+
 def _agent_cells(
     problem: Problem, agent: AnyAgent, boundaries: Sequence[list[float]], resolution: float, relation: str
 ) -> AgentCells:
     """Return the cells of one agent: of the numbers near the resolution those with the fewest lattice points."""
     span = agent.state_high - agent.state_low
     deviations = np.sqrt(np.diag(agent.noise_covariance))
-    wanted = [max(1.0, resolution * float(s / max(d, 1e-12 * s))) for s, d in zip(span, deviations, strict=True)]
+    fineness = resolution * axis_weights(agent)
+    wanted = [max(1.0, float(r * s / max(d, 1e-12 * s))) for r, s, d in zip(fineness, span, deviations, strict=True)]
     options = [
         _numbers(float(low), float(high), inside, number)
         for low, high, inside, number in zip(agent.state_low, agent.state_high, boundaries, wanted, strict=True)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import AnyAgent
+from ...envs.agents import Agent, AnyAgent
 from ...envs.problem import Problem
 from ..cells import RelationRefused, region_boundaries
 from ..certificates import Synthesis
@@ -33,7 +33,7 @@ from ..models import (
     has_full_rank,
 )
 from .carrying import carried_over
-from .cell_budget import cells_at
+from .cell_budget import axis_weights, cells_at
 
 FIRST_WIDTH = 2.5
 """Width of the first cells, in standard deviations of the noise."""
@@ -67,6 +67,9 @@ CELLS_PER_SECOND = 1e5
 
 WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
 """The same for other relations, whose choices are lattice points, inputs that lead to lattice points, and boxes."""
+
+LATTICE_PER_SECOND = 1.3e7
+"""Lattice points whose charge and window minima are found, under boxes."""
 
 READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 """How often cells are read in a level, more often with a menu, and the terms that double the time of a reading."""
@@ -124,15 +127,16 @@ def finer_levels(problem: Problem, settings: Settings, first: Synthesis, run: Ru
 
 
 def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
-    """Return cells to begin with for agents with two states whose inputs do not reach every mean; None without such.
+    """Return cells to begin with for agents whose inputs do not reach every mean; None without such.
 
-    Their means fall on few lattice points if cells fit together, which default cells do not care for.
+    Means of linear agents with two states fall on few lattice points if cells fit together, which default cells do not
+    care for. Those of agents with expressions have default cells on no axis that would suit all of them.
     """
     fitting = cells_at(problem, 1.0 / FIRST_TUBE_WIDTH, ["tube"] * problem.n_agents)
     cells = {
         agent.name: fitting[agent.name].shape
         for agent in problem.agents
-        if agent.n_states == 2 and not has_full_rank(agent)
+        if isinstance(agent, Agent) or (agent.n_states == 2 and not has_full_rank(agent))
     }
     return cells or None
 
@@ -222,11 +226,12 @@ class _Levels:
 
 
 def _widest(problem: Problem, shapes: dict[str, tuple[int, ...]]) -> float:
-    """Return the width of the widest cells, in standard deviations of the noise."""
+    """Return the width of the widest cells, in standard deviations of the noise and as axes are weighted."""
     widths = []
     for agent in problem.agents:
         deviations = np.sqrt(np.diag(agent.noise_covariance))
-        widths.append(np.max((agent.state_high - agent.state_low) / np.array(shapes[agent.name]) / deviations))
+        cell = (agent.state_high - agent.state_low) / np.array(shapes[agent.name]) / deviations
+        widths.append(np.max(cell * axis_weights(agent)))
     return float(max(widths))
 
 
@@ -281,6 +286,8 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
             smoothing += size * stored / points[axis]
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
         smoothing *= LINEAR_TABLES if isinstance(model.choices, AffineChoices) else 1
+        if isinstance(model.choices, BoxChoices):
+            total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND
         total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / _cells_per_second(model.choices)
     return horizon * n_states * total
 

@@ -89,12 +89,18 @@ class AgentController:
         return None if self.tracker is None else self.tracker.begin(self.tracker.points(states))
 
     def act(
-        self, states: FloatArray, q: NDArray[Any], time: int, memory: Memory | None, uniform: FloatArray | None = None
+        self,
+        states: FloatArray,
+        q: NDArray[Any],
+        time: int,
+        memory: Memory | None,
+        uniform: FloatArray | None = None,
+        beside: FloatArray | None = None,
     ) -> tuple[FloatArray, Memory | None]:
         """Return inputs (m, n, M) at states (d, n, M) and automaton states (M,), and the memory for the next step.
 
         The bits are the same for any number of worlds. Agents with a coupling F take ``uniform`` (n, M), one auxiliary
-        draw per step.
+        draw per step; those whose dynamics name states of others take these, ``beside`` (l, n, M).
         """
         if memory is not None and self.tracker is not None:
             points = self.tracker.points(states)
@@ -103,7 +109,10 @@ class AgentController:
                 memory = self.tracker.follow(memory, points, uniform)
             return self._menu_steering.inputs(memory, points, q, time)
         points = self.project(states)
-        return self._target_steering.inputs(self._cell_of(points), points, q, time), None
+        steering, cells = self._target_steering, self._cell_of(points)
+        if isinstance(steering, BoxSteering):
+            return steering.inputs(cells, points, q, time, beside), None
+        return steering.inputs(cells, points, q, time), None
 
     def project(self, states: FloatArray) -> FloatArray:
         """Return the grid coordinates of states, moved into the grid if they are outside; NaN goes to the low edge."""

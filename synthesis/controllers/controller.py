@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import counted, tree_text
-from ...envs.dynamics import Draws, Dynamics, Worlds
+from ...envs.agents import Agent, counted, place_of, tree_text
+from ...envs.dynamics import Draws, Dynamics, Worlds, neighbours
 from ...envs.problem import Problem
 from ..cells import FloatArray, alike_text, shape_text
 from .abstract_state import Memory
@@ -79,7 +79,7 @@ class Controller:
         The state is read from the observation, or from ``infos[agent]`` (keys ``state``, ``automaton_state``, ``time``)
         if that is given: it survives wrappers that round or rescale observations.
         """
-        actions = {}
+        actions, seen = {}, dict[str, tuple[FloatArray, int, int]]()
         for name, observation in observations.items():
             if name not in self._by_name:
                 raise ValueError(
@@ -92,13 +92,29 @@ class Controller:
                 state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
             else:
                 state, q, time = self._read(agent, np.asarray(observation, dtype=float))
-            actions[name] = self._act_one(agent, np.asarray(state, dtype=float)[:, None, None], q, time)
+            seen[name] = np.asarray(state, dtype=float), q, time
+        for name, (state, q, time) in seen.items():
+            agent, beside = self._by_name[name], self._beside(name, seen)
+            actions[name] = self._act_one(agent, state[:, None, None], q, time, beside)
         return actions
 
-    def _act_one(self, agent: AgentController, state: FloatArray, q: int, time: int) -> FloatArray:
+    def _beside(self, name: str, seen: Mapping[str, tuple[FloatArray, int, int]]) -> FloatArray | None:
+        """Return the states of others (l, 1, 1) that the dynamics of an agent name; None if they are not all seen."""
+        agents = self.problem.agents
+        model = agents[self.problem.agent_names.index(name)]
+        if not isinstance(model, Agent) or not model.others:
+            return None
+        places = [place_of(other, agents) for other in model.others]
+        if any(agents[i].name not in seen for i, _ in places):
+            return None
+        return np.array([seen[agents[i].name][0][k] for i, k in places])[:, None, None]
+
+    def _act_one(
+        self, agent: AgentController, state: FloatArray, q: int, time: int, beside: FloatArray | None
+    ) -> FloatArray:
         """Return the action of one agent; its memory is kept between the calls of an episode."""
         if not agent.is_coupled:
-            return np.ascontiguousarray(agent.act(state, np.array([q]), time, None)[0][:, 0, 0])
+            return np.ascontiguousarray(agent.act(state, np.array([q]), time, None, None, beside)[0][:, 0, 0])
         memories, rng = self._episode.setdefault("memory", {}), self._episode.setdefault("rng", np.random.default_rng())
         if time == 0 or agent.name not in memories:
             memories[agent.name] = agent.begin(state)
@@ -150,6 +166,7 @@ class BatchController:
 
     blocks: tuple[tuple[ControllerGroup, ...], ...]
     shapes: tuple[tuple[int, int], ...]
+    dynamics: Dynamics
 
     @classmethod
     def of(cls, agents: Sequence[AgentController], dynamics: Dynamics) -> BatchController:
@@ -161,7 +178,7 @@ class BatchController:
                 groups.setdefault(_signature(agents[i]), []).append(k)
             blocks.append(tuple(_group(agents, block.agents, members) for members in groups.values()))
             shapes.append((block.n_inputs, len(block.agents)))
-        return cls(tuple(blocks), tuple(shapes))
+        return cls(tuple(blocks), tuple(shapes), dynamics)
 
     def begin(self, worlds: Worlds, rng: Draws) -> BatchMemory:
         """Return the memory at time 0; agents with a coupling F take one draw per step and world from ``rng``."""
@@ -177,15 +194,17 @@ class BatchController:
     def act(self, worlds: Worlds, memory: BatchMemory) -> tuple[tuple[FloatArray, ...], BatchMemory]:
         """Return inputs (m, n, M) per block, and the memory for the next step."""
         result, next_memory = [], []
-        for groups, memories, (m, n), states in zip(
-            self.blocks, memory.groups, self.shapes, worlds.states, strict=True
+        others = neighbours(self.dynamics, worlds.states)
+        for groups, memories, (m, n), states, named in zip(
+            self.blocks, memory.groups, self.shapes, worlds.states, others, strict=True
         ):
             inputs, remembered = [], []
             # The order of groups is that of the draws: it is part of what a seed means.
             for group, before in zip(groups, memories, strict=True):
                 uniform = memory.rng.random((len(group.members), worlds.n_worlds)) if group.controller.draws else None
                 here = states if len(groups) == 1 else states.take(group.members, axis=1)
-                chosen, after = group.controller.act(here, worlds.q, worlds.time, before, uniform)
+                beside = None if named is None else named.take(group.members, axis=1)
+                chosen, after = group.controller.act(here, worlds.q, worlds.time, before, uniform, beside)
                 inputs.append(chosen)
                 remembered.append(after)
             result.append(inputs[0] if len(groups) == 1 else _placed(groups, inputs, (m, n, worlds.n_worlds)))

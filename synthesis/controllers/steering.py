@@ -182,14 +182,20 @@ class BoxSteering:
     grid: Grid
     relation: BoxRelation
 
-    def inputs(self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
-        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
+    def inputs(
+        self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None
+    ) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M).
+
+        ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
+        """
         choices = self.table.choices(self.table.places(cells, q, time))
         offsets = points - looked_up(self._centres, cells)
         chosen = np.maximum(choices, 0).astype(np.intp)
         inputs = self.relation.inputs(chosen, offsets)
         if isinstance(self.relation.means, WrittenMeans):
-            inputs = self.relation.means.steered(chosen, points, looked_up(self._centres, cells), inputs)
+            centres = looked_up(self._centres, cells)
+            inputs = self.relation.means.steered(chosen, points, centres, inputs, beside)
         if isinstance(self.relation.means, NetworkMeans):
             inputs = self.relation.means.replaced(chosen, points, q, time, inputs)
         # Cells without a choice get the mean of all inputs.

@@ -35,14 +35,19 @@ ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
 be uneven by 1e-9 of a step, and positions be off by as much."""
 
-POINTS_PER_DEVIATION = 6.0
-"""Lattice points per deviation, at least: the slack is then 3e-5 per axis and step."""
+POINTS_PER_DEVIATION = {1: 6.0, 2: 6.0}
+"""Lattice points per deviation, at least, by dimension: the slack is then 3e-5 per axis and step."""
+
+FEWER_PER_DEVIATION = 4.0
+"""The same beyond: a slack of 1e-4, for a third of the points."""
 
 POINTS_PER_CELL = {1: 16, 2: 4, 3: 2}
 """Lattice points per cell and axis, at least, by dimension (2 beyond): choices are told apart by them."""
 
-MOST_PER_CELL = {1: 256, 2: 24, 3: 8}
-"""The same, at most: where cells are wider than several deviations, boxes are, and a finer lattice gains nothing."""
+MOST_PER_CELL = {1: 256, 2: 24, 3: 3}
+"""The same, at most: where cells are wider than several deviations, boxes are, and a finer lattice gains nothing.
+
+In three dimensions it would also take most of the time."""
 
 CHARGE = 2e-4
 """What interpolation may add per axis and step where laws alone bound it, if memory allows."""
@@ -138,7 +143,9 @@ def points_per_cell(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
     # Cells may be very wide: the smaller number is taken before it is rounded to a whole one.
     normal = all(isinstance(law, Gaussian) for law in laws)
-    pitches = np.array([law.std / POINTS_PER_DEVIATION if normal else law.pitch(CHARGE) for law in laws])
+    pitches = np.array(
+        [law.std / POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION) if normal else law.pitch(CHARGE) for law in laws]
+    )
     needed = np.minimum(widths / pitches, most)
     wanted = [max(fewest, math.ceil(count)) for count in needed.tolist()]
     size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))

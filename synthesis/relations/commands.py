@@ -6,7 +6,8 @@ Where the mean along an axis is ``a(x) + b(x) u`` with one input u and b without
 
 puts it on the target m from every x. The controller computes u(x) from the state; the mean along all other axes is
 enclosed with u(x) in place of u (docs/theory/boxes.md, "Boxes of expressions"). Disturbances are not measured, so an
-axis that they move has no targets.
+axis that they move has no targets. States of neighbours that are communicated may stand in a and b: the input must then
+be admissible for all of them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import Agent
+from ...envs.agents import Agent, neighbour
 from ...envs.expressions import (
     Affine,
     Name,
@@ -42,7 +43,7 @@ class Command:
     axis, input : int
         Numbers of the state and of the input.
     rest, factor : Tree
-        Expressions in the states.
+        Expressions in the states, and in the states of others that the agent is told.
     """
 
     axis: int
@@ -68,10 +69,11 @@ def commands_of(agent: Agent) -> tuple[Command, ...]:
     """
     commands: list[Command] = []
     middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}
+    middle |= {name: np.array([0.5 * low + 0.5 * high]) for name, (low, high) in agent.unknowns.items()}
     for j, name in enumerate(agent.inputs):
         best, farthest = None, 0.0
         for k, tree in enumerate(agent.trees):
-            others = names_in(tree) & ({*agent.inputs, *agent.disturbances} - {name})
+            others = names_in(tree) & ({*agent.inputs, *agent.unknowns} - {name} - agent.measured)
             split = None if others or k in [command.axis for command in commands] else split_at(tree, name)
             if split is None or split[1] == Number(0.0) or not _never_zero(agent, split[1]):
                 continue
@@ -95,14 +97,20 @@ def steered_trees(agent: Agent, commands: Sequence[Command]) -> tuple[Tree, ...]
 
 def _never_zero(agent: Agent, factor: Tree) -> bool:
     """Return whether a factor has one sign in the whole workspace."""
-    names = {state: Affine(np.zeros(1), {k: np.ones(1)}) for k, state in enumerate(agent.states)}
-    box = [(np.array([low]), np.array([high])) for low, high in zip(agent.state_low, agent.state_high, strict=True)]
+    names = {name: Affine(np.zeros(1), {k: np.ones(1)}) for k, name in enumerate((*agent.states, *agent.unknowns))}
+    ends = [*zip(agent.state_low, agent.state_high, strict=True), *agent.unknowns.values()]
+    box = [(np.array([low]), np.array([high])) for low, high in ends]
     [(least, most)] = enclosed([factor], names, box)
     return bool(least[0] > 0.0 or most[0] < 0.0)
 
 
 def steered_inputs(
-    agent: Agent, commands: Sequence[Command], centres: FloatArray, states: FloatArray, menu_inputs: FloatArray
+    agent: Agent,
+    commands: Sequence[Command],
+    centres: FloatArray,
+    states: FloatArray,
+    menu_inputs: FloatArray,
+    beside: FloatArray | None = None,
 ) -> FloatArray:
     """Return inputs (m, ...) at states (d, ...) that put the means of commanded axes where the menu does at centres.
 
@@ -114,10 +122,21 @@ def steered_inputs(
         Centres of cells, and states in them.
     menu_inputs : (m, ...) array
         Inputs of the choices at the centres.
+    beside : (l, ...) array, optional
+        States of others that the dynamics name. Targets do not depend on them.
+
+    Raises
+    ------
+    ValueError
+        If an input depends on states of others, and they are not given.
     """
     means, inputs = agent.mean(centres, menu_inputs), menu_inputs.copy()
     for command in commands:
         values = dict(zip(agent.states, (np.atleast_1d(row) for row in states), strict=True))
+        if beside is not None:
+            values |= {neighbour(k): np.atleast_1d(row) for k, row in enumerate(beside)}
+        elif agent.measured & names_in(command.tree):
+            raise ValueError(f"`beside`: expected the states of others that agent {agent.name!r} is told, got none")
         values[command.target] = np.atleast_1d(means[command.axis])
         [asked] = computed([command.tree], values)
         low, high = agent.input_low[command.input], agent.input_high[command.input]

@@ -119,9 +119,9 @@ class WrittenMeans:
         return enclosed(self.agent.trees, self._names(menu), self._with_disturbances(box), rows)
 
     def _with_disturbances(self, box: list[Interval]) -> list[Interval]:
-        """Return all variables: the axes of the cell, and disturbances, which are anything in their intervals."""
+        """Return all variables: the axes of the cell, and disturbances and neighbours, anything in their intervals."""
         one = np.ones((1, 1))
-        return [*box, *((low * one, high * one) for low, high in self.agent.disturbances.values())]
+        return [*box, *((low * one, high * one) for low, high in self.agent.unknowns.values())]
 
     def _names(self, menu: FloatArray) -> dict[str, Affine]:
         """Return what states, inputs and disturbances are in the variables."""
@@ -131,18 +131,26 @@ class WrittenMeans:
             names[state] = Affine(np.zeros((1, 1)), slopes)
         for name, column in zip(self.agent.inputs, menu.T, strict=True):
             names[name] = Affine(column[None])
-        for k, name in enumerate(self.agent.disturbances, start=self.agent.n_states):
+        for k, name in enumerate(self.agent.unknowns, start=self.agent.n_states):
             names[name] = Affine(np.zeros((1, 1)), {k: one})
         return names
 
-    def steered(self, choices: NDArray[np.intp], points: FloatArray, centres: FloatArray, u: FloatArray) -> FloatArray:
+    def steered(
+        self,
+        choices: NDArray[np.intp],
+        points: FloatArray,
+        centres: FloatArray,
+        u: FloatArray,
+        beside: FloatArray | None = None,
+    ) -> FloatArray:
         """Return the inputs (m, ...) of choices (...) at points (d, ...) of cells with centres (d, ...).
 
-        ``u`` are the inputs of the menu. Grid coordinates are the state where choices steer.
+        ``u`` are the inputs of the menu, ``beside`` (l, ...) the states of others that the dynamics name, if any. Grid
+        coordinates are the state where choices steer.
         """
         if self.steer is None or not np.any(self.steer):
             return u
-        return np.where(self.steer[choices], steered_inputs(self.agent, self.commands, centres, points, u), u)
+        return np.where(self.steer[choices], steered_inputs(self.agent, self.commands, centres, points, u, beside), u)
 
     @cached_property
     def commands(self) -> tuple[Command, ...]:
