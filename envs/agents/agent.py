@@ -184,12 +184,12 @@ class LinearAgent(AnyAgent):
         return (b"linear", self.output_matrix.tobytes())
 
     def mean(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded)."""
+        """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)``."""
         offset = self.offset.reshape(-1, *[1] * (x.ndim - 1))
         return np.asarray(np.tensordot(self.A, x, 1) + np.tensordot(self.B, u, 1) + offset)
 
     def outputs(self, x: np.ndarray) -> np.ndarray:
-        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+        """Return the outputs ``(p, *S)`` at states ``(d, *S)``: the same bits for one state and for many."""
         c = self.output_matrix
         return x if self.has_identity_output else linear(c.reshape(c.shape + (1,) * (x.ndim - 1)), x)
 

@@ -84,11 +84,11 @@ class AnyAgent(ABC):
 
     @abstractmethod
     def mean(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded)."""
+        """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)``."""
 
     @abstractmethod
     def outputs(self, x: np.ndarray) -> np.ndarray:
-        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+        """Return the outputs ``(p, *S)`` at states ``(d, *S)``: the same bits for one state and for many."""
 
     @abstractmethod
     def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +174,7 @@ class AnyAgent(ABC):
         return self.replace(noise=[law.scaled(factor) for law in self.laws], noise_axes=self.noise_axes)
 
     def components(self, z: Any) -> Any:
-        """Return the components e (d, *S) of noise for standard normal numbers (d, *S); Gaussian ones stay as they are.
+        """Return the components ``(d, *S)`` of noise for standard normal numbers ``(d, *S)``; Gaussian ones stay.
 
         A quantile of each law is taken, the same bits for one number and for many.
         """

@@ -309,10 +309,10 @@ class Agent(AnyAgent):
         disturbances: np.ndarray | None = None,
         neighbours: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the means (d, *S) of the next states from states (d, *S) under inputs (m, *S) (rounded).
+        """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)`` (rounded).
 
-        `disturbances` (k, *S) are those of the step; by default each is the number of its interval nearest to 0.
-        `neighbours` (l, *S) are the states of `others`; by default the middles of their intervals.
+        `disturbances` ``(k, *S)`` are those of the step; by default each is the number of its interval nearest to 0.
+        `neighbours` ``(l, *S)`` are the states of `others`; by default the middles of their intervals.
         """
         if disturbances is None:
             calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)
@@ -331,7 +331,7 @@ class Agent(AnyAgent):
         return list(zip((self.states, self.inputs, tuple(self.disturbances), beside), arrays))
 
     def outputs(self, x: np.ndarray) -> np.ndarray:
-        """Return the outputs (p, *S) at states (d, *S): the same bits for one state and for many."""
+        """Return the outputs ``(p, *S)`` at states ``(d, *S)``: the same bits for one state and for many."""
         if self.has_identity_output:
             return x
         values = {name: _one_axis(row) for name, row in zip(self.states, x)}
