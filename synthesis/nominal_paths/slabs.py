@@ -67,7 +67,7 @@ class Slabs:
                 z = np.where(self.deviations > 0.0, distance / np.maximum(self.deviations, 1e-300), np.inf)
             # Without noise only the nominal value itself counts.
             z = np.where((self.deviations <= 0.0) & (distance <= 0.0), -np.inf, z)
-            tails.append(np.where(z == np.inf, 0.0, np.minimum(1.0, ndtr(-z) * OUTWARD + 2.0 * SMALLEST)))
+            tails.append(np.where(distance == np.inf, 0.0, np.minimum(1.0, ndtr(-z) * OUTWARD + 2.0 * SMALLEST)))
         return tails[0], tails[1]
 
 
