@@ -18,6 +18,13 @@ certified = cg.certify(problem, actor, cells=100)
 improved = cg.improve(problem, actor, cells=100)
 print(cg.compare(problem, {"raw": training, "certified": certified, "improved": improved}, episodes=4_000))
 
+# The network as it is deployed, wrapped in nothing; and repaired where it loses most.
+raw = cg.certify(problem, actor, cells=500, raw=True)
+repaired, places = cg.repair_network(problem, actor, cells=500)
+print(f"the network itself: P >= {raw.certificate.lower_bound:.4f}")
+print(f"repaired: P >= {repaired.certificate.lower_bound:.4f}")
+print(places)
+
 # Can a learner that starts from the certified controllers do better than they do?
 found: cg.Probe = cg.probe(problem, improved, episodes=4_000, steps=1_000)
 print(found)
