@@ -14,6 +14,7 @@ import certigym as cg
 from certigym.envs.agents.laws import Law
 from certigym.envs.agents.noise import laws_of
 from certigym.synthesis.cells import grid_laws
+from certigym.synthesis.certificates import lost_to_rounding
 from certigym.synthesis.certificates.checked_laws import law_charge, law_error, lawful_masses, probability_below
 from certigym.synthesis.models.box_kernel import BoxKernel
 from certigym.synthesis.models.kernel import law_table
@@ -124,6 +125,18 @@ def test_masses_are_below_the_truth_and_the_check_takes_off_less(law: Law) -> No
     truth = np.diff(law.tails(edges[None] - means[:, None])[0], axis=1)
     assert np.all(masses <= np.maximum(truth - law.cdf_error, 0.0)) and np.all(masses <= checked)
     assert np.all((truth - masses).sum(axis=1) <= loss)
+
+
+@pytest.mark.parametrize("law", LAWS[1:], ids=NAMES[1:])
+def test_what_the_check_may_lack_is_counted(law: Law) -> None:
+    """Masses of the check and what it says to be lost make up for the largest masses that its errors allow."""
+    means, edges = np.linspace(-1.0, 1.0, 37), np.linspace(-1.3, 1.2, 41)
+    most = np.diff(probability_below(law, edges - means[:, None]), axis=1) + 2.0 * law_error(law)
+    problem = reach([law])
+    part = cg.synthesize(problem, 40, relation="exact").certificate.agents[0]
+    cells = part.grid.n_cells
+    lost = lost_to_rounding(problem.agents[0], part)
+    assert (most - lawful_masses(law, edges, means)).sum(axis=1).max() / 40 <= lost / cells
 
 
 def reach(noise: Any, **changes: Any) -> cg.Problem:

@@ -13,11 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from .any_agent import AnyAgent, checked_name, checked_start, summary_rows
-from .box import Box
+from .any_agent import AnyAgent, shared_fields, summary_rows
 from .checks import float_array, read_only
 from .laws import Law
-from .noise import declared_noise
 from .printing import counted, tree_text
 from .products import linear
 
@@ -116,32 +114,18 @@ class LinearAgent(AnyAgent):
         noise: Any = None,
         noise_axes: Any = None,
     ) -> None:
+        given = locals()  # the arguments by name: what all agents declare is checked in one place
         # A fixes the number of states d, B the number of inputs m; all other lengths follow.
         matrix = float_array(A, "A", (None, None), "[[0.9]]")
         d = matrix.shape[0]
         if matrix.shape != (d, d):
             raise ValueError(f"`A`: expected a square matrix, got shape {matrix.shape[0]} x {matrix.shape[1]}")
         inputs = float_array(B, "B", (d, None), f"{[[0.5]] * d}")
-        workspace = Box(state_low, state_high, names=("state_low", "state_high"), length=d)
-        input_box = Box(
-            input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=inputs.shape[1]
-        )
         identity, zero = np.eye(d), np.zeros(d)
-        start = checked_start(initial_state, initial_low, initial_high, d)
-        declared = declared_noise(noise, noise_covariance, noise_axes, d)
         values = {
-            "name": checked_name(name, "name"),
+            **shared_fields(d, inputs.shape[1], given),
             "A": matrix,
             "B": inputs,
-            "noise_covariance": declared.covariance,
-            "laws": declared.laws,
-            "noise_axes": declared.axes,
-            "state_low": workspace.low,
-            "state_high": workspace.high,
-            "input_low": input_box.low,
-            "input_high": input_box.high,
-            "initial_low": None if start is None else start.low,
-            "initial_high": None if start is None else start.high,
             "output_matrix": float_array(
                 identity if output_matrix is None else output_matrix, "output_matrix", (None, d), f"{[[1.0] * d]}"
             ),

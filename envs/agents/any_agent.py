@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Self
 
@@ -13,6 +14,7 @@ import numpy as np
 from .box import Box
 from .checks import read_only, shown
 from .laws import Law
+from .noise import declared_noise
 from .printing import box_text, shortened
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -198,6 +200,35 @@ def checked_name(name: Any, argument: str) -> str:
             f"`{argument}`: expected letters, digits and underscores, not starting with a digit, got {shown(name)}"
         )
     return name
+
+
+def shared_fields(d: int, m: int, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what all agents declare, checked: name, noise, boxes and start, from arguments of these names.
+
+    Parameters
+    ----------
+    d, m : int
+        Numbers of states and inputs.
+    given : mapping
+        Arguments of a constructor; others than these are passed over.
+    """
+    workspace = Box(given["state_low"], given["state_high"], names=("state_low", "state_high"), length=d)
+    names = ("input_low", "input_high")
+    input_box = Box(given["input_low"], given["input_high"], allow_flat=True, names=names, length=m)
+    start = checked_start(given["initial_state"], given["initial_low"], given["initial_high"], d)
+    noise = declared_noise(given["noise"], given["noise_covariance"], given["noise_axes"], d)
+    return {
+        "name": checked_name(given["name"], "name"),
+        "noise_covariance": noise.covariance,
+        "laws": noise.laws,
+        "noise_axes": noise.axes,
+        "state_low": workspace.low,
+        "state_high": workspace.high,
+        "input_low": input_box.low,
+        "input_high": input_box.high,
+        "initial_low": None if start is None else start.low,
+        "initial_high": None if start is None else start.high,
+    }
 
 
 def checked_start(state: Any, low: Any, high: Any, d: int) -> Box | None:

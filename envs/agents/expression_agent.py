@@ -20,12 +20,10 @@ from typing import Any
 import numpy as np
 
 from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression, substituted
-from .any_agent import AnyAgent, checked_name, checked_start, summary_rows
-from .box import Box
+from .any_agent import AnyAgent, shared_fields, summary_rows
 from .checks import float_array, read_only, shown
 from .laws import Law
 from .neighbours import neighbour, states_of_others
-from .noise import declared_noise
 from .printing import counted, names_text, shortened, tree_text
 
 MOST_STATES = 30
@@ -143,28 +141,16 @@ class Agent(AnyAgent):
         communicated: Any = None,
         outputs: Any = None,
     ) -> None:
+        given = locals()  # the arguments by name: what all agents declare is checked in one place
         state_names, input_names = _names(states, "states"), _names(inputs, "inputs")
         d, m = len(state_names), len(input_names)
-        workspace = Box(state_low, state_high, names=("state_low", "state_high"), length=d)
-        input_box = Box(input_low, input_high, allow_flat=True, names=("input_low", "input_high"), length=m)
-        declared = declared_noise(noise, noise_covariance, noise_axes, d)
-        start = checked_start(initial_state, initial_low, initial_high, d)
         values = {
-            "name": checked_name(name, "name"),
+            **shared_fields(d, m, given),
             "states": state_names,
             "inputs": input_names,
             "dynamics": _texts(dynamics, "dynamics", d),
             "parameters": MappingProxyType(_numbers(parameters)),
             "disturbances": MappingProxyType(_ranges(disturbances)),
-            "noise_covariance": declared.covariance,
-            "laws": declared.laws,
-            "noise_axes": declared.axes,
-            "state_low": workspace.low,
-            "state_high": workspace.high,
-            "input_low": input_box.low,
-            "input_high": input_box.high,
-            "initial_low": None if start is None else start.low,
-            "initial_high": None if start is None else start.high,
             "communicated": () if not communicated else _texts(communicated, "communicated", None),
             "neighbour_ranges": None,
             "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),

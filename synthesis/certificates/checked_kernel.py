@@ -45,7 +45,8 @@ def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
     The complementary error function is accurate to a few units in the last place of the tail it stands for.
     """
     if agent.laws is not None:
-        return sum(2.0 * law_error(law) * n for law, n in zip(agent.laws, part.grid.shape, strict=True))
+        # A mass is off by two errors, and two are taken off; a fifth one is for the rounding of all this.
+        return sum(5.0 * law_error(law) * n for law, n in zip(agent.laws, part.grid.shape, strict=True))
     total, deviations = 0.0, np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
         x = np.abs(edges - axis[:, None]) / (deviation * np.sqrt(2.0))

@@ -13,19 +13,19 @@ occupancy-weighted ascent").
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...envs.agents import checked_count, tree_text
+from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..models import JointModel, Policies, start_of
-from ..values import HOST, Occupancy
+from ..values import Occupancy
 from .ascent import Sweep, resting_policies, sweep
 from .limits import Limits
 from .paths import staged_starts
 from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
+from .search_settings import Search
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
@@ -48,12 +48,6 @@ TREE_BYTES = 3 * 2**30
 
 FINAL_TERMS = 16
 """Arrays that a tree holds at its peak, in the last pass, per term of the naive one (an estimate)."""
-
-GOOD_SHARE = 0.99
-"""Share of the upper bound from which a start is good enough and no further ones are tried, unless the caller decides.
-
-At .9 an agent may still take a way that costs the team a few per cent; one sweep from each staged start shows it.
-"""
 
 SAME_VALUE_SHARE = 1e-5
 """Relative difference up to which two starts count as having led to the same value, and further ones are left out."""
@@ -94,68 +88,6 @@ RESTART_SEED = 1
 
 LONGEST_SHIFT = 2
 """Most steps by which a perturbed start advances or delays the plan of an agent."""
-
-VALUE_FORMS = ("auto", "tree", "train")
-"""Forms in which the value function may be held."""
-
-Progress = Callable[[str, float], None]
-"""Called with the name of a start and the best value so far."""
-
-
-@dataclass(frozen=True)
-class Search:
-    """How good policies are searched for.
-
-    Parameters
-    ----------
-    max_sweeps : int
-        Most sweeps from one start.
-    limits : Limits
-        Pruning of trees during the search.
-    value : str
-        ``"tree"``, ``"train"``, or ``"auto"`` (see the module's text).
-    restarts : int
-        Further starts from the best policies, perturbed: from a random step on, the plan of every agent is advanced or
-        delayed by up to ``LONGEST_SHIFT`` steps, that of each agent by another number.
-    progress : callable, optional
-        Called with the name of a start and the best value so far.
-    stationary : bool
-        Whether policies do not look at the time.
-    device : str
-        Where sweeps over trees compute (see ``devices``).
-    good_share : float
-        Share of the upper bound from which a start is good enough and no further ones are tried.
-
-    Raises
-    ------
-    ValueError
-        If a value is not one of these.
-    """
-
-    max_sweeps: int = 8
-    limits: Limits = field(default_factory=Limits)
-    value: str = "auto"
-    restarts: int = 0
-    progress: Progress | None = None
-    stationary: bool = False
-    device: str = HOST
-    good_share: float = GOOD_SHARE
-
-    def __post_init__(self) -> None:
-        for name in ("max_sweeps", "restarts"):
-            object.__setattr__(self, name, checked_count(getattr(self, name), name, least=0))
-        if self.value not in VALUE_FORMS:
-            raise ValueError(f"`value`: expected one of {', '.join(VALUE_FORMS)}, got {self.value!r}")
-
-    def used(self) -> dict[str, object]:
-        """Return what a certificate records of the search, as plain values."""
-        recorded = {name: getattr(self, name) for name in ("max_sweeps", "restarts", "stationary")}
-        return {**recorded, "limits": vars(self.limits)}
-
-    def tell(self, start: str, value: float) -> None:
-        """Report progress."""
-        if self.progress is not None:
-            self.progress(start, value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
