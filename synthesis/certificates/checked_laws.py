@@ -57,8 +57,11 @@ def probability_below(law: Law, x: NDArray[np.float64]) -> NDArray[np.float64]:
             result = 0.5 * (1.0 + np.tanh(0.5 * x / data["scale"]))
         case "student-t":
             square = (x / data["scale"]) ** 2
+            share = square / (data["df"] + square)
+            # Near the middle one less the share would have lost the digits of the share.
+            middle = 0.5 + 0.5 * np.sign(x) * betainc(0.5, 0.5 * data["df"], share)
             tail = 0.5 * betainc(0.5 * data["df"], 0.5, data["df"] / (data["df"] + square))
-            result = np.where(x > 0.0, 1.0 - tail, tail)
+            result = np.where(share < 0.5, middle, np.where(x > 0.0, 1.0 - tail, tail))
         case "truncated-gaussian":
             ends = np.array([data["low"], data["high"]])
             low, high = _normal_below(ends, data["spread"])
