@@ -43,6 +43,7 @@ from .models import (
 from .nominal_paths import path_certificate
 from .parts import synthesize_parts
 from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best
+from .together import synthesize_together
 from .values import HOST, device_put
 
 MOST_GRID_STATES = 3
@@ -162,7 +163,7 @@ def synthesize(
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     plan = Plan(Settings(**settings), search, budget)
     problem = as_problem(problem)
-    if problem.groups:
+    if problem.groups and not problem.labeling.pairs:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
         return synthesize_parts(problem, cells, relation, lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan))
@@ -173,6 +174,11 @@ def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesize one task, by the procedure that relations, budget and start ask for."""
+    if problem.labeling.pairs:
+        _refuse_for_pairs(plan, start)
+        return synthesize_together(
+            problem, cells, relation, plan.search, plan.settings, lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan)
+        )
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
@@ -190,6 +196,16 @@ def _of_task(
             return second()
         except RelationRefused:
             raise refusal from None
+
+
+def _refuse_for_pairs(plan: Plan, start: Certificate | None) -> None:
+    """Refuse what tasks about pairs have no answer to."""
+    _refuse_start(start, "tasks about pairs")
+    if plan.budget is not None or plan.search.stationary or plan.search.value == "train":
+        raise ValueError(
+            "`problem`: expected no budget, no `stationary` and no tensor trains with propositions about pairs of "
+            "agents; leave them out"
+        )
 
 
 def _on_grids(

@@ -66,8 +66,10 @@ def edges(problem: Problem) -> list[Edge]:
 
 def _possible(assignment: Mapping[int, bool], problem: Problem) -> dict[int, bool] | None:
     """Return the cube without literals that others of the agent imply; None if no point of the workspace has it."""
-    result: dict[int, bool] = {}
-    for positions, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
+    labeling = problem.labeling.without_pairs()
+    # What is said of pairs is kept as it is.
+    result = {p: value for p, value in assignment.items() if p >= problem.labeling.first_pair}
+    for positions, classes in zip(labeling.agent_propositions, labeling.classes):
         literals = {k: assignment[p] for k, p in enumerate(positions.tolist()) if p in assignment}
 
         def meets(cube: Mapping[int, bool], classes: np.ndarray = classes) -> np.ndarray:

@@ -7,6 +7,7 @@ from .checked_laws import law_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import any_certificate, as_certificate, of_one_task
+from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
@@ -20,6 +21,7 @@ __all__ = [
     "Certificate",
     "Claim",
     "EXACT_GAP",
+    "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
     "Synthesis",

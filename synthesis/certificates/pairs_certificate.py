@@ -1,0 +1,89 @@
+"""Certificates by subtraction: a task in which agents must not be near each other.
+
+The same task with every proposition about pairs taken as false has a certificate by itself, on grids, with the relation
+``exact`` for every agent. What its policies do is known as a distribution. The probability that two agents are ever near
+each other while it matters is bounded from above, pair by pair and step by step, and subtracted:
+
+    P(task)  >=  P(task without pairs)  -  sum over steps and pairs of P(undecided before, near now) .
+
+Reference: docs/theory/pairs.md, "Subtraction".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ...envs.agents import tree_text
+from ...envs.problem import Problem
+from ..controllers import Controller
+from .certificate import Certificate
+from .part import AgentPart
+from .summaries import certificate_facts, certificate_html
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairsCertificate:
+    """A certified lower bound for a task with propositions about pairs: that without them, less what pairs may spoil.
+
+    Parameters
+    ----------
+    problem : Problem
+        The whole problem.
+    base : Certificate
+        Of the same task with every proposition about a pair taken as false.
+    near : float
+        Upper bound on the probability that a pair is ever near while the task is undecided and its automaton asks.
+    settings : dict
+        How it was found.
+    """
+
+    problem: Problem
+    base: Certificate
+    near: float
+    settings: dict[str, Any]
+
+    start = "point"
+    bound = "subtraction"
+    gap = None
+    exact = False
+
+    def __repr__(self) -> str:
+        near = f"near with probability {self.near:.3g} at most"
+        facts = [*certificate_facts(self), ("pairs", f"{len(self.problem.labeling.pairs)}, {near}")]
+        return tree_text(f"PairsCertificate of {self.problem.name!r}", facts)
+
+    def _repr_html_(self) -> str:
+        return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(self.base.lower_bound - self.near, -1.0))
+
+    @property
+    def method(self) -> str:
+        """Relation, policy search and bound, in words."""
+        return f"{self.base.method}, less pairs that may be near"
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms of the value function without pairs."""
+        return self.base.rank
+
+    @property
+    def agents(self) -> tuple[AgentPart, ...]:
+        """What is stored of each agent."""
+        return self.base.agents
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controllers the bound belongs to: every agent sees its own state, the automaton state and the time."""
+        return Controller(self.problem, self.base.controller.agents)

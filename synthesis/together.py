@@ -1,0 +1,142 @@
+"""Synthesis of tasks with propositions about pairs of agents.
+
+By *subtraction* the task without its pairs is certified, and what pairs may spoil is subtracted: any number of agents,
+each of which looks at its own state alone. As a *joint* agent a small team is one agent on the product of its grids:
+each agent then looks at the states of all. See docs/theory/pairs.md.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..envs.problem import Problem
+from .cells import CellCounts, RelationRefused
+from .certificates import PairsCertificate, Synthesis
+from .certification import certificate_of
+from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
+from .pairs import Avoidance, NearMass, relevant_pairs, without_pairs
+from .search import FINAL, Search, Sweep, find_policies, sweep
+
+WAYS = ("auto", "exact", "joint")
+"""Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
+
+ROUNDS = 4
+"""Most times that every agent answers to the others: as a rule two are enough."""
+
+WORTH = 1e-4
+"""Probability of being near below which no further answers are tried."""
+
+SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
+"""Synthesis of a task without pairs, given its cells and relations."""
+
+
+def synthesize_together(
+    problem: Problem, cells: CellCounts, relation: Relations, search: Search, settings: Settings, task: SynthesizeTask
+) -> Synthesis:
+    """Return the best certificate of a problem with pairs; ``stats["tried"]`` says what each way gave, or why not.
+
+    Raises
+    ------
+    RelationRefused
+        If no way applies.
+    """
+    if problem.groups:
+        raise ValueError(
+            "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
+            "automaton would be too large; take the problems of `problem.tasks` one by one"
+        )
+    if not isinstance(relation, str) or relation not in WAYS:
+        raise ValueError(f"`relation`: expected one of {', '.join(WAYS)} for a task about pairs, got {relation!r}")
+    check_names("cells", cells, problem)
+    ways: dict[str, Callable[[], Synthesis]] = {
+        "exact": lambda: by_subtraction(problem, cells, search, settings),
+    }
+    asked = [relation] if relation != "auto" else list(ways)
+    results, tried = [], dict[str, Any]()
+    for name in asked:
+        try:
+            results.append(ways[name]())
+        except RelationRefused as refusal:
+            tried[name] = str(refusal)
+        else:
+            tried[name] = results[-1].certificate.lower_bound
+    if not results:
+        raise RelationRefused("; ".join(f"{name}: {text}" for name, text in tried.items()))
+    best = max(results, key=lambda result: result.certificate.lower_bound)
+    return Synthesis(best.certificate, best.controller, {**best.stats, "tried": tried})
+
+
+def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:
+    """Certify the task without pairs, with policies that keep apart, and subtract what pairs may spoil.
+
+    Raises
+    ------
+    RelationRefused
+        If an agent has no ``exact`` relation, a start is a box, or an output that a pair compares is no state.
+    """
+    began = time.perf_counter()
+    if any(np.any(agent.initial.low != agent.initial.high) for agent in problem.agents):
+        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
+    base = without_pairs(problem)
+    kinds = ["exact"] * problem.n_agents
+    abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
+    joint = join(base, abstraction, search.device)
+    masses = NearMass(problem, base, joint, relevant_pairs(problem))
+    abstracted = time.perf_counter()
+    found = find_policies(base, joint, replace(search, value="tree"))
+    assert isinstance(found.best, Sweep)
+    best, near, record = _kept_apart(base, joint, masses, found.best, search)
+    used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
+    name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
+    part = certificate_of(base, abstraction, joint, best, used, name)
+    certificate = PairsCertificate(problem, part, near, {**used, "answers": record})
+    stats: dict[str, object] = {
+        "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
+        "sweeps": found.values,
+        "rank": part.rank,
+        "dropped": best.dropped,
+        "near": near,
+    }
+    return _synthesis(certificate, stats)
+
+
+def _kept_apart(
+    base: Problem, joint: JointModel, masses: NearMass, first: Sweep, search: Search
+) -> tuple[Sweep, float, list[list[float]]]:
+    """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
+    best, near = first, _bound(masses, first.policies)
+    record = [[first.value, near]]
+    if near <= WORTH or not search.max_sweeps:
+        return best, near, record
+    avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
+    for k in range(min(ROUNDS, search.max_sweeps)):
+        policies = avoidance.answers(policies, heed_all=k > 0)
+        outcome, nearness = sweep(joint, policies, start, FINAL, improve=False), _bound(masses, policies)
+        record.append([outcome.value, nearness])
+        gain = (outcome.value - nearness) - (best.value - near)
+        if gain > 0.0:
+            best, near = outcome, nearness
+        search.tell("keeping apart", max(0.0, best.value - near))
+        # A round that everybody has heeded and that gains nothing is the last.
+        if near <= WORTH or (k > 0 and gain <= WORTH):
+            break
+    return best, near, record
+
+
+def _bound(masses: NearMass, policies: Policies) -> float:
+    """Return how likely pairs are near at most; 1 where it would take too long to say."""
+    try:
+        return masses.bound(policies)
+    except RelationRefused:
+        return 1.0
+
+
+def _synthesis(certificate: PairsCertificate, stats: dict[str, object]) -> Synthesis:
+    """Return the synthesis of a certificate about pairs."""
+    held: Any = certificate
+    return Synthesis(held, certificate.controller, stats)
