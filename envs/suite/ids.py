@@ -32,6 +32,7 @@ IDS = (
     "reach-avoid-planar-v0",
     "reach-avoid-v0",
     "room-network-v0",
+    "swarm-v0",
     "van-der-pol-v0",
     "windy-delivery-v0",
 )

@@ -27,6 +27,8 @@ from ...envs.problem import problem_from_dict
 from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
+from .pairs_certificate import PairsCertificate
+from .pairs_file import pairs_header, pairs_in
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .path_file import path_header, path_in
@@ -62,7 +64,7 @@ UNREADABLE = (
 
 
 def save_certificate(
-    certificate: Synthesis | Certificate | ProductCertificate | PathCertificate, path: str | Path
+    certificate: Synthesis | Certificate | ProductCertificate | PathCertificate | PairsCertificate, path: str | Path
 ) -> None:
     """Write a certificate, or that of a synthesis, to ``path`` (``.npz``), or raise ValueError if it is neither."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
@@ -88,9 +90,12 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: Certificate | PathCertificate) -> bytes:
+def _packed(certificate: Certificate | PathCertificate | PairsCertificate) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
+    if isinstance(certificate, PairsCertificate):
+        more = pairs_header(certificate, _packed(certificate.base), pool.put)
+        return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, PathCertificate):
         return _archived({"format": FORMAT, "version": VERSION, **path_header(certificate, pool.put)}, pool)
     checked_certificate(certificate)
@@ -149,6 +154,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return _product(header, arrays, max_bytes)  # type: ignore[return-value]
         if "path" in header:
             return path_in(header, arrays)  # type: ignore[return-value]
+        if "without_pairs" in header:
+            return pairs_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
         return CertificateReader(header, arrays).certificate()
     except UNREADABLE as error:
         message = str(error) or type(error).__name__
@@ -194,7 +201,7 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
     for name, array in arrays.items():
         part_header, part_arrays = _unarchived(array.astype(np.uint8).tobytes(), bytes_left)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
-        if "parts" in part_header:
+        if "parts" in part_header or "without_pairs" in part_header:
             raise ValueError("a part of it has parts again")
         read = path_in if "path" in part_header else _read
         certificates[name] = read(part_header, part_arrays)  # type: ignore[assignment]

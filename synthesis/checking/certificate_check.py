@@ -32,6 +32,7 @@ from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
+    PairsCertificate,
     PathCertificate,
     ProductCertificate,
     any_certificate,
@@ -45,6 +46,7 @@ from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .linear_check import places_of
 from .network_spans import wrong_networks
+from .pairs_check import wrong_pairs
 from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
@@ -116,6 +118,10 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
     one = _check_path if isinstance(certificate, PathCertificate) else _check_one
+    one = _check_pairs if isinstance(certificate, PairsCertificate) else one
+    if problem.labeling.pairs and one is not _check_pairs:
+        failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -123,6 +129,23 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+
+
+def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport:
+    """Verify a certificate by subtraction: its base like any other, and then what pairs may spoil."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    near, base = 1.0, CheckReport(False, 0.0, float("nan"), ())
+    if not failures:
+        base = check(certificate.base)
+        failures += [f"without pairs: {failure}" for failure in base.failures]
+    if not failures:
+        failures, near = wrong_pairs(certificate, problem)
+    if not failures and not near <= certificate.near:
+        failures.append(f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}")
+    recomputed = float("nan") if failures else max(0.0, base.recomputed - near)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
 def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:

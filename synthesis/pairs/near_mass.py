@@ -151,7 +151,7 @@ class NearMass:
                 total += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
         # What kernels lost on the way may be near, once for each agent.
         lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
-        return min(1.0, total * INFLATION + lost * INFLATION + SPARE * len(self.pairs))
+        return min(1.0, float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs))
 
     @cached_property
     def is_near_at_start(self) -> bool:
