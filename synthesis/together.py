@@ -8,7 +8,7 @@ each agent then looks at the states of all. See docs/theory/pairs.md.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from ..envs.problem import Problem
 from .cells import CellCounts, RelationRefused
-from .certificates import PairsCertificate, Synthesis
+from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
-from .pairs import Avoidance, NearMass, relevant_pairs, without_pairs
+from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, without_pairs
 from .search import FINAL, Search, Sweep, find_policies, sweep
 
 WAYS = ("auto", "exact", "joint")
@@ -30,6 +30,15 @@ ROUNDS = 4
 
 WORTH = 1e-4
 """Probability of being near below which no further answers are tried."""
+
+ENOUGH = 0.99
+"""Bound from which no further way is tried."""
+
+MOST_GRID_STATES = 3
+"""States of a joint agent up to which it has a grid: four states of 64 cells each have 17 million."""
+
+MOST_PATH_STATES = 40
+"""States of a joint agent up to which a path is looked for."""
 
 SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
 """Synthesis of a task without pairs, given its cells and relations."""
@@ -55,10 +64,14 @@ def synthesize_together(
     check_names("cells", cells, problem)
     ways: dict[str, Callable[[], Synthesis]] = {
         "exact": lambda: by_subtraction(problem, cells, search, settings),
+        "joint": lambda: as_one_agent(problem, cells, task),
     }
     asked = [relation] if relation != "auto" else list(ways)
-    results, tried = [], dict[str, Any]()
+    results, tried = list[Synthesis](), dict[str, Any]()
     for name in asked:
+        if any(result.certificate.lower_bound >= ENOUGH for result in results):
+            tried[name] = f"not tried: the bound was {ENOUGH:g} or more already"
+            continue
         try:
             results.append(ways[name]())
         except RelationRefused as refusal:
@@ -104,6 +117,45 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
         "near": near,
     }
     return _synthesis(certificate, stats)
+
+
+def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
+    """Certify a small team as one agent that sees the states of all, on a grid or along a path.
+
+    Raises
+    ------
+    RelationRefused
+        If the team has too many states, or an agent is not linear with Gaussian noise.
+    """
+    joint = joint_problem(problem)
+    if problem.n_states > MOST_PATH_STATES:
+        raise RelationRefused(
+            f"a joint agent has at most {MOST_PATH_STATES} states, got {problem.n_states}; larger teams are certified "
+            "by subtraction (`exact`)"
+        )
+    if problem.n_states > MOST_GRID_STATES:
+        if cells is not None:
+            raise RelationRefused(
+                f"a joint agent of {problem.n_states} states has no room for a grid, and a path needs no `cells`"
+            )
+        found = task(joint, None, "path")
+    else:
+        found = task(joint, _joint_cells(problem, cells), "auto")
+    held: Any = TeamCertificate(problem, found.certificate)
+    return Synthesis(held, held.controller, found.stats)
+
+
+def _joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
+    """Return the cells of the joint agent: those of all agents, axis by axis."""
+    if not isinstance(cells, Mapping):
+        return cells
+    counts: list[int] = []
+    for agent in problem.agents:
+        if agent.name not in cells:
+            raise ValueError(f"`cells`: expected counts for all agents of a joint agent, {agent.name!r} is missing")
+        own = cells[agent.name]
+        counts += [int(own)] * agent.n_states if np.ndim(own) == 0 else [int(n) for n in np.asarray(own)]
+    return {TEAM: tuple(counts)}
 
 
 def _kept_apart(

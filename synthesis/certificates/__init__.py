@@ -13,6 +13,7 @@ from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
+from .team_certificate import TeamCertificate
 
 __all__ = [
     "AgentPart",
@@ -25,6 +26,7 @@ __all__ = [
     "PathCertificate",
     "ProductCertificate",
     "Synthesis",
+    "TeamCertificate",
     "UNREADABLE",
     "any_certificate",
     "as_certificate",

@@ -11,6 +11,7 @@ from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
 from .result import Synthesis
+from .team_certificate import TeamCertificate
 
 
 def as_certificate(value: Any) -> Certificate | ProductCertificate:
@@ -27,7 +28,7 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
         If `value` is none of these, if the file holds no certificate, or if it is one along a path.
     """
     certificate = any_certificate(value)
-    if isinstance(certificate, PairsCertificate):
+    if isinstance(certificate, PairsCertificate | TeamCertificate):
         raise ValueError(
             "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other states; "
             "it can be checked, validated, simulated, compared and reported"
@@ -47,7 +48,7 @@ def any_certificate(value: Any) -> Any:
         return value.certificate
     if isinstance(value, str | Path):
         return load_certificate(value)
-    if not isinstance(value, Certificate | ProductCertificate | PathCertificate | PairsCertificate):
+    if not isinstance(value, Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate):
         raise ValueError(
             f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
             "one with `synthesize`, `certify` or `load_certificate`"

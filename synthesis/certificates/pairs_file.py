@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ...envs.problem import problem_from_dict
 from .certificate import Certificate
 from .pairs_certificate import PairsCertificate
+from .path_certificate import PathCertificate
+from .team_certificate import TeamCertificate
 
 
 def pairs_header(
@@ -48,3 +50,25 @@ def pairs_in(
     if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
         raise ValueError("its base does not fit the problem")
     return PairsCertificate(problem, base, float(near), header["settings"])
+
+
+def team_header(certificate: TeamCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
+    """Return the header of a file of a joint agent's certificate; arguments as for ``pairs_header``."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "team": put(np.frombuffer(base, np.uint8)),
+    }
+
+
+def team_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate | PathCertificate]
+) -> TeamCertificate:
+    """Return the certificate of a joint agent that a header and its arrays describe; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    base = read(arrays[str(int(header["team"]))].astype(np.uint8).tobytes())
+    if base.problem.n_agents != 1 or base.problem.n_states != problem.n_states:
+        raise ValueError("its base does not fit the problem")
+    return TeamCertificate(problem, base)

@@ -35,6 +35,7 @@ from ..certificates import (
     PairsCertificate,
     PathCertificate,
     ProductCertificate,
+    TeamCertificate,
     any_certificate,
     grid_noise,
     significant_down,
@@ -50,6 +51,7 @@ from .pairs_check import wrong_pairs
 from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
+from .team_check import wrong_team
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
@@ -117,9 +119,9 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
-    one = _check_path if isinstance(certificate, PathCertificate) else _check_one
-    one = _check_pairs if isinstance(certificate, PairsCertificate) else one
-    if problem.labeling.pairs and one is not _check_pairs:
+    kinds = {PathCertificate: _check_path, PairsCertificate: _check_pairs, TeamCertificate: _check_team}
+    one = kinds.get(type(certificate), _check_one)
+    if problem.labeling.pairs and one in (_check_one, _check_path):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     try:
@@ -146,6 +148,18 @@ def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport
         failures.append(f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}")
     recomputed = float("nan") if failures else max(0.0, base.recomputed - near)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+
+
+def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of a joint agent: that of its one agent like any other, and that this is the team."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    failures = failures or wrong_team(problem, certificate.base.problem)
+    if failures:
+        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
+    report = check(certificate.base)
+    return CheckReport(report.valid, certificate.lower_bound, report.recomputed, report.failures)
 
 
 def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:

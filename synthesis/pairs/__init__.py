@@ -2,6 +2,7 @@
 
 from .avoiding import Avoidance
 from .base import relevant_pairs, without_pairs
+from .joint_agent import TEAM, joint_problem
 from .near_mass import NearMass
 
-__all__ = ["Avoidance", "NearMass", "relevant_pairs", "without_pairs"]
+__all__ = ["Avoidance", "NearMass", "TEAM", "joint_problem", "relevant_pairs", "without_pairs"]
