@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents import AnyAgent, LinearAgent
+from certigym.envs.agents import AnyAgent, LinearAgent, Pair
 from certigym.envs.pictures.automaton_drawing import edges, svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
@@ -256,9 +256,16 @@ def _regions(problem: cg.Problem) -> str:
     for name, proposition in problem.declared.items():
         members = problem.families.get(name)
         label = f"`{name}`" if members is None else f"`{name}`: {_names(list(members))}"
-        owner = problem.propositions[name if members is None else members[0]].agent
-        box = _region(proposition.low, proposition.high, problem.agents[problem.agent_names.index(owner)])
-        lines.append(f"| {label} | `{proposition.agent}` | {box} |")
+        first = problem.propositions[name if members is None else members[0]]
+        if isinstance(proposition, Pair):
+            agents = proposition.agents if isinstance(proposition.agents, str) else " less ".join(proposition.agents)
+            which = f"pairs of `{agents}`" if isinstance(proposition.agents, str) else f"`{agents}`"
+            which += ", next to each other" if proposition.pairs == "neighbours" else ""
+            box = " x ".join(f"[{low:g}, {high:g})" for low, high in zip(proposition.low, proposition.high))
+            lines.append(f"| {label} | {which} | difference in {box} |")
+            continue
+        owner = problem.agents[problem.agent_names.index(first.agent)]
+        lines.append(f"| {label} | `{proposition.agent}` | {_region(proposition.low, proposition.high, owner)} |")
     return "\n".join(lines) + "\n\nA region holds its lower faces, and its upper ones at the edge of the workspace."
 
 

@@ -229,6 +229,8 @@ class Labeling:
         low, high : array_like, shape (S, d)
             Boxes in the state space; the part beyond the workspace is ignored.
         """
+        if self.pairs:
+            raise ValueError(REFUSAL)
         low, high = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
         candidates, possible = self._reachable(agent, low, high)
         # Number the candidates as in `classes`; those that no box meets may be missing there.

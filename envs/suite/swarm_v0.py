@@ -1,7 +1,8 @@
 """Swarm: planar robots on a circle swap places with those across, and never come nearer than 1 to each other.
 
 All of them want through the middle. Each robot sees only itself, so they must agree beforehand on who goes around whom
-and when: at the end every robot has to be in the square around the place across.
+and when: at the end every robot has to be in the square around the place across. With an even number of robots these are
+the places of others.
 
 **Versions**: v0: the first version.
 """
@@ -15,9 +16,10 @@ from ..problem import Problem, Specification
 from .make import environments
 
 RADIUS, SPACE = 5.0, 0.45
-"""Least radius of the circle, and what it grows with every robot, so that they start at least 1.4 apart... and more."""
+"""Least radius of the circle, and what it grows with every robot: neighbours start about 2.8 apart along it."""
 
 MOST_ROBOTS = 100
+"""Most robots: the circle of more would take too many cells."""
 
 
 def problem(n_agents: int = 4, horizon: int | None = None) -> Problem:
