@@ -27,7 +27,11 @@ OPTIONS = (
     ("initial_state", "the problem's", "start of all agents, a point; or a box `initial_low`, `initial_high`"),
     ("disturbance_scale", "1", "factor on the standard deviations of the noise"),
     ("render_mode", "None", '"ansi", "rgb_array" or "human"'),
-    ("observation", '"local"', 'PettingZoo only; "full": the states of the other agents too'),
+    (
+        "observation",
+        '"local"',
+        'PettingZoo only; "full": the states of the other agents too; "relative": where they are from the own place',
+    ),
     (
         "reward",
         '"sparse"',

@@ -163,6 +163,20 @@ def test_environments_end_where_pairs_are_near_and_pay_for_keeping_apart() -> No
     assert np.all(rewards > 0.0)  # they come closer to what is wanted
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_agents_may_see_where_the_others_are_from_their_own_place(dtype: str) -> None:
+    env = cg.parallel_env(mixed(), observation="relative", dtype=dtype)
+    observations, infos = env.reset(seed=1)
+    for _ in range(6):
+        x = {name: np.asarray(info["state"]) for name, info in infos.items()}
+        expected = [*x["shear"], *(x[other][0] - x["shear"][0] for other in ("agent_0", "agent_1", "bent"))]
+        assert np.allclose(observations["shear"][:5], expected, rtol=1e-6)
+        assert all(env.observation_space(name).contains(seen) for name, seen in observations.items())
+        if not env.agents:
+            break
+        observations, _, _, _, infos = env.step({name: env.action_space(name).sample() for name in env.agents})
+
+
 def test_agents_that_a_pair_ties_have_one_task() -> None:
     agents = [mover(f"agent_{i}", [0.0]) for i in range(24)]
     goals = {f"goal_{i}": cg.Proposition(f"agent_{i}", [1.0], [2.0]) for i in range(24)}
