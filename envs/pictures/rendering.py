@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import shown
+from ..agents import Pair, shown
 from ..problem import Problem
 from .scene import Panel, panels
 from .window import Window
@@ -44,6 +44,7 @@ _REGION_COLORS = (
     (236, 214, 200),
     (222, 226, 205),
 )
+_RING = (190, 40, 40)
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
 _STATES_SHOWN, _PANELS_SHOWN = 9, 12
 """As many automaton states fit below each other at the side, and as many panels stay readable."""
@@ -126,6 +127,7 @@ class Picture:
                     width = 6 * len(curve.name)
                     place = x + 8 if x + 8 + width < cell[2] else x - 12 - width
                     draw.text((place, y - 7 if place > x else y - 18), curve.name, fill=color, font=self._small)
+            self._rings(draw, panel, cell, track[-1], letter)
         self._status(draw, len(track) - 1, q, letter, verdict)
         return np.array(image)
 
@@ -188,6 +190,18 @@ class Picture:
         for k, q in enumerate(self._listed()):
             self._state(draw, k, q, False)
         draw.text((x, 330), "holds", fill=_PALE, font=self._small)
+
+    def _rings(self, draw: Any, panel: Panel, cell: tuple[int, ...], state: np.ndarray, letter: Sequence[str]) -> None:
+        """Draw a ring around each of two agents about whom a proposition holds, and a line between them."""
+        curves = {curve.name: curve for curve in panel.curves}
+        for name in letter:
+            about = self._problem.propositions[name]
+            if not isinstance(about, Pair) or not panel.is_map or not all(agent in curves for agent in about.agents):
+                continue
+            ends = [self._points(panel, cell, (curves[agent].rows @ state)[None])[0] for agent in about.agents]
+            draw.line(ends, fill=_RING, width=1)
+            for x, y in ends:
+                draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=_RING, width=2)
 
     def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
         """Draw what the column at the right shows at this time."""

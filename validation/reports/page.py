@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 from ...envs.agents import counted
 from ...envs.pictures import coordinate_name, edges, panels
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate, rounded_down, shown_bound
+from ...synthesis.certificates import (
+    PairsCertificate,
+    ProductCertificate,
+    TeamCertificate,
+    rounded_down,
+    shown_bound,
+    significant_up,
+)
 from ..verdicts import tried_lines
 from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, rollouts_picture
 
@@ -36,8 +43,8 @@ FINDINGS_SHOWN = 12
 def page_of(content: ReportContent) -> str:
     """Return the whole page."""
     problem = content.certificate.problem
-    evidence = [_claim(content), _curve(content), *_map(content), *_rollouts(content)]
-    records = [*_automata(content.certificate), _audit(content), _settings(content), _again(content)]
+    evidence = [_claim(content), *_curve(content), *_map(content), *_rollouts(content)]
+    records = [*_automata(content.certificate), *_audit(content), _settings(content), _again(content)]
     sections = [*evidence, *records]
     # Data inside a script element must not contain "</script>".
     data = json.dumps(content.to_dict(), allow_nan=False).replace("<", "\\u003c")
@@ -83,26 +90,34 @@ def _claim(content: ReportContent) -> str:
         "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
         **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
         "separate check": checked,
-        "audit": content.audit.verdict,
-        "map of starts": content.field.verdict,
     }
+    if content.audit is not None and content.field is not None:
+        facts |= {"audit": content.audit.verdict, "map of starts": content.field.verdict}
+    if isinstance(certificate, PairsCertificate):
+        facts["near"] = f"pairs are near with probability {significant_up(certificate.near, 3)} at most"
+    if isinstance(certificate, TeamCertificate):
+        facts["information"] = "every agent sees the states of all"
     return _section("Claim and verdict", body + _list(facts))
 
 
-def _curve(content: ReportContent) -> str:
-    """Return the section of the bound against the number of steps played."""
+def _curve(content: ReportContent) -> list[str]:
+    """Return the section of the bound against the number of steps played; none where that is not known."""
     v = content.validation
+    if content.bounds is None:
+        return []
     # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
     estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
     where = "the start" if estimate else "the middle of the initial box"
     end = "; at the right end, the rollouts with their limits" if estimate else ""
     note = f"Certified from {where} if only the last k steps of the policies are played{end}."
-    return _section("Bound against horizon", bound_curve(content.bounds, estimate) + f"<p class=soft>{note}</p>")
+    return [_section("Bound against horizon", bound_curve(content.bounds, estimate) + f"<p class=soft>{note}</p>")]
 
 
 def _map(content: ReportContent) -> list[str]:
     """Return the sections of the tests at many starts: two maps, or one line."""
     field, problem = content.field, content.certificate.problem
+    if field is None:
+        return []
     names = " and ".join(coordinate_name(problem, k) for k in content.axes)
     # The long explanation stands below the first drawing, a short one below the second.
     w = field.weakest
@@ -140,9 +155,9 @@ def _rollouts(content: ReportContent) -> list[str]:
     return sections
 
 
-def _automata(certificate: Certificate | ProductCertificate) -> list[str]:
+def _automata(certificate: Certificate | ProductCertificate | PairsCertificate | TeamCertificate) -> list[str]:
     """Return the section of the task automaton, or of those of independent tasks that differ in more than names."""
-    if isinstance(certificate, Certificate):
+    if not isinstance(certificate, ProductCertificate):
         return [_automaton(certificate.problem)]
     distinct = [certificate.parts[group[0]].problem for group in certificate.alike]
     return [_automaton(task) for task in distinct[:MOST_AUTOMATA]]
@@ -169,9 +184,11 @@ def _automaton(problem: Problem) -> str:
     return _section("Automaton", automaton_picture(automaton, transitions) + note + table)
 
 
-def _audit(content: ReportContent) -> str:
-    """Return the section of the tests step by step."""
+def _audit(content: ReportContent) -> list[str]:
+    """Return the section of the tests step by step, if there were any."""
     audit = content.audit
+    if audit is None:
+        return []
     facts = {
         "tests": f"{audit.tests} of pairs of time and task state, on {counted(audit.episodes, 'episode')}",
         "all steps together": f"p = {audit.overall_p:.2g}",
@@ -179,7 +196,7 @@ def _audit(content: ReportContent) -> str:
     }
     findings = "".join(f"<p class=soft>{escape(str(f))}</p>" for f in audit.findings[:FINDINGS_SHOWN])
     body = _verdict(audit.verdict) + _list(facts) + (findings or "<p class=soft>No step is suspicious.</p>")
-    return _section("Audit of every step", body)
+    return [_section("Audit of every step", body)]
 
 
 def _settings(content: ReportContent) -> str:
