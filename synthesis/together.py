@@ -19,7 +19,7 @@ from .cells import CellCounts, RelationRefused
 from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
-from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, without_pairs
+from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, Sweep, find_policies, sweep
 
 WAYS = ("auto", "exact", "joint")
@@ -95,11 +95,12 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     began = time.perf_counter()
     if any(np.any(agent.initial.low != agent.initial.high) for agent in problem.agents):
         raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
-    base = without_pairs(problem)
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
     abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
     joint = join(base, abstraction, search.device)
-    masses = NearMass(problem, base, joint, relevant_pairs(problem))
+    masses = NearMass(problem, base, joint, relevant_pairs(problem), usual)
     abstracted = time.perf_counter()
     found = find_policies(base, joint, replace(search, value="tree"))
     assert isinstance(found.best, Sweep)
@@ -108,7 +109,7 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     # The upper end of the base says nothing about the problem: without it the check need not compute it.
     part = replace(certificate_of(base, abstraction, joint, best, used, name), gap=None, exact=False)
-    certificate = PairsCertificate(problem, part, near, {**used, "answers": record})
+    certificate = PairsCertificate(problem, part, tuple(usual.tolist()), near, {**used, "answers": record})
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
         "sweeps": found.values,

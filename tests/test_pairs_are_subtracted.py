@@ -16,7 +16,7 @@ from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import PairsCertificate
 from certigym.synthesis.checking.pairs_check import wrong_pairs
 from certigym.synthesis.models import Settings, abstraction_of, join
-from certigym.synthesis.pairs import NearMass, relevant_pairs, without_pairs
+from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, without_pairs
 from certigym.synthesis.pairs import near_mass as near_module
 from certigym.validation.statistics.binomial import clopper_pearson
 from pair_problems import followers, mover, random_pairs, simulated
@@ -50,7 +50,7 @@ def dense(problem: cg.Problem, certificate: PairsCertificate) -> float:
                     gap = means[pair.first] - means[pair.second]
                     std = np.hypot(spread[pair.first], spread[pair.second])
                     near = norm.cdf((pair.high[0] - gap) / std) - norm.cdf((pair.low[0] - gap) / std)
-                    total += weight * float(near)
+                    total += weight * float(1.0 - near if certificate.usual[k] else near)
             rows = [np.diff(norm.cdf((e - m) / s)) for e, m, s in zip(edges, means, spread)]
             joint = weight * rows[0]
             for row in rows[1:]:
@@ -82,6 +82,8 @@ def asks(problem: cg.Problem, q: int, p: int) -> bool:
         (followers(APART, near=([-2.9], [1.0]), horizon=4), True),
         (followers("!any(near) U goal", near=([-2.4], [1.0]), semantics="co-safe", horizon=4), False),
         (followers(PHASES, near=([-2.0], [1.0]), semantics="co-safe", horizon=4), False),
+        (followers("G any(near) & F G goal", near=([-3.9], [-1.0]), horizon=4), True),
+        (followers("(home | any(near)) U goal", near=([-3.9], [-1.0]), semantics="co-safe", horizon=4), False),
         (followers(APART, near=([-1.4], [-0.5]), horizon=3, starts=((-2.5,), (-0.5,), (1.5,))), True),
     ],
 )
@@ -115,10 +117,11 @@ def certificate_of(problem: cg.Problem) -> PairsCertificate:
 
 def near_of(certificate: PairsCertificate, problem: cg.Problem, masses: type[NearMass] = NearMass) -> float:
     """Return what another problem's pairs, or a broken bound, say of the policies of a certificate."""
-    base = without_pairs(problem)
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
     abstraction = abstraction_of(base, 16, kinds, Settings())
-    bound = masses(problem, base, join(base, abstraction), relevant_pairs(problem))
+    bound = masses(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
     return bound.bound(tuple(part.policy for part in certificate.base.agents))
 
 
@@ -140,14 +143,14 @@ class OnlyTheFirstPair(NearMass):
 class Negated(NearMass):
     """The difference is that of the second agent less the first."""
 
-    def tables(self, pair: Any) -> Any:
-        return super().tables(replace(pair, low=-pair.high, high=-pair.low))
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
+        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below)
 
 
 class Halved(NearMass):
     """Only one of the two agents has noise."""
 
-    def tables(self, pair: Any) -> Any:
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
         lattices = [self.joint.models[i].lattice[0] for i in (pair.first, pair.second)]
         std = float(np.sqrt(self.problem.agents[pair.first].noise_covariance[0, 0]))
         return [near_module._near_table(*lattices, std, float(pair.low[0]), float(pair.high[0]))]

@@ -1,10 +1,11 @@
-"""Certificates by subtraction: a task in which agents must not be near each other.
+"""Certificates by subtraction: a task in which agents must keep apart, or stay near each other.
 
-The same task with every proposition about pairs taken as false has a certificate by itself, on grids, with the relation
-``exact`` for every agent. What its policies do is known as a distribution. The probability that two agents are ever near
-each other while it matters is bounded from above, pair by pair and step by step, and subtracted:
+The same task with every proposition about pairs taken as usual (false, or true where the task wants it) has a
+certificate by itself, on grids, with the relation ``exact`` for every agent. What its policies do is known as a
+distribution. The probability that a pair is ever otherwise while it matters is bounded from above, pair by pair and step
+by step, and subtracted:
 
-    P(task)  >=  P(task without pairs)  -  sum over steps and pairs of P(undecided before, near now) .
+    P(task)  >=  P(task without pairs)  -  sum over steps and pairs of P(undecided before, not as usual now) .
 
 Reference: docs/theory/pairs.md, "Subtraction".
 """
@@ -33,15 +34,18 @@ class PairsCertificate:
     problem : Problem
         The whole problem.
     base : Certificate
-        Of the same task with every proposition about a pair taken as false.
+        Of the same task with every proposition about a pair taken as usual.
+    usual : tuple of bool
+        What each proposition about a pair is taken to be.
     near : float
-        Upper bound on the probability that a pair is ever near while the task is undecided and its automaton asks.
+        Upper bound on the probability that a pair is ever otherwise while the task is open and its automaton asks.
     settings : dict
         How it was found.
     """
 
     problem: Problem
     base: Certificate
+    usual: tuple[bool, ...]
     near: float
     settings: dict[str, Any]
 
@@ -51,7 +55,7 @@ class PairsCertificate:
     exact = False
 
     def __repr__(self) -> str:
-        near = f"near with probability {self.near:.3g} at most"
+        near = f"not as they should be with probability {self.near:.3g} at most"
         facts = [*certificate_facts(self), ("pairs", f"{len(self.problem.labeling.pairs)}, {near}")]
         return tree_text(f"PairsCertificate of {self.problem.name!r}", facts)
 
@@ -66,7 +70,7 @@ class PairsCertificate:
     @property
     def method(self) -> str:
         """Relation, policy search and bound, in words."""
-        return f"{self.base.method}, less pairs that may be near"
+        return f"{self.base.method}, less what pairs may spoil"
 
     @property
     def rank(self) -> int:

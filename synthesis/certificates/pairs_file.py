@@ -24,6 +24,7 @@ def pairs_header(
         "fingerprint": certificate.fingerprint,
         "settings": certificate.settings,
         "near": float(certificate.near),
+        "usual": list(certificate.usual),
         "without_pairs": put(np.frombuffer(base, np.uint8)),
     }
 
@@ -44,12 +45,15 @@ def pairs_in(
     near = header["near"]
     if isinstance(near, bool) or not isinstance(near, int | float) or not 0.0 <= near <= 1.0:
         raise ValueError("its probability of being near is none")
+    usual = header["usual"]
+    if not isinstance(usual, list) or len(usual) != len(problem.labeling.pairs) or not {*usual} <= {True, False}:
+        raise ValueError("what it takes its pairs to be does not fit the problem")
     base = read(arrays[str(int(header["without_pairs"]))].astype(np.uint8).tobytes())
     if not isinstance(header["settings"], dict) or not isinstance(base, Certificate):
         raise ValueError("its settings or its base are none")
     if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
         raise ValueError("its base does not fit the problem")
-    return PairsCertificate(problem, base, float(near), header["settings"])
+    return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])
 
 
 def team_header(certificate: TeamCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:

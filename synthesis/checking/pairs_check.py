@@ -44,18 +44,20 @@ RELATIVE = 1.0 + 1e-9
 
 def wrong_pairs(certificate: PairsCertificate, problem: Problem) -> tuple[list[str], float]:
     """Return what is wrong with a certificate by subtraction, apart from its base, and what pairs may spoil at most."""
-    base = certificate.base
-    failures = _wrong_base(problem, base.problem) or _wrong_agents(problem, base)
+    base, usual = certificate.base, np.array(certificate.usual, dtype=bool)
+    if usual.shape != (len(problem.labeling.pairs),):
+        return ["what it takes its pairs to be does not fit the problem"], 1.0
+    failures = _wrong_base(problem, base.problem, usual) or _wrong_agents(problem, base)
     if failures:
         return failures, 1.0
     try:
-        return [], _near(problem, base)
+        return [], _spoiled(problem, base, usual)
     except OverflowError as error:
         return [str(error)], 1.0
 
 
-def _wrong_base(problem: Problem, base: Problem) -> list[str]:
-    """The base is the problem with every proposition about a pair taken as false, its states numbered alike."""
+def _wrong_base(problem: Problem, base: Problem, usual: NDArray[np.bool_]) -> list[str]:
+    """The base is the problem with every proposition about a pair taken as usual, its states numbered alike."""
     first = problem.labeling.first_pair
     names = problem.labeling.names[:first]
     if [agent.to_dict() for agent in base.agents] != [agent.to_dict() for agent in problem.agents]:
@@ -70,24 +72,22 @@ def _wrong_base(problem: Problem, base: Problem) -> list[str]:
     alike = (ours.n_states, ours.semantics, ours.initial, ours.accepting.tolist())
     if alike != (theirs.n_states, theirs.semantics, theirs.initial, theirs.accepting.tolist()):
         return ["the automaton of its base has other states than that of the problem"]
-    known: dict[tuple[int, int], bool] = {}
-    if not all(_moves_alike(ours, theirs, int(a), int(b), first, known) for a, b in zip(ours.root, theirs.root)):
-        return ["the automaton of its base moves otherwise than that of the problem when no pair is near"]
+    if not _move_alike(ours, theirs, first, usual):
+        return ["the automaton of its base moves otherwise than that of the problem when all pairs are as usual"]
     return []
 
 
-def _moves_alike(
-    ours: Automaton, theirs: Automaton, a: int, b: int, first: int, known: dict[tuple[int, int], bool]
-) -> bool:
-    """Return whether two entries lead to the same state for every letter, ours with all pairs false."""
-    stack = [(a, b)]
+def _move_alike(ours: Automaton, theirs: Automaton, first: int, usual: NDArray[np.bool_]) -> bool:
+    """Return whether all states lead to the same states for every letter, in ours with all pairs as usual."""
+    stack = [(int(a), int(b)) for a, b in zip(ours.root, theirs.root, strict=True)]
+    known: set[tuple[int, int]] = set()
     while stack:
         a, b = stack.pop()
         while a >= 0 and ours.variable[a] >= first:
-            a = int(ours.low[a])
+            a = int(ours.high[a] if usual[ours.variable[a] - first] else ours.low[a])
         if (a, b) in known:
             continue
-        known[a, b] = True
+        known.add((a, b))
         if a < 0 and b < 0:
             if a != b:
                 return False
@@ -136,12 +136,12 @@ class _Product:
     factors: list[FloatArray]
 
 
-def _near(problem: Problem, base: Certificate) -> float:
-    """Return an upper bound on the probability that a pair is near while the task is undecided and asks for it."""
+def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> float:
+    """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it."""
     automaton = problem.automaton
     asked = _asked(problem)
     letter = problem.labeling.letter([agent.initial.low for agent in problem.agents])
-    if np.any(letter[problem.labeling.first_pair :] & asked[automaton.initial]):
+    if np.any((letter[problem.labeling.first_pair :] != usual) & asked[automaton.initial]):
         return 1.0
     q = base.problem.initial_q
     if q is None or base.problem.automaton.absorbing[q]:
@@ -152,7 +152,7 @@ def _near(problem: Problem, base: Certificate) -> float:
     tables = [axis_tables(a, p, kernels) for a, p in zip(problem.agents, base.agents, strict=True)]
     shares = [start_shares(a, p) for a, p in zip(problem.agents, base.agents, strict=True)]
     products = [_Product(next(m for m, states in enumerate(modes) if q in states), shares)]
-    charged, charges = 0.0, _Charges(problem, base)
+    charged, charges = 0.0, _Charges(problem, base, usual)
     for t in range(problem.horizon):
         following = []
         for product in products:
@@ -219,14 +219,14 @@ def _on_lattice(part: object, masses: FloatArray, points: NDArray[np.integer]) -
 
 
 class _Charges:
-    """Probabilities that pairs are near after a step, from the lattice points of their agents."""
+    """Probabilities that pairs are not as usual after a step, from the lattice points of their agents."""
 
-    def __init__(self, problem: Problem, base: Certificate) -> None:
-        self.problem, self.base = problem, base
+    def __init__(self, problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> None:
+        self.problem, self.base, self.usual = problem, base, usual
         self.known: dict[object, FloatArray] = {}
 
     def of(self, asked: NDArray[np.integer], masses: list[FloatArray]) -> float:
-        """Return the sum, over the pairs asked about, of the mass of a product in which they are near."""
+        """Return the sum, over the pairs asked about, of the mass of a product in which they are not as usual."""
         totals = np.array([own.sum() for own in masses])
         total, spread = 0.0, dict[object, FloatArray]()
         for k in asked.tolist():
@@ -234,14 +234,18 @@ class _Charges:
             others = np.delete(totals, [pair.first, pair.second])
             axes = self.axes(pair)
             first = _over(masses[pair.first], [a for a, _ in axes])
-            names, tables = zip(*(self.table(pair, n, a, b) for n, (a, b) in enumerate(axes)))
+            stays = bool(self.usual[k])
+            names, tables = zip(*(self.table(pair, n, ab, stays) for n, ab in enumerate(axes)))
             key = (pair.second, tuple(b for _, b in axes), names)
             if key not in spread:
                 reached = _over(masses[pair.second], [b for _, b in axes])
                 for n, table in enumerate(tables):
                     reached = np.moveaxis(np.tensordot(reached, table, axes=(n, 1)), -1, n)
                 spread[key] = reached
-            total += float(np.sum(first * spread[key])) * float(np.prod(others))
+            near = float(np.sum(first * spread[key]))
+            if stays:  # all that is not surely near
+                near = max(0.0, float(totals[pair.first] * totals[pair.second]) - near) + OWN_ERROR
+            total += near * float(np.prod(others))
         return total
 
     def axes(self, pair: PairRegion) -> list[tuple[int, int]]:
@@ -254,16 +258,17 @@ class _Charges:
             found.append((a[0], b[0]))
         return found
 
-    def table(self, pair: PairRegion, n: int, a: int, b: int) -> tuple[object, FloatArray]:
-        """Return upper bounds (Z, Z') on being near along comparison n, between state a and state b, and their name."""
+    def table(self, pair: PairRegion, n: int, axes: tuple[int, int], from_below: bool) -> tuple[object, FloatArray]:
+        """Return bounds (Z, Z') on being near along comparison n, between two states, and their name before them."""
+        a, b = axes
         i, j = pair.first, pair.second
         mine, theirs = self.base.agents[i].lattice[a], self.base.agents[j].lattice[b]
         agents = self.problem.agents
         variance = float(agents[i].noise_covariance[a, a]) + float(agents[j].noise_covariance[b, b])
         low, high = float(pair.low[n]), float(pair.high[n])
-        name = (mine.tobytes(), theirs.tobytes(), variance, low, high)
+        name = (mine.tobytes(), theirs.tobytes(), variance, low, high, from_below)
         if name not in self.known:
-            self.known[name] = _near_probability(mine, theirs, variance, low, high)
+            self.known[name] = _near_probability(mine, theirs, variance, (low, high), from_below)
         return name, self.known[name]
 
 
@@ -273,18 +278,22 @@ def _over(masses: FloatArray, axes: list[int]) -> FloatArray:
     return np.asarray(np.einsum(masses, letters, axes))
 
 
-def _near_probability(mine: FloatArray, theirs: FloatArray, variance: float, low: float, high: float) -> FloatArray:
-    """Return upper bounds (Z, Z') on ``P(low <= z - z' + w < high)``, w Gaussian, in floating point as well.
+def _near_probability(
+    mine: FloatArray, theirs: FloatArray, variance: float, box: tuple[float, float], from_below: bool
+) -> FloatArray:
+    """Return bounds (Z, Z') on ``P(low <= z - z' + w < high)``, w Gaussian: from above, or ``from_below``.
 
-    The box is made wider by what the rounding of the states and of their difference can move it.
+    The box is made wider, or narrower, by what the rounding of the states and of their difference can move it.
     """
+    low, high = box
     gap = np.subtract.outer(mine, theirs)
     size = np.abs(mine).max() + np.abs(theirs).max() + abs(low) + abs(high)
     scale = np.sqrt(2.0 * variance)
-    wider = 1e-14 * size + 1e-12 * scale
+    wider = (1e-14 * size + 1e-12 * scale) * (-1.0 if from_below else 1.0)
     below, above = (low - wider - gap) / scale, (high + wider - gap) / scale
     # Of both ways to write the probability, the one with the smaller tails keeps its digits.
     upper = 0.5 * (erfc(below) - erfc(above))
     lower = 0.5 * (erfc(-above) - erfc(-below))
     mass = np.where(below > 0.0, upper, lower)
-    return np.asarray(np.clip(mass * (1.0 + 1e-13) + OWN_ERROR, 0.0, 1.0))
+    spread = -1.0 if from_below else 1.0
+    return np.asarray(np.clip(mass * (1.0 + 1e-13 * spread) + OWN_ERROR * spread, 0.0, 1.0))

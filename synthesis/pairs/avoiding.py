@@ -1,7 +1,8 @@
 """Policies of teams whose agents keep apart: each answers to where the others are now.
 
-An agent that heeds others is taken away, on arriving in a cell, with the probability that one of them is near it there.
-The best policy under this threat goes around places that are taken, or waits. Agents answer in turn: at first each
+An agent that heeds others is taken away, on arriving in a cell, with the probability that one of them is near it there;
+or that it is not near, where agents are to stay near each other. The best policy under this threat goes around places
+that are taken, waits, or follows. Agents answer in turn: at first each
 heeds those before it, as in prioritised planning, and then everybody. All of this only finds policies: what is
 certified is computed from the policies that were found.
 """
@@ -96,9 +97,9 @@ class Avoidance:
         return ways
 
     def thinned(self, i: int, presences: Sequence[Presence], heeded: Sequence[int]) -> FloatArray | None:
-        """Return the chance (T + 1, S) that no heeded agent is near agent i in each cell; None if it heeds nobody."""
+        """Return the chance (T + 1, S) that all heeded agents are as usual to agent i in a cell; None if there is none."""
         result: FloatArray | None = None
-        for pair in self.masses.pairs:
+        for pair, usual in zip(self.masses.pairs, self.masses.usual.tolist(), strict=True):
             if i not in (pair.first, pair.second):
                 continue
             other = pair.second if pair.first == i else pair.first
@@ -107,11 +108,13 @@ class Avoidance:
             if result is None:
                 result = np.ones((self.joint.horizon + 1, self.joint.models[i].n_cells))
             for t, presence in enumerate(presences[other]):
-                result[t] *= np.maximum(0.0, 1.0 - self.near(pair, i, other, presence))
+                near = self.near(pair, (i, other), presence, usual)
+                result[t] *= near if usual else np.maximum(0.0, 1.0 - near)
         return result
 
-    def near(self, pair: PairRegion, i: int, other: int, presence: FloatArray) -> FloatArray:
-        """Return the mass (S_i,) of the other agent that may be near each cell of agent i."""
+    def near(self, pair: PairRegion, agents: tuple[int, int], presence: FloatArray, surely: bool) -> FloatArray:
+        """Return the mass (S_i,) of the second agent that may be, or surely is, near each cell of the first one."""
+        i, other = agents
         axes = compared_axes(self.masses.problem, pair)
         own_axes, other_axes = axes if pair.first == i else axes[::-1]
         grids = [self.joint.models[k].grid for k in (i, other)]
@@ -119,7 +122,7 @@ class Avoidance:
         dropped = tuple(k for k in range(tensor.ndim) if k not in other_axes)
         kept = sorted(other_axes)
         tensor = tensor.sum(axis=dropped).transpose([kept.index(k) for k in other_axes])
-        for axis, table in enumerate(self._may_be_near(pair, i, own_axes, other_axes)):
+        for axis, table in enumerate(self._near_cells(pair, i, (own_axes, other_axes), surely)):
             tensor = np.moveaxis(np.tensordot(table, tensor, axes=(1, axis)), 0, axis)
         # Back to the cells of agent i: axes that are not compared do not matter.
         order = np.argsort(own_axes)
@@ -127,20 +130,21 @@ class Avoidance:
         shape = [n if k in own_axes else 1 for k, n in enumerate(grids[0].shape)]
         return np.broadcast_to(tensor.reshape(shape), grids[0].shape).reshape(-1)
 
-    def _may_be_near(
-        self, pair: PairRegion, i: int, own_axes: Sequence[int], other_axes: Sequence[int]
+    def _near_cells(
+        self, pair: PairRegion, i: int, axes: tuple[Sequence[int], Sequence[int]], surely: bool
     ) -> list[FloatArray]:
-        """Return, per axis compared, whether two cells have points that are near each other: (S_i, S_j) of 0 and 1."""
+        """Return, per axis compared, whether some points of two cells are near, or all: (S_i, S_j) of 0 and 1."""
         j = pair.second if pair.first == i else pair.first
         grids = self.joint.models[i].grid, self.joint.models[j].grid
-        edges = [(grids[0].edges[a], grids[1].edges[b]) for a, b in zip(own_axes, other_axes)]
-        key = (pair.first == i, pair.low.tobytes(), pair.high.tobytes(), *(e.tobytes() for both in edges for e in both))
+        edges = [(grids[0].edges[a], grids[1].edges[b]) for a, b in zip(*axes)]
+        key = (surely, pair.first == i, pair.low.tobytes(), pair.high.tobytes(), *(e.tobytes() for both in edges for e in both))
         if key not in self._tables:
             tables = []
             for (own, others), low, high in zip(edges, pair.low, pair.high, strict=True):
                 # The box is for first less second: turn it round for the second agent.
                 a, b = (low, high) if pair.first == i else (-high, -low)
                 most, least = own[1:, None] - others[None, :-1], own[:-1, None] - others[None, 1:]
-                tables.append(((most >= a) & (least <= b)).astype(float))
+                near = (least >= a) & (most <= b) if surely else (most >= a) & (least <= b)
+                tables.append(near.astype(float))
             self._tables[key] = tables
         return self._tables[key]

@@ -1,4 +1,4 @@
-"""The same task with every proposition about pairs taken as false."""
+"""The same task with every proposition about pairs taken as what it usually is: false, or true where that is wanted."""
 
 from __future__ import annotations
 
@@ -11,10 +11,38 @@ from ...envs.problem import Problem, Specification
 from ..cells import RelationRefused
 
 
-def without_pairs(problem: Problem) -> Problem:
-    """Return the problem whose automaton takes all propositions about pairs as false; its states keep their numbers.
+def usual_values(problem: Problem) -> NDArray[np.bool_]:
+    """Return what each proposition about a pair is taken to be: bool (number of pairs,).
 
-    As long as no pair is near, both automata are in the same state.
+    It is false, unless the task cannot be satisfied by any word in which it always is.
+    """
+    automaton, first = problem.automaton, problem.labeling.first_pair
+    result = np.zeros(len(problem.labeling.pairs), dtype=bool)
+    for k in range(len(result)):
+        result[k] = not _can_accept(automaton, first + k)
+    return result
+
+
+def _can_accept(automaton: Automaton, never: int) -> bool:
+    """Return whether some word in which one proposition never holds leads to acceptance."""
+    states, met, stack = {automaton.initial}, set[int](), [int(automaton.root[automaton.initial])]
+    while stack:
+        entry = stack.pop()
+        if entry < 0:
+            if -1 - entry not in states:
+                states.add(-1 - entry)
+                stack.append(int(automaton.root[-1 - entry]))
+        elif entry not in met:
+            met.add(entry)
+            stack.append(int(automaton.low[entry]))
+            stack += [] if automaton.variable[entry] == never else [int(automaton.high[entry])]
+    return bool(automaton.accepting[list(states)].any())
+
+
+def without_pairs(problem: Problem, usual: NDArray[np.bool_]) -> Problem:
+    """Return the problem whose automaton takes all propositions about pairs as usual; its states keep their numbers.
+
+    As long as all pairs are as usual, both automata are in the same state.
 
     Raises
     ------
@@ -22,7 +50,7 @@ def without_pairs(problem: Problem) -> Problem:
         If states cannot keep their numbers: too many of them are out of reach without the pairs.
     """
     first = problem.labeling.first_pair
-    automaton = _cut(problem.automaton, first)
+    automaton = _cut(problem.automaton, first, usual)
     result = Problem(
         name=f"{problem.name[:180]} without pairs",
         horizon=problem.horizon,
@@ -35,8 +63,8 @@ def without_pairs(problem: Problem) -> Problem:
     return result
 
 
-def _cut(automaton: Automaton, first: int) -> Automaton:
-    """Return the automaton over the propositions before ``first``, all later ones taken as false."""
+def _cut(automaton: Automaton, first: int, usual: NDArray[np.bool_]) -> Automaton:
+    """Return the automaton over the propositions before ``first``, all later ones taken as usual."""
     kept = np.flatnonzero(automaton.variable < first)
     number = np.full(automaton.variable.size, -1)
     number[kept] = np.arange(len(kept))
@@ -49,7 +77,9 @@ def _cut(automaton: Automaton, first: int) -> Automaton:
             pairs = inner[automaton.variable[at[inner]] >= first]
             if not len(pairs):
                 break
-            at[pairs] = automaton.low[at[pairs]]
+            node = at[pairs]
+            holds = usual[automaton.variable[node] - first]
+            at[pairs] = np.where(holds, automaton.high[node], automaton.low[node])
         at[at >= 0] = number[at[at >= 0]]
         return at.astype(np.int32)
 

@@ -1,4 +1,4 @@
-"""How likely pairs of agents are to be near each other, under policies on grids: upper bounds up to rounding.
+"""How likely pairs of agents are to be near each other, or not near, under policies on grids: upper bounds.
 
 For agents with the relation ``exact`` the next state is ``z + w``, z the lattice point of the cell and w the noise, both
 agents' noises independent and Gaussian. So the difference of two agents at lattice points z, z' is near with the
@@ -35,6 +35,9 @@ WIDER = 1e-9
 TABLE_ERROR = 1e-14
 """Added to every entry of a table of probabilities: above the error of the special function by far."""
 
+DIFFERENCE_ERROR = 1e-13
+"""Added where a mass is the difference of two: far above their rounding."""
+
 INFLATION, SPARE = 1.0 + 1e-7, 1e-10
 """Factor on the whole, and what is added per pair, so that a second evaluation that rounds otherwise finds no more."""
 
@@ -67,10 +70,19 @@ class NearMass:
         Finite models of ``base``.
     relevant : (Q, number of pairs) bool array
         Which pairs the automaton asks about in each state.
+    usual : (number of pairs,) bool array
+        What each proposition is taken to be in ``base``: the mass is that of all runs in which one is otherwise.
     """
 
-    def __init__(self, problem: Problem, base: Problem, joint: JointModel, relevant: NDArray[np.bool_]) -> None:
-        self.problem, self.base, self.joint, self.relevant = problem, base, joint, relevant
+    def __init__(
+        self,
+        problem: Problem,
+        base: Problem,
+        joint: JointModel,
+        relevant: NDArray[np.bool_],
+        usual: NDArray[np.bool_],
+    ) -> None:
+        self.problem, self.base, self.joint, self.relevant, self.usual = problem, base, joint, relevant, usual
         self.pairs = problem.labeling.pairs
         for pair in self.pairs:
             compared_axes(problem, pair)  # refuses what the tables could not say
@@ -140,8 +152,11 @@ class NearMass:
         return all_terms, all_points
 
     def bound(self, policies: Policies) -> float:
-        """Return an upper bound on the probability that a pair is near while the task is undecided and asks for it."""
-        if self.is_near_at_start:
+        """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it.
+
+        Open is a task that was undecided at the step before.
+        """
+        if self.is_unusual_at_start:
             return 1.0
         modes = self.modes(policies)
         asked = [self.relevant[states].any(axis=0) for states in modes]
@@ -154,14 +169,14 @@ class NearMass:
         return min(1.0, float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs))
 
     @cached_property
-    def is_near_at_start(self) -> bool:
-        """Whether a pair that the initial state asks about is near at the start itself."""
+    def is_unusual_at_start(self) -> bool:
+        """Whether a pair that the initial state asks about is not as usual at the start itself."""
         letter = self.problem.labeling.letter([agent.initial.low for agent in self.problem.agents])
         near = letter[self.problem.labeling.first_pair :]
-        return bool(np.any(near & self.relevant[self.problem.automaton.initial]))
+        return bool(np.any((near != self.usual) & self.relevant[self.problem.automaton.initial]))
 
     def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray]) -> float:
-        """Return the sum over the pairs ``asked`` of the mass of a term in which they are near after the step."""
+        """Return the sum over the pairs ``asked`` of the mass of a term in which they are not as usual after a step."""
         totals = np.array([own.sum() for own in masses])
         if not np.all(totals > 0.0):
             return 0.0
@@ -170,27 +185,35 @@ class NearMass:
         for k in asked:
             pair = self.pairs[k]
             i, j = pair.first, pair.second
-            tables = self.tables(pair)
+            tables = self.tables(pair, bool(self.usual[k]))
             # Equal agents have one table, by which the second agent is spread once for all of its pairs.
             key = (j, id(tables))
             axes_i, axes_j = compared_axes(self.problem, pair)
             if key not in spread:
                 spread[key] = _along(tables, _marginal(masses[j], self.joint.models[j].lattice, axes_j))
             own = _marginal(masses[i], self.joint.models[i].lattice, axes_i)
-            total += float(np.sum(own * spread[key])) * everybody / (totals[i] * totals[j])
+            near = float(np.sum(own * spread[key]))
+            if self.usual[k]:  # whatever is not surely near is charged
+                near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
+            total += near * everybody / (totals[i] * totals[j])
         return total
 
-    def tables(self, pair: PairRegion) -> list[FloatArray]:
-        """Return upper bounds (Z_i, Z_j), per axis, on the probability that the agents are near from lattice points."""
+    def tables(self, pair: PairRegion, from_below: bool = False) -> list[FloatArray]:
+        """Return bounds (Z_i, Z_j), per axis, on the probability that the agents are near from lattice points.
+
+        They are upper bounds, or lower ones if they are asked for.
+        """
         i, j = pair.first, pair.second
         models, agents = self.joint.models, self.problem.agents
         axes = compared_axes(self.problem, pair)
         lattices = [(models[i].lattice[a], models[j].lattice[b]) for a, b in zip(*axes, strict=True)]
         spreads = [math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)]
-        key = (pair.low.tobytes(), pair.high.tobytes(), tuple(spreads), *(x.tobytes() for both in lattices for x in both))
+        box = (from_below, pair.low.tobytes(), pair.high.tobytes(), tuple(spreads))
+        key = (*box, *(x.tobytes() for both in lattices for x in both))
         if key not in self._tables:
             boxes = zip(lattices, spreads, pair.low, pair.high, strict=True)
-            self._tables[key] = [_near_table(a, b, std, float(low), float(high)) for (a, b), std, low, high in boxes]
+            table = _surely_near_table if from_below else _near_table
+            self._tables[key] = [table(a, b, std, float(low), float(high)) for (a, b), std, low, high in boxes]
         return self._tables[key]
 
 
@@ -225,12 +248,26 @@ def _check_noise(agent: AnyAgent) -> None:
 
 def _near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
     """Return upper bounds (Z, Z') on ``P(low <= z - z' + w < high)`` for w of deviation ``std``."""
+    mass = _between(first, second, std, (low, high), 1.0)
+    return np.asarray(np.minimum(1.0, np.maximum(mass, 0.0) * (1.0 + 1e-12) + TABLE_ERROR))
+
+
+def _surely_near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
+    """Return lower bounds (Z, Z') on the same."""
+    mass = _between(first, second, std, (low, high), -1.0)
+    return np.asarray(np.maximum(0.0, np.minimum(mass, 1.0) * (1.0 - 1e-12) - TABLE_ERROR))
+
+
+def _between(
+    first: FloatArray, second: FloatArray, std: float, box: tuple[float, float], sign: float
+) -> FloatArray:
+    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little."""
+    low, high = box
     gap = first[:, None] - second[None]
-    wider = WIDER * std + 1e-14 * (np.abs(first).max() + np.abs(second).max() + abs(low) + abs(high))
+    wider = sign * (WIDER * std + 1e-14 * (np.abs(first).max() + np.abs(second).max() + abs(low) + abs(high)))
     upper, lower = (high + wider - gap) / std, (low - wider - gap) / std
     # The difference of the tails that are small: of the upper ones where the box lies above the mean.
-    mass = np.where(lower > 0.0, ndtr(-lower) - ndtr(-upper), ndtr(upper) - ndtr(lower))
-    return np.asarray(np.minimum(1.0, np.maximum(mass, 0.0) * (1.0 + 1e-12) + TABLE_ERROR))
+    return np.asarray(np.where(lower > 0.0, ndtr(-lower) - ndtr(-upper), ndtr(upper) - ndtr(lower)))
 
 
 def _gathered(lattice: Sequence[FloatArray], masses: FloatArray, points: NDArray[Any]) -> FloatArray:

@@ -94,7 +94,7 @@ def _claim(content: ReportContent) -> str:
     if content.audit is not None and content.field is not None:
         facts |= {"audit": content.audit.verdict, "map of starts": content.field.verdict}
     if isinstance(certificate, PairsCertificate):
-        facts["near"] = f"pairs are near with probability {significant_up(certificate.near, 3)} at most"
+        facts["pairs"] = f"not as they should be with probability {significant_up(certificate.near, 3)} at most"
     if isinstance(certificate, TeamCertificate):
         facts["information"] = "every agent sees the states of all"
     return _section("Claim and verdict", body + _list(facts))
