@@ -54,7 +54,8 @@ TRUSTED = {
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.network_spans "
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
-        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check synthesis.checking.train_check "
+        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
+        "synthesis.checking.train_check "
         "synthesis.checking.upper_end"
     ),
 }

@@ -177,7 +177,12 @@ def _of_task(
     if problem.labeling.pairs:
         _refuse_for_pairs(plan, start)
         return synthesize_together(
-            problem, cells, relation, plan.search, plan.settings, lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan)
+            problem,
+            cells,
+            relation,
+            plan.search,
+            plan.settings,
+            lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan),
         )
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:

@@ -25,8 +25,11 @@ from .search import FINAL, Search, Sweep, find_policies, sweep
 WAYS = ("auto", "exact", "joint")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
 
-ROUNDS = 4
+ROUNDS = 6
 """Most times that every agent answers to the others: as a rule two are enough."""
+
+MOST_RECORDED = 1e9
+"""Largest sum that is recorded: files hold no infinities."""
 
 WORTH = 1e-4
 """Probability of being near below which no further answers are tried."""
@@ -109,13 +112,13 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     # The upper end of the base says nothing about the problem: without it the check need not compute it.
     part = replace(certificate_of(base, abstraction, joint, best, used, name), gap=None, exact=False)
-    certificate = PairsCertificate(problem, part, tuple(usual.tolist()), near, {**used, "answers": record})
+    certificate = PairsCertificate(problem, part, tuple(usual.tolist()), min(1.0, near), {**used, "answers": record})
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
         "sweeps": found.values,
         "rank": part.rank,
         "dropped": best.dropped,
-        "near": near,
+        "near": certificate.near,
     }
     return _synthesis(certificate, stats)
 
@@ -154,8 +157,8 @@ def _joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
     for agent in problem.agents:
         if agent.name not in cells:
             raise ValueError(f"`cells`: expected counts for all agents of a joint agent, {agent.name!r} is missing")
-        own = cells[agent.name]
-        counts += [int(own)] * agent.n_states if np.ndim(own) == 0 else [int(n) for n in np.asarray(own)]
+        own = np.atleast_1d(np.asarray(cells[agent.name], dtype=int)).tolist()
+        counts += own * agent.n_states if len(own) == 1 else own
     return {TEAM: tuple(counts)}
 
 
@@ -164,30 +167,30 @@ def _kept_apart(
 ) -> tuple[Sweep, float, list[list[float]]]:
     """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
     best, near = first, _bound(masses, first.policies)
-    record = [[first.value, near]]
+    record = [[first.value, min(near, MOST_RECORDED)]]
     if near <= WORTH or not search.max_sweeps:
         return best, near, record
     avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
     for k in range(min(ROUNDS, search.max_sweeps)):
         policies = avoidance.answers(policies, heed_all=k > 0)
         outcome, nearness = sweep(joint, policies, start, FINAL, improve=False), _bound(masses, policies)
-        record.append([outcome.value, nearness])
+        record.append([outcome.value, min(nearness, MOST_RECORDED)])
         gain = (outcome.value - nearness) - (best.value - near)
         if gain > 0.0:
             best, near = outcome, nearness
         search.tell("keeping apart", max(0.0, best.value - near))
-        # A round that everybody has heeded and that gains nothing is the last.
-        if near <= WORTH or (k > 0 and gain <= WORTH):
+        # A round that everybody has heeded and that gains nothing is the last, unless nothing is certified yet.
+        if near <= WORTH or (k > 0 and gain <= WORTH and near < best.value):
             break
     return best, near, record
 
 
 def _bound(masses: NearMass, policies: Policies) -> float:
-    """Return how likely pairs are near at most; 1 where it would take too long to say."""
+    """Return what pairs may spoil at most, a sum that may exceed 1; infinite where it would take too long to say."""
     try:
         return masses.bound(policies)
     except RelationRefused:
-        return 1.0
+        return float("inf")
 
 
 def _synthesis(certificate: PairsCertificate, stats: dict[str, object]) -> Synthesis:

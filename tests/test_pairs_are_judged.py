@@ -204,7 +204,7 @@ def test_agents_that_a_pair_ties_have_one_task() -> None:
         lambda problem: cg.synthesize(problem, relation="path"),
         lambda problem: cg.synthesize(problem, stationary=True),
         lambda problem: cg.synthesize(problem, memory=1e8),
-        lambda problem: cg.certify(problem, lambda agent, state, q, t: [0.0], cells=8),
+        lambda problem: cg.certify(problem, lambda state, q, t: [0.0, 0.0], cells=8),
         lambda problem: cg.without_deadline(followers("!any(near) U goal", semantics="co-safe")),
         lambda problem: problem.labeling.classes,
         lambda problem: problem.labeling.box_classes(0, [[0.0]], [[1.0]]),

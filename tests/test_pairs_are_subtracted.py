@@ -153,7 +153,8 @@ class Halved(NearMass):
     def tables(self, pair: Any, from_below: bool = False) -> Any:
         lattices = [self.joint.models[i].lattice[0] for i in (pair.first, pair.second)]
         std = float(np.sqrt(self.problem.agents[pair.first].noise_covariance[0, 0]))
-        return [near_module._near_table(*lattices, std, float(pair.low[0]), float(pair.high[0]))]
+        first, second = lattices
+        return [near_module._near_table(first, second, std, float(pair.low[0]), float(pair.high[0]))]
 
 
 TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=((-2.5,), (-0.5,), (1.5,)))

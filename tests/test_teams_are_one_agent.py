@@ -21,7 +21,6 @@ from certigym.validation.statistics.binomial import clopper_pearson
 from pair_problems import followers, mover
 
 
-
 def kept_close(horizon: int = 5) -> cg.Problem:
     """Two agents that must stay within reach of each other and not come near: distances wanted and unwanted."""
     agents = [mover("back", [-2.0], noise_covariance=[[0.02]]), mover("front", [0.0], noise_covariance=[[0.01]])]
@@ -41,7 +40,7 @@ def kept_close(horizon: int = 5) -> cg.Problem:
 @pytest.fixture(scope="module")
 def certificate() -> TeamCertificate:
     held: Any = cg.synthesize(kept_close(), 40, relation="joint").certificate
-    return held  # type: ignore[no-any-return]
+    return held
 
 
 def simulated(problem: cg.Problem, controller: Any, n: int, seed: int) -> int:

@@ -69,7 +69,9 @@ class Pair:
         if pairs not in PAIRS:
             raise ValueError(f"`pairs`: expected {' or '.join(map(repr, PAIRS))}, got {shown(pairs)}")
         if pairs != "all" and not isinstance(agents, str):
-            raise ValueError("`pairs`: expected only with a single pattern such as 'drone_*' for `agents`; leave it out")
+            raise ValueError(
+                "`pairs`: expected only with a single pattern such as 'drone_*' for `agents`; leave it out"
+            )
         object.__setattr__(self, "agents", _checked_names(agents))
         object.__setattr__(self, "low", box.low)
         object.__setattr__(self, "high", box.high)
@@ -134,12 +136,14 @@ def _checked_outputs(outputs: Any, length: int) -> tuple[tuple[int, ...], tuple[
         if not all(isinstance(k, int | np.integer) and not isinstance(k, bool) and k >= 0 for k in numbers):
             raise ValueError(f"`outputs`: expected numbers of outputs from 0 on, got {shown(axes)}")
         if len(numbers) != length or len(set(numbers)) != length:
-            raise ValueError(f"`outputs`: expected {length} different outputs of each agent, as `low` has, got {numbers}")
+            raise ValueError(
+                f"`outputs`: expected {length} different outputs of each agent, as `low` has, got {numbers}"
+            )
         result.append(tuple(int(k) for k in numbers))
     return result[0], result[1]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PairRegion:
     """A pair in terms of a problem's agents.
 
@@ -157,6 +161,9 @@ class PairRegion:
     outputs: tuple[tuple[int, ...], tuple[int, ...]]
     low: np.ndarray
     high: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"PairRegion({self.first} less {self.second}, {box_text(self.low, self.high, closed=False)})"
 
     def difference(self, first: Any, second: Any) -> list[Any]:
         """Return the differences of the outputs compared, one per axis: numbers, or arrays of one shape."""

@@ -131,7 +131,7 @@ class Block:
         return float(self.input_low.max()), float(self.input_high.min())
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PairBlock:
     """Propositions about pairs whose first agents are in one block, whose second are in one, and whose outputs agree.
 
@@ -154,6 +154,9 @@ class PairBlock:
     low: np.ndarray
     high: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"PairBlock({counted(len(self.propositions), 'pair')} of blocks {self.blocks[0]} and {self.blocks[1]})"
+
 
 def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[PairBlock, ...]:
     """Return the propositions about pairs of a problem, stacked; `position` is block and place of each agent."""
@@ -164,7 +167,9 @@ def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[
     result = []
     for numbers in alike.values():
         pairs = [labeling.pairs[k] for k in numbers]
-        first, second = (np.array([position[i] for i in agents]) for agents in zip(*((p.first, p.second) for p in pairs)))
+        first, second = (
+            np.array([position[i] for i in agents]) for agents in zip(*((p.first, p.second) for p in pairs))
+        )
         result.append(
             PairBlock(
                 blocks=(int(first[0, 0]), int(second[0, 0])),

@@ -35,8 +35,8 @@ from .observation import (
     checked_option,
     input_of,
     observation_space,
-    relative_space,
     projected,
+    relative_space,
     shared,
 )
 

@@ -17,7 +17,6 @@ from typing import Any
 from ..agents import Pair, Proposition, checked_name, shown
 from ..logic import RESERVED
 
-
 AnyProposition = Proposition | Pair
 
 KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs"))

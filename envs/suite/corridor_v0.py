@@ -36,9 +36,7 @@ def problem(horizon: int = 24) -> Problem:
             "left": Proposition("robot_1", [-8.0, -4.0], [-4.0, 4.0]),
             "near": Pair("robot_*", [-1.5, -1.5], [1.5, 1.5]),
         },
-        specification=Specification(
-            "G (!any(near) & !any(upper) & !any(lower)) & F G (right & left)", "finite-trace"
-        ),
+        specification=Specification("G (!any(near) & !any(upper) & !any(lower)) & F G (right & left)", "finite-trace"),
     )
 
 

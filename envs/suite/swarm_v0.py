@@ -1,8 +1,8 @@
 """Swarm: planar robots on a circle swap places with those across, and never come nearer than 1 to each other.
 
 All of them want through the middle. Each robot sees only itself, so they must agree beforehand on who goes around whom
-and when: at the end every robot has to be in the square around the place across. With an even number of robots these are
-the places of others.
+and when: at the end every robot has to be in the square around the place across. With an even number of robots these
+are the places of others.
 
 **Versions**: v0: the first version.
 """

@@ -91,7 +91,7 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: AnyCertificate) -> bytes:
+def _packed(certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
     if isinstance(certificate, PairsCertificate):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from .certificate import Certificate
-from .certificate_file import load_certificate
+from .certificate_file import AnyCertificate, load_certificate
 from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
@@ -43,12 +43,12 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
 
 
 def any_certificate(value: Any) -> Any:
-    """Return the certificate of any kind that a value stands for: on grids, of independent tasks, along a path, or about pairs."""
+    """Return the certificate of any kind that a value stands for, on grids or not."""
     if isinstance(value, Synthesis):
         return value.certificate
     if isinstance(value, str | Path):
         return load_certificate(value)
-    if not isinstance(value, Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate):
+    if not isinstance(value, AnyCertificate):
         raise ValueError(
             f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
             "one with `synthesize`, `certify` or `load_certificate`"

@@ -2,8 +2,8 @@
 
 The same task with every proposition about pairs taken as usual (false, or true where the task wants it) has a
 certificate by itself, on grids, with the relation ``exact`` for every agent. What its policies do is known as a
-distribution. The probability that a pair is ever otherwise while it matters is bounded from above, pair by pair and step
-by step, and subtracted:
+distribution. The probability that a pair is ever otherwise while it matters is bounded from above, pair by pair and
+step by step, and subtracted:
 
     P(task)  >=  P(task without pairs)  -  sum over steps and pairs of P(undecided before, not as usual now) .
 

@@ -15,9 +15,7 @@ from .path_certificate import PathCertificate
 from .team_certificate import TeamCertificate
 
 
-def pairs_header(
-    certificate: PairsCertificate, base: bytes, put: Callable[[NDArray[Any]], int]
-) -> dict[str, Any]:
+def pairs_header(certificate: PairsCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
     """Return the header of a file; ``put`` stores an array and returns its number, ``base`` is the file of the base."""
     return {
         "problem": certificate.problem.to_dict(),

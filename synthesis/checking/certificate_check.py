@@ -19,6 +19,7 @@ United terms are regrown by a rule that is sound for any choice: ``a x b + a' x 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +120,11 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
-    kinds = {PathCertificate: _check_path, PairsCertificate: _check_pairs, TeamCertificate: _check_team}
+    kinds: dict[type, Callable[[Any, Problem], CheckReport]] = {
+        PathCertificate: _check_path,
+        PairsCertificate: _check_pairs,
+        TeamCertificate: _check_team,
+    }
     one = kinds.get(type(certificate), _check_one)
     if problem.labeling.pairs and one in (_check_one, _check_path):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
@@ -145,7 +150,9 @@ def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport
     if not failures:
         failures, near = wrong_pairs(certificate, problem)
     if not failures and not near <= certificate.near:
-        failures.append(f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}")
+        failures.append(
+            f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}"
+        )
     recomputed = float("nan") if failures else max(0.0, base.recomputed - near)
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 

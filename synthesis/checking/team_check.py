@@ -109,4 +109,3 @@ def _matrix(problem: Problem, i: int) -> FloatArray:
     agent = problem.agents[i]
     assert isinstance(agent, LinearAgent)  # others were refused
     return agent.output_matrix
-

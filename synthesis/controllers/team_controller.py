@@ -65,7 +65,9 @@ class TeamController:
         """
         names, agents = self.problem.agent_names, self.problem.agents
         if missing := [name for name in names if name not in observations]:
-            raise ValueError(f"`observations`: expected those of all agents, who see one another; {missing[0]!r} is missing")
+            raise ValueError(
+                f"`observations`: expected those of all agents, who see one another; {missing[0]!r} is missing"
+            )
         states, q, time = [], 0, 0
         n_q = self.problem.automaton.n_states
         for name, agent in zip(names, agents, strict=True):

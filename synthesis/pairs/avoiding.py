@@ -97,7 +97,7 @@ class Avoidance:
         return ways
 
     def thinned(self, i: int, presences: Sequence[Presence], heeded: Sequence[int]) -> FloatArray | None:
-        """Return the chance (T + 1, S) that all heeded agents are as usual to agent i in a cell; None if there is none."""
+        """Return the chance (T + 1, S) that those heeded are as usual to agent i; None if it heeds nobody."""
         result: FloatArray | None = None
         for pair, usual in zip(self.masses.pairs, self.masses.usual.tolist(), strict=True):
             if i not in (pair.first, pair.second):
@@ -137,7 +137,13 @@ class Avoidance:
         j = pair.second if pair.first == i else pair.first
         grids = self.joint.models[i].grid, self.joint.models[j].grid
         edges = [(grids[0].edges[a], grids[1].edges[b]) for a, b in zip(*axes)]
-        key = (surely, pair.first == i, pair.low.tobytes(), pair.high.tobytes(), *(e.tobytes() for both in edges for e in both))
+        key = (
+            surely,
+            pair.first == i,
+            pair.low.tobytes(),
+            pair.high.tobytes(),
+            *(e.tobytes() for both in edges for e in both),
+        )
         if key not in self._tables:
             tables = []
             for (own, others), low, high in zip(edges, pair.low, pair.high, strict=True):

@@ -1,7 +1,7 @@
 """How likely pairs of agents are to be near each other, or not near, under policies on grids: upper bounds.
 
-For agents with the relation ``exact`` the next state is ``z + w``, z the lattice point of the cell and w the noise, both
-agents' noises independent and Gaussian. So the difference of two agents at lattice points z, z' is near with the
+For agents with the relation ``exact`` the next state is ``z + w``, z the lattice point of the cell and w the noise,
+both agents' noises independent and Gaussian. So the difference of two agents at lattice points z, z' is near with the
 probability of a box under a normal law of variance ``sigma^2 + sigma'^2``, one table per axis: cells enter nowhere.
 
 The mass of the undecided runs is a sum of products over agents, one term per way through the *modes*: automaton states
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...envs.agents import AnyAgent, PairRegion
+from ...envs.agents import AnyAgent, PairRegion, counted
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..models import JointModel, Policies
@@ -42,7 +42,7 @@ INFLATION, SPARE = 1.0 + 1e-7, 1e-10
 """Factor on the whole, and what is added per pair, so that a second evaluation that rounds otherwise finds no more."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Term:
     """A product of the mass of undecided runs at one time.
 
@@ -55,6 +55,9 @@ class Term:
 
     mode: int
     cells: tuple[FloatArray, ...]
+
+    def __repr__(self) -> str:
+        return f"Term({counted(len(self.cells), 'agent')} in mode {self.mode})"
 
 
 class NearMass:
@@ -117,8 +120,10 @@ class NearMass:
         used = np.flatnonzero(np.isin(guards.source, source) & np.isin(guards.target, target))
         if not len(used):
             return None
-        pairs = zip(self.joint.masks, guards.mask[used].T, strict=True)
-        return [np.asarray(masks[np.unique(rows)], dtype=bool).any(axis=0) for masks, rows in pairs]
+        passages = []
+        for masks, rows in zip(self.joint.masks, guards.mask[used].T, strict=True):
+            passages.append(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0)))
+        return passages
 
     def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[list[FloatArray]]]]:
         """Return the terms of the mass at times 0 .. T - 1, and the lattice points (Z_i,) that each of them moves to.
@@ -154,7 +159,7 @@ class NearMass:
     def bound(self, policies: Policies) -> float:
         """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it.
 
-        Open is a task that was undecided at the step before.
+        Open is a task that was undecided at the step before. The sum over steps and pairs may exceed 1.
         """
         if self.is_unusual_at_start:
             return 1.0
@@ -166,7 +171,7 @@ class NearMass:
                 total += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
         # What kernels lost on the way may be near, once for each agent.
         lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
-        return min(1.0, float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs))
+        return float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs)
 
     @cached_property
     def is_unusual_at_start(self) -> bool:
@@ -207,7 +212,9 @@ class NearMass:
         models, agents = self.joint.models, self.problem.agents
         axes = compared_axes(self.problem, pair)
         lattices = [(models[i].lattice[a], models[j].lattice[b]) for a, b in zip(*axes, strict=True)]
-        spreads = [math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)]
+        spreads = [
+            math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)
+        ]
         box = (from_below, pair.low.tobytes(), pair.high.tobytes(), tuple(spreads))
         key = (*box, *(x.tobytes() for both in lattices for x in both))
         if key not in self._tables:
@@ -258,9 +265,7 @@ def _surely_near_table(first: FloatArray, second: FloatArray, std: float, low: f
     return np.asarray(np.maximum(0.0, np.minimum(mass, 1.0) * (1.0 - 1e-12) - TABLE_ERROR))
 
 
-def _between(
-    first: FloatArray, second: FloatArray, std: float, box: tuple[float, float], sign: float
-) -> FloatArray:
+def _between(first: FloatArray, second: FloatArray, std: float, box: tuple[float, float], sign: float) -> FloatArray:
     """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little."""
     low, high = box
     gap = first[:, None] - second[None]

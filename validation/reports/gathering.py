@@ -83,7 +83,7 @@ def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) ->
         # What speaks of one start alone has no audit and no map.
         states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
         nothing: dict[str, Any] = {"audit": None, "field": None, "axes": (), "bounds": None}
-        tests = {"validation": validate(certificate, plan), "checked": check(claim)}
+        tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": check(claim)}
         return ReportContent(certificate=claim, states=states, success=success, **tests, **nothing)
     claim = as_certificate(claim)
     shown = slice_axes(problem, axes)

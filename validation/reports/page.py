@@ -11,6 +11,7 @@ from ...envs.agents import counted
 from ...envs.pictures import coordinate_name, edges, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
+    Certificate,
     PairsCertificate,
     ProductCertificate,
     TeamCertificate,

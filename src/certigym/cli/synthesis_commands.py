@@ -191,8 +191,7 @@ def _task(problem: Problem) -> str:
 def _subject(region: Proposition | Pair) -> str:
     """Return what a proposition is about."""
     if isinstance(region, Pair):
-        first, second = region.agents
-        return f"{first} less {second}"
+        return " less ".join(region.agents)
     return f"agent {region.agent}"
 
 
