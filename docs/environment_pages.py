@@ -17,7 +17,8 @@ import numpy as np
 
 import certigym as cg
 from certigym.envs.agents import AnyAgent, LinearAgent
-from certigym.envs.pictures.automaton_drawing import edges, svg
+from certigym.envs.pictures import edges
+from certigym.envs.pictures.automaton_drawing import svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
 
@@ -293,7 +294,7 @@ def _automaton(id: str, problem: cg.Problem) -> str:
         kind = f" ({', '.join(kinds[edge.source])})" if kinds[edge.source] else ""
         guard = edge.guard
         if guard != "otherwise":
-            guard = " or ".join(cube if cube.endswith("more cubes") else f"`{cube}`" for cube in guard.split(" or "))
+            guard = " or ".join(cube if cube.endswith(" more") else f"`{cube}`" for cube in guard.split(" or "))
         lines.append(f"| {number} | {name}{kind} | {guard} | {automaton.state_names[edge.target]} |")
     first = problem.initial_q
     begin = "" if first is None else f" The letter of the start leads to {automaton.state_names[first]}."
