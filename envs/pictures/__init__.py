@@ -3,11 +3,12 @@
 from .automaton_drawing import automaton_to_dot, places
 from .guard_texts import edges
 from .rendering import Picture, checked_render_mode, verdict_text
-from .scene import Panel, coordinate_name, panels
+from .scene import Panel, Region, coordinate_name, panels
 
 __all__ = [
     "Panel",
     "Picture",
+    "Region",
     "automaton_to_dot",
     "checked_render_mode",
     "coordinate_name",
