@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...envs.dynamics import Dynamics, letters, split_joint
 from ...envs.pictures import Panel
-from ...envs.problem import Problem
+from ..simulation import task_tracks
 from .inline_pictures import panel_axes, tracks
 
 if TYPE_CHECKING:
@@ -47,7 +45,7 @@ def episodes_of(content: ReportContent, shown: Sequence[Panel]) -> dict[str, Any
                 for curve, paths in zip(panel.curves, drawn)
             ]
         )
-    followed = None if problem.groups else task_states(problem, states)
+    followed = None if problem.groups else task_tracks(problem, states)[0]
     return {
         "episodes": [f"episode {m}{'' if content.success[m] else ' (failed)'}" for m in picked.tolist()],
         "lengths": lengths.tolist(),
@@ -56,21 +54,3 @@ def episodes_of(content: ReportContent, shown: Sequence[Panel]) -> dict[str, Any
         "states": None if followed is None else [followed[:n, m].tolist() for m, n in enumerate(lengths)],
         "names": [] if followed is None else list(problem.automaton.state_names),
     }
-
-
-def task_states(problem: Problem, states: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the automaton state (T + 1, M) after each state of paths (T + 1, M, D); 0 after the decision.
-
-    An agent outside its workspace ends the task; the automaton state is then the one before.
-    """
-    dynamics = Dynamics.of(problem)
-    q = np.full(states.shape[1], problem.automaton.initial)
-    result = np.zeros(states.shape[:2], dtype=np.int64)
-    low = np.concatenate([agent.state_low for agent in problem.agents])
-    high = np.concatenate([agent.state_high for agent in problem.agents])
-    for time, here in enumerate(states):
-        inside = np.flatnonzero(((here >= low) & (here <= high)).all(axis=1))
-        if len(inside):
-            q[inside] = problem.automaton.next_state(q[inside], letters(dynamics, split_joint(dynamics, here[inside])))
-        result[time] = q
-    return result

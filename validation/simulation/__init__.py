@@ -7,6 +7,7 @@ from .mismatch import FAMILIES, Mismatch
 from .report_text import INTERRUPTED, Rows, html_table, labelled_lines
 from .rollouts import Rollouts, rollout, stream
 from .spread import Executor, in_order
+from .task_paths import task_tracks
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 
 __all__ = [
@@ -37,4 +38,5 @@ __all__ = [
     "planned",
     "rollout",
     "stream",
+    "task_tracks",
 ]
