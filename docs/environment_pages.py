@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents import AnyAgent, LinearAgent
+from certigym.envs.agents import AnyAgent, LinearAgent, counted
 from certigym.envs.pictures import edges
 from certigym.envs.pictures.automaton_drawing import svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
@@ -75,10 +75,12 @@ def pages() -> dict[str, str]:
 
 
 def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
-    title, story, versions = _docstring(id)
+    name, about, story, versions = _docstring(id)
     return "\n\n".join(
         [
-            f"# {title}",
+            f"# {name}",
+            f"*{about}.*",
+            *([f"![One episode under certified controllers]({id}.gif)"] if (FOLDER / f"{id}.gif").exists() else []),
             _summary(id, problem),
             *([story] if story else []),
             "## Dynamics",
@@ -137,12 +139,13 @@ def _table(name: str) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
-def _docstring(id: str) -> tuple[str, str, str]:
-    """Title, story and versions in the docstring of a suite module."""
+def _docstring(id: str) -> tuple[str, str, str, str]:
+    """Name, sentence, story and versions in the docstring of a suite module, whose title is "Name: sentence."."""
     text = getdoc(import_module(f"certigym.envs.suite.{MODULES[id]}")) or ""
     title, _, rest = text.partition("\n")
     story, _, versions = rest.partition("**Versions**:")
-    return title.strip().rstrip("."), story.strip(), versions.strip()
+    name, _, about = title.strip().rstrip(".").partition(": ")
+    return name.split(" (")[0], about[:1].upper() + about[1:], story.strip(), versions.strip()
 
 
 def _summary(id: str, problem: cg.Problem) -> str:
@@ -408,15 +411,17 @@ def _index(measured: dict[str, Any]) -> str:
         "One page for every problem of the suite. All are cooperative, with Gaussian noise and a temporal-logic "
         "task; agents are linear, or move as expressions say.\n",
         USE,
-        "| id | agents | horizon | certified | what it is about |",
-        "|---|---|---|---|---|",
+        "Each picture is an episode under the controllers that `certigym run` finds when it is given the id alone.\n",
+        "| | |\n|---|---|",
     ]
     for id in cg.problem_ids():
         problem = cg.make_problem(id)
         certificate = (measured.get(id) or {}).get("certificate")
         bound = "none yet" if certificate is None else f"{np.floor(certificate['lower_bound'] * 1e4) / 1e4:.4f}"
-        title = _docstring(id)[0]
-        lines.append(f"| [{id}]({id}.md) | {problem.n_agents} | {problem.horizon} | {bound} | {title} |")
+        name, about, *_ = _docstring(id)
+        size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'step')}, certified {bound}"
+        film = f"[![{name}]({id}.gif)]({id}.md)" if (FOLDER / f"{id}.gif").exists() else ""
+        lines.append(f"| {film} | **[{name}]({id}.md)** `{id}`<br>{about}.<br>{size} |")
     lines += ["\n## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
     return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
 

@@ -85,7 +85,7 @@ def render_episode(problem: Problem, players: Sequence[Player], out: str, seed: 
         If the kind of file is unknown, or if the program that writes it is not installed.
     """
     kind, ffmpeg = check_film(out, seed, fps)
-    filmed = [_frames(problem, player, seed) for player in players]
+    filmed = [film(problem, player, seed) for player in players]
     longest = max(len(frames) for frames, _ in filmed)
     # Whoever is decided first waits at the last picture.
     films = [frames + [frames[-1]] * (longest - len(frames)) for frames, _ in filmed]
@@ -120,7 +120,7 @@ def check_film(out: str, seed: int, fps: int) -> tuple[str, str]:
     return kind, _ffmpeg() if kind == ".mp4" else ""
 
 
-def _frames(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray], bool]:
+def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray], bool]:
     """Return the pictures of one episode, and whether it satisfied the task."""
     try:
         picture = Picture(problem, player.caption)
