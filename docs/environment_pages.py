@@ -469,7 +469,7 @@ def main() -> None:
     for name, text in texts.items():
         (FOLDER / name).write_text(text, encoding="utf-8")
     for path in FOLDER.iterdir():
-        if path.name not in texts and path != MEASURED:
+        if path.name not in texts and path != MEASURED and path.stem not in cg.problem_ids():
             path.unlink()
     print(f"{len(texts)} files in {FOLDER}")
 

@@ -23,7 +23,9 @@ def texts() -> dict[str, str]:
 
 def test_pages_have_not_drifted(texts: dict[str, str]) -> None:
     present = {path.name for path in environment_pages.FOLDER.iterdir()} - {environment_pages.MEASURED.name}
-    assert present == set(texts)
+    films = {name for name in present if name.endswith(".gif")}
+    assert films == {f"{id}.gif" for id in cg.problem_ids()}, "run `python docs/draw_gallery.py`"
+    assert present - films == set(texts)
     for name, text in texts.items():
         written = (environment_pages.FOLDER / name).read_text(encoding="utf-8")
         assert written == text, f"{name} has drifted; run `python docs/environment_pages.py`"
