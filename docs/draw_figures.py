@@ -85,7 +85,7 @@ def suite() -> Any:
     for policy, (mark, color, name) in kinds.items():
         points = [(rates[id][policy], k) for k, id in enumerate(order) if policy in rates[id]]
         face = color if mark in "ox" else "white"
-        style: Any = {"marker": mark, "markerfacecolor": face, "markeredgecolor": color, "linestyle": "none", "markersize": 6}
+        style: Any = {"marker": mark, "markerfacecolor": face, "markeredgecolor": color, "linestyle": "none"}
         plot.plot(*zip(*points), label=name, **style)
     bounds = [(rates[id]["bound"], k) for k, id in enumerate(order)]
     plot.barh(

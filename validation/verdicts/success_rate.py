@@ -273,7 +273,7 @@ def validate(
         which hold whenever one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
         Simulate a system that differs from the certified model; then only the lower bound is tested.
-    disturbance : "zero", "random", "periodic" or a function, optional
+    disturbance : "zero", "random", "periodic", "greedy" or a function, optional
         The one behaviour of bounded disturbances that is simulated. By default all that have a name, and for
         certificates of one task the greedy one (``checking.greedy``), each with its share of ``1 - confidence``.
 
@@ -285,7 +285,13 @@ def validate(
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
     certificate = any_certificate(result)
-    behaviours = _behaviours(certificate) if disturbance is None else {_name(disturbance): disturbance}
+    behaviours = _behaviours(certificate)
+    if disturbance is not None:
+        # "greedy" needs a certificate to play against; the other names are those of the dynamics
+        name = _name(disturbance)
+        if name == "greedy" and len(behaviours) == 1:
+            raise ValueError("`disturbance`: expected a problem with bounded disturbances, got one without any")
+        behaviours = {name: behaviours[name] if disturbance in behaviours else disturbance}
     if len(behaviours) == 1:
         how = _Trial(initial_state, sequential, mismatch, *next(iter(behaviours.items())))
         return _validated(result, certificate, settled, how)
