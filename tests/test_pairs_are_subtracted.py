@@ -226,6 +226,19 @@ def test_certificates_travel(tmp_path: Path) -> None:
         cg.audit(loaded)
 
 
+def test_reports_comparisons_and_validation_know_pairs(tmp_path: Path) -> None:
+    certificate: Any = certificate_of(TRIPLE)
+    content = cg.report(certificate, tmp_path / "page.html", 500)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert content.audit is None and content.field is None and not content.refuted
+    assert "not as they should be with probability" in page and "Other starts" not in page
+    assert content.to_dict()["audit"] is None and "any(near)" in page
+    compared = cg.compare(TRIPLE, {"certified": certificate}, episodes=300)
+    assert "certified" in str(compared)
+    with pytest.raises(ValueError, match="nothing of other starts"):
+        cg.validate(certificate, 100, initial_state=[-2.0, 0.0, 2.0])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -1,7 +1,14 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .certificate import Certificate, checked_certificate
-from .certificate_file import UNREADABLE, certificate_bytes, certificate_in, load_certificate, save_certificate
+from .certificate_file import (
+    UNREADABLE,
+    AnyCertificate,
+    certificate_bytes,
+    certificate_in,
+    load_certificate,
+    save_certificate,
+)
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .checked_laws import law_charge
 from .claim import Claim, joint_states
@@ -18,6 +25,7 @@ from .team_certificate import TeamCertificate
 __all__ = [
     "AgentPart",
     "AgentPath",
+    "AnyCertificate",
     "BrokenTrainError",
     "Certificate",
     "Claim",

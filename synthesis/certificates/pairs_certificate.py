@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
@@ -86,6 +86,13 @@ class PairsCertificate:
     def fingerprint(self) -> str:
         """Fingerprint of the problem."""
         return self.problem.fingerprint
+
+    def at(self, states: Any) -> NoReturn:
+        """Refuse: the certificate speaks of the problem's start alone (ValueError)."""
+        raise ValueError(
+            "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other starts; "
+            "synthesize the problem with another `initial_state`"
+        )
 
     @cached_property
     def controller(self) -> Controller:
