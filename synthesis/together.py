@@ -110,8 +110,10 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     best, near, record = _kept_apart(base, joint, masses, found.best, search)
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
-    # The upper end of the base says nothing about the problem: without it the check need not compute it.
-    part = replace(certificate_of(base, abstraction, joint, best, used, name), gap=None, exact=False)
+    part = certificate_of(base, abstraction, joint, best, used, name)
+    # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
+    if not np.array_equal(base.automaton.dead, problem.automaton.dead):
+        part = replace(part, gap=None, exact=False)
     certificate = PairsCertificate(problem, part, tuple(usual.tolist()), min(1.0, near), {**used, "answers": record})
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},

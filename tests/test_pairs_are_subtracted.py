@@ -157,7 +157,8 @@ class Halved(NearMass):
         return [near_module._near_table(first, second, std, float(pair.low[0]), float(pair.high[0]))]
 
 
-TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=((-2.5,), (-0.5,), (1.5,)))
+THREE = ((-2.5,), (-0.5,), (1.5,))
+TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE)
 
 
 @pytest.mark.parametrize("broken", [OneStepEarly, OnlyTheFirstPair, Negated, Halved])
@@ -261,14 +262,30 @@ def test_what_subtraction_cannot_say_is_refused_in_words(changes: dict[str, Any]
 
 
 def test_claims_about_random_problems_survive_an_independent_simulation() -> None:
-    """24 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen."""
-    informative = 0
+    """24 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen.
+
+    Claims are tested from both sides where they have two.
+    """
+    informative, two_sided = 0, 0
     for seed in range(24):
         problem = random_pairs(np.random.default_rng(seed))
         certificate: Any = cg.synthesize(problem, 12, relation="exact", max_sweeps=2).certificate
         assert cg.check(certificate), seed
         successes = simulated(problem, certificate.controller, 3000, seed)
-        most = clopper_pearson(successes, 3000, 1.0 - 2e-6 / 24)[1]
+        least, most = clopper_pearson(successes, 3000, 1.0 - 1e-6 / 24)
         assert certificate.lower_bound <= most, seed
+        assert certificate.gap is None or least <= certificate.lower_bound + certificate.gap, seed
         informative += 0.02 < certificate.lower_bound < 0.999
-    assert informative >= 6
+        two_sided += certificate.gap is not None and certificate.lower_bound + certificate.gap < 0.999
+    assert informative >= 6 and two_sided >= 3
+
+
+def test_upper_ends_are_claimed_and_checked_where_pairs_can_save_nothing() -> None:
+    certificate = certificate_of(TRIPLE)
+    report = cg.check(certificate)
+    assert certificate.gap is not None and report.above is not None
+    assert report.above <= certificate.lower_bound + certificate.gap
+    wanted = certificate_of(followers("F any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE))
+    assert wanted.gap is None and cg.check(wanted)
+    forged = replace(wanted, base=replace(wanted.base, gap=0.25))
+    assert "an upper end" in str(cg.check(forged))

@@ -20,7 +20,9 @@ from typing import Any, NoReturn
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..controllers import Controller
+from ..values import UNIT
 from .certificate import Certificate
+from .digits import EXACT_GAP
 from .part import AgentPart
 from .summaries import certificate_facts, certificate_html
 
@@ -51,8 +53,6 @@ class PairsCertificate:
 
     start = "point"
     bound = "subtraction"
-    gap = None
-    exact = False
 
     def __repr__(self) -> str:
         near = f"not as they should be with probability {self.near:.3g} at most"
@@ -66,6 +66,22 @@ class PairsCertificate:
     def lower_bound(self) -> float:
         """Certified lower bound on the probability that the task is satisfied, rounded down."""
         return max(0.0, math.nextafter(self.base.lower_bound - self.near, -1.0))
+
+    @property
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller.
+
+        It is that of the base, and what pairs may spoil once more: where they do, the task may be satisfied as well.
+        """
+        if self.base.gap is None:
+            return None
+        most = (self.base.lower_bound + self.base.gap + self.near) * (1.0 + 8.0 * UNIT)
+        return min(1.0, most) - self.lower_bound
+
+    @property
+    def exact(self) -> bool:
+        """Whether the probability is known to ``EXACT_GAP``."""
+        return self.gap is not None and self.gap <= EXACT_GAP
 
     @property
     def method(self) -> str:

@@ -48,6 +48,8 @@ def wrong_pairs(certificate: PairsCertificate, problem: Problem) -> tuple[list[s
     if usual.shape != (len(problem.labeling.pairs),):
         return ["what it takes its pairs to be does not fit the problem"], 1.0
     failures = _wrong_base(problem, base.problem, usual) or _wrong_agents(problem, base)
+    if base.gap is not None and not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
+        failures.append("it claims an upper end, but pairs may save what is lost without them")
     if failures:
         return failures, 1.0
     try:
