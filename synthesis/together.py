@@ -102,7 +102,7 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     base = without_pairs(problem, usual)
     kinds = ["exact"] * problem.n_agents
     abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
-    joint = join(base, abstraction, search.device)
+    joint = replace(join(base, abstraction, search.device), finds_alike=True)
     masses = NearMass(problem, base, joint, relevant_pairs(problem), usual)
     abstracted = time.perf_counter()
     found = find_policies(base, joint, replace(search, value="tree"))

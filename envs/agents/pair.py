@@ -55,7 +55,7 @@ class Pair:
     Examples
     --------
     >>> Pair(["left", "right"], [-1.0, -1.0], [1.0, 1.0])
-    Pair(('left', 'right'), [-1, 1) x [-1, 1))
+    Pair(('left', 'right'), [-1, 1)^2)
     """
 
     agents: tuple[str, str] | str

@@ -81,7 +81,7 @@ class Problem:
 
     Examples
     --------
-    >>> from certigym import LinearAgent
+    >>> from certigym import LinearAgent, Proposition
     >>> agent = LinearAgent(
     ...     name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]],
     ...     state_low=[-20], state_high=[5], input_low=[-5], input_high=[5], initial_state=[-10],

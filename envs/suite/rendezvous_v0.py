@@ -22,7 +22,7 @@ def problem(n_followers: int = 2, horizon: int = 20) -> Problem:
     """Return the rendezvous of the module docstring."""
     n_followers = checked_count(n_followers, "n_followers", most=len(PLACES))
     leader = LinearAgent(
-        name="leader",
+        name="leader_0",
         A=[[1.0, 0.0], [0.0, 1.0]],
         B=[[1.0, 0.0], [0.0, 1.0]],
         noise_covariance=[[0.01, 0.0], [0.0, 0.01]],
@@ -37,10 +37,10 @@ def problem(n_followers: int = 2, horizon: int = 20) -> Problem:
         for k, (x, y) in enumerate(PLACES[:n_followers])
     ]
     propositions: dict[str, Proposition | Pair] = {
-        "depot": Proposition("leader", [3.0, -1.0], [5.0, 1.0]),
-        "dock": Proposition("leader", [-5.0, -1.0], [-3.0, 1.0]),
-        "reach": Pair(["leader", "follower_*"], [-3.0, -3.0], [3.0, 3.0]),
-        "touch": Pair(["leader", "follower_*"], [-1.0, -1.0], [1.0, 1.0]),
+        "depot": Proposition("leader_0", [3.0, -1.0], [5.0, 1.0]),
+        "dock": Proposition("leader_0", [-5.0, -1.0], [-3.0, 1.0]),
+        "reach": Pair(["leader_0", "follower_*"], [-3.0, -3.0], [3.0, 3.0]),
+        "touch": Pair(["leader_0", "follower_*"], [-1.0, -1.0], [1.0, 1.0]),
     }
     apart = "!any(touch)"
     if n_followers > 1:

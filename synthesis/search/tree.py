@@ -88,6 +88,7 @@ def candidates(
     loss: Loss | None = None,
     arrivals: Arrivals | None = None,
     rough: bool = False,
+    finds_alike: bool = False,
 ) -> Candidates:
     """Return all products of a guard with a term of its target state, masked, united where possible, and smoothed.
 
@@ -95,7 +96,8 @@ def candidates(
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
     agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
     below (``ladders``). With ``rough`` the bends of linear agents are left out: what comes out is no lower bound, but
-    right enough for choosing policies.
+    right enough for choosing policies. With ``finds_alike`` terms are united whose factors are equal without being the
+    same.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -121,7 +123,8 @@ def candidates(
     guard, child, rows = guard[alive], child[alive], rows[alive]
     groups = guards.source[guard].astype(np.int64)
     remaining, rows, merges = merge_rows(factors, rows, groups)
-    remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
+    if finds_alike:
+        remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
         factors = [to_host(factor) for factor in factors]
         merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals))
@@ -251,7 +254,7 @@ FEW_FACTORS = 32
 alike in all states start small, and once their factors are shared they unite and stay small."""
 
 
-def _shared(parts: Sequence[tuple[Sequence[NDArray], IndexArray]]) -> list[tuple[Sequence[NDArray], IndexArray]]:
+def shared(parts: Sequence[tuple[Sequence[NDArray], IndexArray]]) -> list[tuple[Sequence[NDArray], IndexArray]]:
     """Return the parts, those states whose factors and rows are equal to others' made to hold the very same arrays."""
     known: dict[object, tuple[Sequence[NDArray], IndexArray]] = {}
     result = []
@@ -269,7 +272,6 @@ def assemble(
 ) -> Terms:
     """Return terms from the (factors of each agent, rows) of every state, renumbered into one list per agent."""
     n_agents, like = len(n_cells), parts[0][0]
-    parts = _shared(parts)
     offsets = np.zeros(n_agents, dtype=np.int64)
     stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
     index: list[IndexArray] = []
