@@ -61,7 +61,7 @@ def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
 
 def trained(problem: Problem, algorithm: str, steps: int | None, seed: int, **arguments: Any) -> Training:
     """Train a baseline with a progress bar; the arguments are those of ``train``."""
-    with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
+    with tqdm(total=steps, desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
 
         def progress(count: int, success: float) -> None:
             bar.set_postfix_str(f"success {success:.3f}")
