@@ -23,7 +23,7 @@ WAIT, HOLD = 250, 1500
 """Milliseconds for which each picture stays, and the last one."""
 
 COLORS = 48
-"""Of a film: flat colours need no more, and every colour costs bytes."""
+"""Of a film, twice: flat colours need no more, and every colour costs bytes."""
 
 MOST_STEPS = 40
 """Steps of a film; of longer episodes every second one is shown."""
@@ -42,7 +42,15 @@ def write(frames: list[np.ndarray], path: Path, width: int, height: int) -> None
     """Write pictures as a GIF of some size, with one palette for all, so that equal parts cost nothing."""
     shown = frames if len(frames) <= MOST_STEPS else [*frames[:-1:2], frames[-1]]
     images = [Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS) for frame in shown]
-    palette = images[-1].quantize(COLORS, dither=Image.Dither.NONE)
+    # One palette from pictures early and late: colours of large areas, and rare ones such as an agent's dot.
+    samples = [images[k * (len(images) - 1) // 3] for k in range(4)]
+    sheet = Image.new("RGB", (width, height * len(samples)))
+    for k, sample in enumerate(samples):
+        sheet.paste(sample, (0, k * height))
+    palette, colors = Image.new("P", (1, 1)), []
+    for method in (Image.Quantize.MEDIANCUT, Image.Quantize.MAXCOVERAGE):
+        colors += (sheet.quantize(COLORS, method=method).getpalette() or [])[: 3 * COLORS]
+    palette.putpalette(colors)
     drawn = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     durations = [WAIT] * (len(drawn) - 1) + [HOLD]
     drawn[0].save(path, save_all=True, append_images=drawn[1:], duration=durations, loop=0, optimize=True)

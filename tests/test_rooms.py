@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing synthesis.nominal_paths synthesis.pairs",
+    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
