@@ -64,7 +64,7 @@ def main() -> None:
         slope = exponent([(row["pairs"], row["seconds"]) for row in rows])
         print(f"  seconds grow like pairs to the power {slope:.2f}")
         results[id] = {"rows": rows, "exponent": slope}
-    save(arguments.json, results)
+    save(results, arguments.json)
 
 
 if __name__ == "__main__":
