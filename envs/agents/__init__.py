@@ -15,7 +15,7 @@ from .checks import (
 )
 from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
-from .laws import Gaussian, Law
+from .laws import Gaussian, Law, Uniform
 from .neighbours import neighbour, place_of, states_of_others, tied
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
@@ -31,6 +31,7 @@ __all__ = [
     "LinearAgent",
     "MOST_AGENTS",
     "Proposition",
+    "Uniform",
     "UnknownArgument",
     "box_text",
     "checked_count",

@@ -23,7 +23,7 @@ from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
-from .linear_kernel import LinearKernel, hat_table
+from .linear_kernel import HatKernel, LinearKernel, hat_table
 from .network_model import NetworkChoices, network_abstraction, network_tables
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "BoxKernel",
     "Choices",
     "INPUT_LEVELS",
+    "HatKernel",
     "InputMenu",
     "JointModel",
     "Kernel",

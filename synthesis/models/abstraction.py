@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent, checked_count, counted, tree_text
+from ...envs.agents import Agent, AnyAgent, LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
     DEFAULT_TARGETS,
@@ -48,6 +48,7 @@ from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_mo
 from .box_model import box_model
 from .kernel import Kernel
 from .linear_model import linear_model
+from .written_model import written_model
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
@@ -349,6 +350,8 @@ def _shared_model(
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
         return _shared_model(agent, kind, grid, coordinates, room, settings)
+    if kind == "linear" and isinstance(agent, Agent):
+        return written_model(agent, grid, coordinates, settings.targets_per_cell)
     agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
