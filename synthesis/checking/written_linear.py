@@ -39,6 +39,9 @@ LOOK, BESIDE = 0.37, 1.63
 """What is added to a position, in lattice steps, before it is rounded down to where differences are read, and how far
 it is off then, the next lattice point included. A half would leave it to rounding which point that is."""
 
+NOTHING = 1e-50
+"""Values below this count as 0: numbers without all their digits are slow to compute with."""
+
 CELLS_AT_ONCE = 20_000
 """Maps that are made at once."""
 
@@ -206,6 +209,7 @@ def written_values(part: AgentPart, tables: WrittenTables, factors: FloatArray) 
     """
     d, shape = len(part.lattice), [len(axis) for axis in part.lattice]
     values = applied(factors, tables.masses).reshape(len(factors), *shape)
+    values[values < NOTHING] = 0.0
     found = []
     for k in range(d):
         up, down = np.roll(values, -1, axis=k + 1), np.roll(values, 1, axis=k + 1)
@@ -229,19 +233,22 @@ def _without_ends(table: FloatArray, axis: int, ends: tuple[int, ...]) -> FloatA
 
 
 def _largest(table: FloatArray, reach: list[int]) -> FloatArray:
-    """The largest of the numbers (n, Z_1, ..) within some lattice steps of every point, by doubling."""
+    """The largest of the numbers (n, Z_1, ..) around every block of points: of it, and of all blocks within reach."""
     for axis, radius in enumerate(reach, start=1):
-        moved = np.pad(table, [(radius, radius) if k == axis else (0, 0) for k in range(table.ndim)])
-        size, width, needed = table.shape[axis], 1, 2 * radius + 1
-        while width < needed:
-            step = min(width, needed - width)
-            length = moved.shape[axis]
-            moved = np.maximum(
-                np.take(moved, np.arange(length - step), axis=axis), np.take(moved, np.arange(step, length), axis=axis)
-            )
-            width += step
-        table = np.take(moved, np.arange(size), axis=axis)
+        size, count = block_size(radius), table.shape[axis]
+        table = np.moveaxis(table, axis, -1)
+        table = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, -count % size)])
+        table = table.reshape(*table.shape[:-1], -1, size).max(axis=-1)
+        around, blocks = -(-radius // size), table.shape[-1]
+        wide = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(around, around)])
+        table = np.max([wide[..., k : k + blocks] for k in range(2 * around + 1)], axis=0)
+        table = np.moveaxis(table, -1, axis)
     return table
+
+
+def block_size(reach: int) -> int:
+    """Lattice points of a block: as in the search, a third of what is looked at to either side."""
+    return max(1, reach // 3)
 
 
 def image_values(
@@ -277,7 +284,8 @@ def image_values(
     weights = [bends[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
     weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
     weights += [rest[:, k] for k in range(d)] + [np.ones(len(cells))]
-    looked = tuple(np.floor(position + LOOK).astype(np.int64).T)
+    sizes = np.array([block_size(n) for n in part.relation["reach"]])
+    looked = tuple((np.floor(position + LOOK).astype(np.int64) // sizes).T)
     lacking = np.repeat(tables.slack * largest[:, None], len(cells), axis=1)
     for weight, table in zip(weights, around[1:], strict=False):
         lacking += weight * table[(slice(None), *looked)]

@@ -25,6 +25,7 @@ from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import HatKernel, LinearKernel, hat_table
 from .network_model import NetworkChoices, network_abstraction, network_tables
+from .written_choices import WrittenChoices
 
 __all__ = [
     "Abstraction",
@@ -50,6 +51,7 @@ __all__ = [
     "Settings",
     "StepPolicy",
     "TargetWindows",
+    "WrittenChoices",
     "abstract",
     "abstraction_of",
     "alike_arrays",

@@ -1,8 +1,8 @@
 """Expected values on a lattice, and how much they change from one lattice point to the next.
 
 The multilinear interpolant I of ``g(z) = E l(z + w)`` on a lattice is known: what happens between lattice points need
-not be guessed from derivatives, and the law of the noise does not matter. Beside the values stand, for every lattice
-point, the largest of these around it (``reach`` lattice steps along each axis):
+not be guessed from derivatives, and the law of the noise does not matter. Beside the values stand, for every block of
+lattice points, the largest of these around it (``reach`` lattice steps along each axis, and a little more):
 
 - positive second differences along each axis: how much I bends upward where a line crosses a lattice plane;
 - mixed differences of neighbouring points, in absolute value, for each pair of axes: how much I bends between planes;
@@ -28,12 +28,19 @@ from .linear_kernel import HatKernel
 from .uniform_ends import UniformEnds
 
 
+BLOCKS = 3
+"""Blocks within reach to either side: more of them see less that is beyond reach, and take longer."""
+
+NOTHING = 1e-40
+"""Values below this are set to 0: a lower bound still, and no denormal numbers, which are slow, some steps later."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LatticeKernel(HatKernel):
-    """Kernel whose smoothed factors (n, ..) are blocks of Z columns, and one more for what is lost everywhere.
+    """Kernel whose smoothed factors (n, ..) have Z values, largest differences, and what is lost everywhere.
 
-    The blocks are values; second differences of each axis; mixed ones of each pair of axes; differences of each axis;
-    and what uniform noise adds between lattice points, if there is any.
+    The differences have as many columns as there are blocks: second ones of each axis; mixed ones of each pair of axes;
+    first ones of each axis; and what uniform noise adds between lattice points, if there is any.
 
     Parameters
     ----------
@@ -55,28 +62,52 @@ class LatticeKernel(HatKernel):
     def n_columns(self) -> int:
         """Number of columns of smoothed factors."""
         d = len(self.reach)
-        return (1 + 2 * d + math.comb(d, 2) + (self.ends is not None)) * self.n_points + 1
+        return self.n_points + (2 * d + math.comb(d, 2) + (self.ends is not None)) * self.n_blocks + 1
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks of lattice points."""
+        return math.prod(blocks_of(self.lattice_shape, self.reach))
 
     def smooth(self, factors: NDArray) -> NDArray:
-        """Return values of factors (n, 2^d S), from below, and the largest differences around every lattice point."""
-        values = super(HatKernel, self).smooth(factors)
-        shape, n = self.lattice_shape, self.n_points
+        """Return values of factors (n, 2^d S), from below, and the largest differences around every block."""
+        values = self._values(factors)
         result = np.zeros((len(values), self.n_columns))
-        result[:, :n] = values
+        result[:, : self.n_points] = values
         result[:, -1] = self.slack * factors.max(axis=1, initial=0.0)
-        for row, own in zip(result, values, strict=True):
-            for block, table in enumerate(differences(own.reshape(shape)), start=1):
-                row[block * n : (block + 1) * n] = self._largest(table).ravel()
-        if self.ends is not None:
-            for row, added in zip(result, self.ends.charges(self.tables, factors), strict=True):
-                row[-1 - n : -1] = self._largest(added).ravel()
+        added = [None] * len(values) if self.ends is None else self.ends.charges(self.tables, factors)
+        for row, own, at_ends in zip(result, values, added, strict=True):
+            tables = differences(own.reshape(self.lattice_shape)) + ([] if at_ends is None else [at_ends])
+            row[self.n_points : -1] = np.concatenate([self._largest(table).ravel() for table in tables])
         return result
 
+    def rough(self, factors: NDArray) -> NDArray:
+        """Return values with nothing beside them: about right, for choosing policies and for nothing else."""
+        return self.alone(self._values(factors))
+
+    def _values(self, factors: NDArray) -> NDArray:
+        """Return values at lattice points (n, Z), from below."""
+        values = super(HatKernel, self).smooth(factors)
+        values[values < NOTHING] = 0.0
+        return values
+
     def _largest(self, table: FloatArray) -> FloatArray:
-        """Return the largest numbers (Z_1, ..) within reach of every lattice point."""
+        """Return the largest numbers within reach of every block, of numbers (Z_1, ..) of lattice points."""
         for axis, reach in enumerate(self.reach):
-            table = maximum_filter1d(table, 2 * reach + 1, axis=axis, mode="nearest")
+            block = block_of(reach)
+            table = np.maximum.reduceat(table, np.arange(0, table.shape[axis], block), axis=axis)
+            table = maximum_filter1d(table, 2 * math.ceil(reach / block) + 1, axis=axis, mode="nearest")
         return table
+
+
+def block_of(reach: int) -> int:
+    """Return the lattice points of a block along an axis: those for which largest differences are taken at once."""
+    return max(1, reach // BLOCKS)
+
+
+def blocks_of(shape: tuple[int, ...], reach: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the blocks along each axis."""
+    return tuple(math.ceil(n / block_of(r)) for n, r in zip(shape, reach, strict=True))
 
 
 def differences(values: FloatArray) -> list[FloatArray]:

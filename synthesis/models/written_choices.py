@@ -12,6 +12,7 @@ From there on it is as for linear agents (``affine_choices``, docs/theory/linear
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -21,9 +22,9 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray, corner_sides, shape_text, to_places
 from ..relations import AffineBoxes
-from .affine_choices import FINALISTS, AffineChoices, SubLattice, best_below
+from .affine_choices import FINALISTS, ROUGH_PARTS, AffineChoices, SubLattice, best_below
 from .choices import StepPolicy
-from .lattice_kernel import bend_of
+from .lattice_kernel import bend_of, block_of, blocks_of
 
 LOOK = 0.37
 """Share of a lattice step that is added before a position is rounded down to the point where differences are read.
@@ -55,6 +56,12 @@ class WrittenChoices(AffineChoices):
     def __repr__(self) -> str:
         inputs = len(self.relation.menu)
         return f"WrittenChoices({self.grid.n_cells} cells, {inputs} inputs, {shape_text(self.shape)} lattice points)"
+
+    @cached_property
+    def _sub_lattices(self) -> tuple[SubLattice, SubLattice]:
+        """Where images are read: for lower bounds, and to choose by."""
+        d = len(self.lattice)
+        return SubLattice.of(d, self.relation.parts), SubLattice.of(d, 1 if d > 2 else ROUGH_PARTS)
 
     @cached_property
     def _maps(self) -> AffineBoxes:
@@ -123,21 +130,24 @@ class WrittenChoices(AffineChoices):
         middle = np.where(inside[:, None], middle, 1.0)
         moved = gains * self._half[cells][:, None, :] / self.pitch[:, None]  # (C, i, k) in lattice steps
         moved = np.where(inside[:, None, None], moved, 0.0)
-        position = middle[:, None] + np.einsum("cik,qk->cqi", moved, sub_lattice.points)
-        values = self._interpolant(table, position)
+        values = self._interpolant(
+            table, [middle[:, i, None] + moved[:, i] @ sub_lattice.points.T for i in range(len(self.shape))]
+        )
         parts = round(len(sub_lattice.points) ** (1.0 / len(self.shape))) - 1
         lacking = self._lacking(table, middle, 2.0 * np.abs(moved) / parts, rest)
         lower = best_below(values, values[:, :, sub_lattice.corners], lacking, sub_lattice.interpolation)
         return lower * inside[:, None]
 
-    def _interpolant(self, table: FloatArray, position: FloatArray) -> FloatArray:
-        """Return the multilinear interpolant (n, C, K) of values at positions (C, K, d) in lattice steps."""
-        base = np.clip(np.floor(position).astype(np.int64), 0, np.array(self.shape) - 2)
-        share, first = position - base, np.ravel_multi_index(tuple(np.moveaxis(base, 2, 0)), self.shape)
+    def _interpolant(self, table: FloatArray, position: list[FloatArray]) -> FloatArray:
+        """Return the multilinear interpolant (n, C, K) of values at positions, one (C, K) per axis, in lattice steps."""
+        base = [np.clip(np.floor(x), 0.0, n - 2.0) for x, n in zip(position, self.shape, strict=True)]
+        share = [x - low for x, low in zip(position, base, strict=True)]
         strides = [int(np.prod(self.shape[k + 1 :])) for k in range(len(self.shape))]
-        total = np.zeros((len(table), *position.shape[:2]))
+        first = sum(low.astype(np.int64) * stride for low, stride in zip(base, strides, strict=True))
+        total = np.zeros((len(table), *position[0].shape))
         for corner in product((0, 1), repeat=len(self.shape)):
-            weight = np.prod(np.where(corner, share, 1.0 - share), axis=2)
+            factors = [right if side else 1.0 - right for right, side in zip(share, corner, strict=True)]
+            weight = math.prod(factors[1:], start=factors[0])
             places = first + int(np.dot(corner, strides))
             for row, own in zip(total, table, strict=True):
                 row += weight * own.take(places)
@@ -155,9 +165,10 @@ class WrittenChoices(AffineChoices):
         rest : (C, d) array
             What is left of means, in lattice steps.
         """
-        d, n = len(self.shape), self.n_points
+        d, reach = len(self.shape), self.relation.reach  # type: ignore[attr-defined]
         index = np.clip(np.floor(middle + LOOK).astype(np.int64), 0, np.array(self.shape) - 1)
-        flat = np.ravel_multi_index(tuple(index.T), self.shape)
+        blocks = blocks_of(self.shape, reach)
+        flat = np.ravel_multi_index(tuple(index[:, k] // block_of(n) for k, n in enumerate(reach)), blocks)
         weights = [bend_of(steps[:, i]).sum(axis=1) + self.charged[i] for i in range(d)]
         weights += [0.25 * (steps[:, i] * steps[:, j]).sum(axis=1) for i, j in combinations(range(d), 2)]
         weights += [rest[:, i] for i in range(d)]
@@ -165,25 +176,25 @@ class WrittenChoices(AffineChoices):
         lacking = np.empty((len(table), len(middle)))
         for row, own in zip(lacking, table, strict=True):
             row[:] = own[-1]
-            for block, weight in enumerate(weights, start=1):
-                row += weight * own.take(block * n + flat)
+            for number, weight in enumerate(weights):
+                row += weight * own.take(self.n_points + number * math.prod(blocks) + flat)
         return lacking
 
     def _inputs(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64]) -> list[NDArray]:
         """Return the inputs (C,) of the largest weighted values at the corners' images, losses aside, best first."""
-        admissible = self._admissible[cells]
-        scores = np.zeros(admissible.shape)
+        names = np.full((FINALISTS, len(cells)), -1)
+        scores = np.full((FINALISTS, len(cells)), -np.inf)
         for a in range(len(self.relation.menu)):
-            corners = self._corner_table[a][cells]
-            for own, heavy in zip(table, weights, strict=True):
-                scores[:, a] += np.einsum("sc,sc->s", heavy, own.take(corners))
-        scores = np.where(admissible, scores, -1.0)
-        result = []
-        for _ in range(min(FINALISTS, scores.shape[1])):
-            best = scores.argmax(axis=1)
-            result.append(np.where(scores[np.arange(len(best)), best] >= 0.0, best, -1))
-            scores[np.arange(len(best)), best] = -1.0
-        return result
+            corners, value = self._corner_table[a][cells], np.zeros(len(cells))
+            for own, weight in zip(table, weights, strict=True):
+                value += (weight * own.take(corners)).sum(axis=1)
+            name, value = np.full(len(cells), a), np.where(self._admissible[cells, a], value, -np.inf)
+            # Into the list of the best, which stays in order.
+            for k in range(FINALISTS):
+                better = value > scores[k]
+                names[k], name = np.where(better, name, names[k]), np.where(better, names[k], name)
+                scores[k], value = np.where(better, value, scores[k]), np.where(better, scores[k], value)
+        return list(names)
 
     @cached_property
     def _corner_table(self) -> list[NDArray[np.int32]]:

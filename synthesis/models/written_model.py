@@ -92,7 +92,7 @@ def written_model(
     extent = (half + maps.rest) / pitch
     # Differences are looked up as far as the widest image reaches; those that are far wider than most count for nothing.
     usual = np.nanquantile(extent, 0.999, axis=(0, 1))
-    reach = tuple(int(n) for n in np.ceil(usual * 1.2 + BESIDE))
+    reach = tuple(int(n) for n in np.ceil(usual + BESIDE))
     steps = 2.0 * np.nanquantile(np.abs(half) / pitch, 0.9, axis=(0, 1))
     parts = int(np.clip(round(float(np.max(steps))), 2, PARTS.get(d, 2)))
     relation = replace(relation, parts=parts, reach=reach)
