@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, LinearAgent
+from ..envs.agents import Agent, AnyAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused
@@ -280,10 +280,21 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
-    if not all(isinstance(agent, LinearAgent) and agent.laws is None for agent in problem.agents):
+    if not all(map(_has_smooth_noise, problem.agents)):
         return False
     few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
+
+
+def _has_smooth_noise(agent: AnyAgent) -> bool:
+    """Return whether linear cells hold for the noise of an agent, and no other agent moves it.
+
+    Neighbours would be disturbances under linear cells; mean boxes cancel those that are communicated.
+    """
+    if isinstance(agent, Agent):
+        laws = [] if agent.laws is None else [law.name for law in agent.laws]
+        return not agent.others and {*laws} <= {"gaussian", "uniform"} and laws.count("uniform") <= 1
+    return agent.laws is None
 
 
 def _has_usual_search(plan: Plan) -> bool:
@@ -309,7 +320,9 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     is_scalar = all(agent.n_states == 1 for agent in problem.agents)
     if "auto" in kinds and (linear.certificate.lower_bound < GOOD or is_scalar):
         try:
-            other = _compared(problem, None, kinds, plan)
+            # Boxes of expressions need cells of their own, and coarse ones show whether they come near.
+            has_boxes = any(isinstance(agent, Agent) for agent in problem.agents)
+            other = _compared(problem, first_cells(problem) if has_boxes else None, kinds, plan)
         except ValueError as refusal:
             tried["others"] = str(refusal)
         else:

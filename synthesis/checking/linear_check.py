@@ -120,7 +120,7 @@ def _images(
     choices: NDArray[np.integer],
     share: FloatArray,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Values (n, C, K) at the images of points ``share`` (K, d) of cells, what they may lack (n, C), and images inside."""
+    """Values (n, C, K) at the images of points ``share`` (K, d), what they may lack (n, C), and images inside (C,)."""
     d, shape = len(part.lattice), tuple(len(axis) for axis in part.lattice)
     n_points = math.prod(shape)
     places = np.unravel_index(cells, part.grid.shape)

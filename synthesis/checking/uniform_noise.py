@@ -36,7 +36,7 @@ class Ends:
         return float(self.lattice[-1] - self.lattice[0]) / (len(self.lattice) - 1) / (self.high - self.low)
 
     def added(self, masses: list[FloatArray], factors: FloatArray) -> FloatArray:
-        """What interpolants of factors (n, places) may be above expected values behind every lattice point (n, Z_1, ..)."""
+        """What interpolants of factors (n, places) may be too large behind every lattice point (n, Z_1, ..)."""
         tensor = factors.reshape(len(factors), *(table.shape[1] for table in masses))
         for k, table in enumerate(masses):
             if k != self.axis:

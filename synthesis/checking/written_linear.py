@@ -87,7 +87,9 @@ def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     names = ["gaussian"] * len(deviations) if agent.laws is None else [law.name for law in agent.laws]
     if {*names} - {"gaussian", "uniform"} or names.count("uniform") > 1:
-        raise ValueError("linear cells of agents with expressions are for Gaussian noise, and uniform noise on one axis")
+        raise ValueError(
+            "linear cells of agents with expressions are for Gaussian noise, and uniform noise on one axis"
+        )
     masses, lost, ends = [], 0.0, None
     ratios = np.array([(a[-1] - a[0]) / (len(a) - 1) for a in part.lattice]) / deviations
     for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
@@ -99,11 +101,13 @@ def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
         masses.append(table)
         lost += missing
     normal, slack = [name == "gaussian" for name in names], ROUNDING * (1.0 + float(ratios.sum())) + lost
-    for k in np.flatnonzero(normal):
+    for k in np.flatnonzero(normal).tolist():
         # An eighth of: a twelfth of fourth derivatives, and an eighth of them along each axis between lattice points.
         r = float(ratios[k])
         slack += STRAIGHT * r**4 / 96.0
-        slack += sum((STRAIGHT if e == k else CROSSED) * (r * float(ratios[e])) ** 2 / 64.0 for e in np.flatnonzero(normal))
+        slack += sum(
+            (STRAIGHT if e == k else CROSSED) * (r * float(ratios[e])) ** 2 / 64.0 for e in np.flatnonzero(normal)
+        )
         if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
     return WrittenTables(masses, _maps(agent, part), slack, normal, ends)
@@ -118,7 +122,9 @@ def _maps(agent: Agent, part: AgentPart) -> Maps:
     cell, choice = np.divmod(numbers, len(menu))
     low, high = cell_boxes(part)
     made = [
-        map_spans(agent, low[cell[some]], high[cell[some]], menu[choice[some]], part.coordinates, int(part.relation["cuts"]))
+        map_spans(
+            agent, low[cell[some]], high[cell[some]], menu[choice[some]], part.coordinates, int(part.relation["cuts"])
+        )
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1)
     ]
     return Maps(numbers, *(np.concatenate(arrays) for arrays in zip(*made, strict=True)))
@@ -310,4 +316,3 @@ def _interpolated(values: FloatArray, position: FloatArray) -> FloatArray:
         places = np.ravel_multi_index(tuple(np.moveaxis(base + np.array(corner), 2, 0)), shape)
         result += weight * flat[:, places]
     return result
-

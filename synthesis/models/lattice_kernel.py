@@ -27,7 +27,6 @@ from ..cells import FloatArray
 from .linear_kernel import HatKernel
 from .uniform_ends import UniformEnds
 
-
 BLOCKS = 3
 """Blocks within reach to either side: more of them see less that is beyond reach, and take longer."""
 
@@ -71,6 +70,12 @@ class LatticeKernel(HatKernel):
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return values of factors (n, 2^d S), from below, and the largest differences around every block."""
+        # Agents that are alike often have equal factors: each is smoothed once.
+        number: dict[bytes, int] = {}
+        which = [number.setdefault(row.tobytes(), len(number)) for row in factors]
+        if len(number) < len(factors):
+            first = [which.index(k) for k in range(len(number))]
+            return self.smooth(factors[first])[which]
         values = self._values(factors)
         result = np.zeros((len(values), self.n_columns))
         result[:, : self.n_points] = values
@@ -95,9 +100,21 @@ class LatticeKernel(HatKernel):
         """Return the largest numbers within reach of every block, of numbers (Z_1, ..) of lattice points."""
         for axis, reach in enumerate(self.reach):
             block = block_of(reach)
-            table = np.maximum.reduceat(table, np.arange(0, table.shape[axis], block), axis=axis)
+            table = _block_largest(table, axis, block)
             table = maximum_filter1d(table, 2 * math.ceil(reach / block) + 1, axis=axis, mode="nearest")
         return table
+
+
+def _block_largest(table: FloatArray, axis: int, block: int) -> FloatArray:
+    """Return the largest of every ``block`` nonnegative numbers along an axis."""
+    if block == 1:
+        return table
+    result = table[_cut(table.ndim, {axis: slice(0, None, block)})].copy()
+    for first in range(1, block):
+        others = table[_cut(table.ndim, {axis: slice(first, None, block)})]
+        into = result[_cut(table.ndim, {axis: slice(0, others.shape[axis])})]
+        np.maximum(into, others, out=into)
+    return result
 
 
 def block_of(reach: int) -> int:

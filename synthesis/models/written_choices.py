@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray, corner_sides, shape_text, to_places
-from ..relations import AffineBoxes
+from ..relations import AffineBoxes, WrittenRelation
 from .affine_choices import FINALISTS, ROUGH_PARTS, AffineChoices, SubLattice, best_below
 from .choices import StepPolicy
 from .lattice_kernel import bend_of, block_of, blocks_of
@@ -43,10 +43,10 @@ class WrittenChoices(AffineChoices):
     ----------
     maps : AffineBoxes
         Means of all cells and choices, (S, A, ..).
+    charged : tuple of float
+        What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
     has_ends : bool
-        Whether smoothed factors have a block for what uniform noise adds between lattice points.
-    lawful : float
-        What counts for g below I in second differences: an eighth for normal noise along an axis; see ``charged``.
+        Whether smoothed factors have columns for what uniform noise adds between lattice points.
     """
 
     maps: AffineBoxes | None = None
@@ -63,6 +63,12 @@ class WrittenChoices(AffineChoices):
         d = len(self.lattice)
         return SubLattice.of(d, self.relation.parts), SubLattice.of(d, 1 if d > 2 else ROUGH_PARTS)
 
+    @property
+    def reach(self) -> tuple[int, ...]:
+        """Lattice steps along each axis within which largest differences are taken."""
+        assert isinstance(self.relation, WrittenRelation)
+        return self.relation.reach
+
     @cached_property
     def _maps(self) -> AffineBoxes:
         assert self.maps is not None
@@ -71,7 +77,7 @@ class WrittenChoices(AffineChoices):
     @cached_property
     def _admissible(self) -> NDArray[np.bool_]:
         """(S, A) whether the image of the cell is known and lies inside the lattice, what is left of it included."""
-        known = np.isfinite(self._maps.centre).all(axis=2)
+        known: NDArray[np.bool_] = np.all(np.isfinite(self._maps.centre), axis=2)
         position = (np.where(known[..., None], self._maps.centre, 0.0) - self.origin) / self.pitch
         return known & self._inside(position, self._extent)
 
@@ -85,7 +91,7 @@ class WrittenChoices(AffineChoices):
         """Return which images lie inside: second differences are not known at the border of the lattice."""
         last = np.array(self.shape) - 1
         inside = (position - extent >= 1.0) & (position + extent <= last - 1.0)
-        inside &= extent + BESIDE <= np.array(self.relation.reach)  # type: ignore[attr-defined]
+        inside &= extent + BESIDE <= np.array(self.reach)
         return np.asarray(np.all(inside, axis=-1))
 
     def _own(self, numbers: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
@@ -139,7 +145,7 @@ class WrittenChoices(AffineChoices):
         return lower * inside[:, None]
 
     def _interpolant(self, table: FloatArray, position: list[FloatArray]) -> FloatArray:
-        """Return the multilinear interpolant (n, C, K) of values at positions, one (C, K) per axis, in lattice steps."""
+        """Return the interpolant (n, C, K) of values; positions, one (C, K) per axis, are in lattice steps."""
         base = [np.clip(np.floor(x), 0.0, n - 2.0) for x, n in zip(position, self.shape, strict=True)]
         share = [x - low for x, low in zip(position, base, strict=True)]
         strides = [int(np.prod(self.shape[k + 1 :])) for k in range(len(self.shape))]
@@ -165,7 +171,7 @@ class WrittenChoices(AffineChoices):
         rest : (C, d) array
             What is left of means, in lattice steps.
         """
-        d, reach = len(self.shape), self.relation.reach  # type: ignore[attr-defined]
+        d, reach = len(self.shape), self.reach
         index = np.clip(np.floor(middle + LOOK).astype(np.int64), 0, np.array(self.shape) - 1)
         blocks = blocks_of(self.shape, reach)
         flat = np.ravel_multi_index(tuple(index[:, k] // block_of(n) for k, n in enumerate(reach)), blocks)

@@ -47,6 +47,9 @@ CUTS = {1: 4, 2: 2, 3: 2}
 """Parts into which cells are cut along each axis to enclose what maps leave, by dimension (1 beyond): with two, slopes
 of what is left have a sign in each part as a rule, and enclosures are next to exact."""
 
+MOST_REACH = 1000.0
+"""Most lattice steps from the middle of an image to its ends: wider ones are worth nothing."""
+
 CELLS_AT_ONCE = 4096
 """Cells whose maps are made at once."""
 
@@ -62,62 +65,67 @@ def written_model(
         If its noise has laws for which nothing is known between lattice points, or there are too many maps or points.
     """
     laws, d = grid_laws(agent, coordinates), agent.n_states
-    uniform = [k for k, law in enumerate(laws) if isinstance(law, Uniform)]
+    _refuse_laws(agent, laws)
+    menu, points = with_rest(agent.input_box), _points_per_cell(grid, laws, per_cell)
+    count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
+    if grid.n_cells * len(menu) > MOST_MAPS or count > MOST_LATTICE:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `linear` needs at most {MOST_MAPS} maps and {MOST_LATTICE} lattice "
+            f"points, got {grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
+        )
+    relation = written_relation(agent, coordinates, menu, 1, CUTS.get(d, 1), (0,) * d)
+    maps = _maps(relation, grid)
+    half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)
+    low, high = (_end(maps.centre, half + maps.rest, sign) for sign in (-1.0, 1.0))
+    lattice = box_lattice(grid, np.array([law.std for law in laws]), points, low, high)
+    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
+    # How far images reach, and their sides: those few that are far wider than all others would blur what is read.
+    reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / pitch, 0.999) + BESIDE))
+    steps = 2.0 * float(np.max(_most_of(half / pitch, 0.9)))
+    relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
+    kernel = _kernel(grid, lattice, laws, reach)
+    charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
+    has_ends = kernel.ends is not None
+    choices = WrittenChoices(grid, lattice, relation, max(points), maps=maps, charged=charged, has_ends=has_ends)
+    return relation, lattice, kernel, choices
+
+
+def _refuse_laws(agent: Agent, laws: Sequence[Law]) -> None:
+    """Refuse noise of which nothing is known between lattice points."""
+    uniform = [law for law in laws if isinstance(law, Uniform)]
     if len(uniform) > 1 or not all(isinstance(law, Gaussian | Uniform) for law in laws):
         raise RelationRefused(
             f"agent `{agent.name}`: the relation `linear` is for Gaussian noise, uniform along one axis at most, got "
             "other laws; ask for `boxes`"
         )
-    menu = with_rest(agent.input_box)
-    if grid.n_cells * len(menu) > MOST_MAPS:
-        raise RelationRefused(
-            f"agent `{agent.name}`: the relation `linear` needs at most {MOST_MAPS} maps, got "
-            f"{grid.n_cells * len(menu)}; ask for fewer `cells`"
-        )
-    cuts = CUTS.get(d, 1)
-    relation = written_relation(agent, coordinates, menu, 1, cuts, (0,) * d)
-    maps = _maps(relation, grid)
-    points = _points_per_cell(grid, laws, per_cell)
-    count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
-    if count > MOST_LATTICE:
-        raise RelationRefused(
-            f"agent `{agent.name}`: the relation `linear` needs at most {MOST_LATTICE} lattice points, got {count}; ask "
-            "for fewer `cells` or `targets_per_cell`"
-        )
-    half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)
-    known = np.where(np.isfinite(maps.centre), maps.centre, np.nan)
-    low, high = (_end(known, half + maps.rest, sign) for sign in (-1.0, 1.0))
-    lattice = box_lattice(grid, np.array([law.std for law in laws]), points, low, high)
-    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
-    extent = (half + maps.rest) / pitch
-    # Differences are looked up as far as the widest image reaches; those that are far wider than most count for nothing.
-    usual = np.nanquantile(extent, 0.999, axis=(0, 1))
-    reach = tuple(int(n) for n in np.ceil(usual + BESIDE))
-    steps = 2.0 * np.nanquantile(np.abs(half) / pitch, 0.9, axis=(0, 1))
-    parts = int(np.clip(round(float(np.max(steps))), 2, PARTS.get(d, 2)))
-    relation = replace(relation, parts=parts, reach=reach)
-    kernel = _kernel(grid, lattice, laws, reach)
-    charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
-    choices = WrittenChoices(
-        grid, lattice, relation, max(points), maps=maps, charged=charged, has_ends=kernel.ends is not None
-    )
-    return relation, lattice, kernel, choices
+
+
+def _most_of(numbers: FloatArray, share: float) -> FloatArray:
+    """Return along each axis (d,) what a share of the numbers (S, A, d) does not exceed, those aside that are none."""
+    known = numbers[np.isfinite(numbers).all(axis=2)]
+    if not len(known):
+        return np.ones(numbers.shape[2])
+    return np.asarray(np.minimum(np.quantile(known, share, axis=0), MOST_REACH))
 
 
 def _maps(relation: WrittenRelation, grid: Grid) -> AffineBoxes:
     """Return the maps of all cells."""
     assert relation.means is not None
     blocks = [
-        relation.means.around(grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.menu)
+        relation.means.around(
+            grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.menu
+        )
         for first in range(0, grid.n_cells, CELLS_AT_ONCE)
     ]
-    return AffineBoxes(*(np.concatenate([getattr(block, name) for block in blocks]) for name in ("centre", "gain", "rest")))
+    return AffineBoxes(
+        *(np.concatenate([getattr(block, name) for block in blocks]) for name in ("centre", "gain", "rest"))
+    )
 
 
 def _end(centre: FloatArray, extent: FloatArray, sign: float) -> FloatArray:
     """Return the least (sign -1) or largest (sign 1) means (d,) of all that are known."""
-    ends = np.where(np.isnan(centre), -np.inf, sign * centre + np.nan_to_num(extent, nan=0.0, posinf=0.0))
-    return np.asarray(sign * ends.max(axis=(0, 1)))
+    ends = sign * centre + extent
+    return np.asarray(sign * np.where(np.isfinite(ends), ends, -np.inf).max(axis=(0, 1)))
 
 
 def _points_per_cell(grid: Grid, laws: Sequence[Law], per_cell: int | None) -> tuple[int, ...]:
@@ -134,9 +142,7 @@ def _points_per_cell(grid: Grid, laws: Sequence[Law], per_cell: int | None) -> t
     return tuple(points)
 
 
-def _kernel(
-    grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]
-) -> LatticeKernel:
+def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]) -> LatticeKernel:
     """Return the kernel on a lattice."""
     tables, loss, ends, ratios = [], 0.0, None, []
     for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
@@ -146,12 +152,16 @@ def _kernel(
             ends = UniformEnds(k, axis, edges, law)
             table, missing = uniform_hats(axis, edges, law)
             if pitch > float(np.min(np.diff(edges))):
-                raise RelationRefused("the relation `linear` needs lattice steps no wider than cells under uniform noise")
+                raise RelationRefused(
+                    "the relation `linear` needs lattice steps no wider than cells under uniform noise"
+                )
         else:
             table, missing = hat_table(axis, edges, law.std)
         tables.append(table)
         loss += missing
-    return LatticeKernel(tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends)
+    return LatticeKernel(
+        tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends
+    )
 
 
 def _slack(ratios: FloatArray, laws: Sequence[Law], lattice: tuple[FloatArray, ...]) -> float:

@@ -242,5 +242,3 @@ def written_relation(
     means = AffineMeans(agent, coordinates, cuts)
     none = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
     return WrittenRelation(*none, coordinates, (), menu, parts, means, tuple(int(n) for n in reach))
-
-

@@ -158,7 +158,11 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         if is_written:
             raise ValueError("it has a network for an agent whose dynamics are expressions")
         check_network(description["network"], agent, len(description["menu"]))
-    if (is_written or has_network) and description["kind"] == "boxes" and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+    if (
+        (is_written or has_network)
+        and description["kind"] == "boxes"
+        and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
+    ):
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if is_written and description["kind"] == "linear":
         _check_maps(description, agent)

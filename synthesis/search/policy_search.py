@@ -156,11 +156,15 @@ def find_policies(
     start = start_of(problem, joint)
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
-    if _decides_alone(joint):
-        # One agent has nobody to wait for: its relaxation is dynamic programming, losses counted.
-        alone = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
-        return Found(alone, [alone.value], {"relaxed start": alone.value}, relaxations, None)
-    trees, given = _TreeAscent(joint, start, search, most), dict(given or {})
+    given = dict(given or {})
+    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+        relaxed = relaxed_policies(relaxations)
+        if len(joint.models) == 1:
+            # One agent has nobody to wait for: its relaxation is dynamic programming, losses counted.
+            alone = sweep(joint, relaxed, start, LINEAR_FINAL, improve=False)
+            return Found(alone, [alone.value], {"relaxed start": alone.value}, relaxations, None)
+        given = given or {"relaxed start": relaxed}  # sweeps are long
+    trees = _TreeAscent(joint, start, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
@@ -199,11 +203,6 @@ def find_policies(
             break
         frozen, gain = polished, polished_gain
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
-
-
-def _decides_alone(joint: JointModel) -> bool:
-    """Return whether there is one agent, with affine maps of expressions, whose sweeps are long."""
-    return len(joint.models) == 1 and isinstance(joint.models[0].choices, WrittenChoices)
 
 
 def _coarser(first: Limits, second: Limits) -> Limits:
