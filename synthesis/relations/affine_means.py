@@ -98,12 +98,14 @@ class AffineMeans:
             for k, (below, above) in enumerate(enclosed(trees, names, box, rows)):
                 np.minimum(first[..., k], below, out=first[..., k])
                 np.maximum(last[..., k], above, out=last[..., k])
-        size = COMPUTED * np.abs(centre) + self._rounding(low, high)[:, None] + COMPUTED * (last - first)
         moved = 0.5 * (first + last)
-        rest = np.maximum(last - moved, moved - first) + size
+        rest = np.maximum(last - moved, moved - first) * (1.0 + COMPUTED) + self._rounding(low, high)[:, None]
         centre += moved
-        if self.pushes is not None:
+        if self.pushes is None:
+            rest += COMPUTED * np.abs(centre)
+        else:
             centre = centre + ((menu - menu[0]) @ self.pushes.T)[None]
+            rest += COMPUTED * np.abs(centre).max(axis=1, keepdims=True)
         known = np.all(np.isfinite(rest) & np.isfinite(gain).all(axis=-1), axis=2)
         return AffineBoxes(np.where(known[..., None], centre, np.nan), gain, rest)
 
