@@ -12,7 +12,7 @@ WORKERS ?= auto
 PYTEST := $(BIN)/python -m pytest --numprocesses=$(WORKERS) --maxprocesses=8 --dist=worksteal
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test quick lint docs links clean
+.PHONY: demo test quick lint docs dist notebooks links clean
 
 demo: .venv/core
 	$(BIN)/certigym run reach-avoid-v0
@@ -35,6 +35,15 @@ docs: .venv/docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
+# builds the archives and checks them as an index would
+dist: .venv/publish
+	rm -rf dist && $(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/* && $(BIN)/check-wheel-contents dist/*.whl
+
+# runs the notebooks of examples/ and does not save them
+notebooks: .venv/notebooks
+	for book in examples/notebook_*.ipynb; do echo "$$book" && $(BIN)/jupyter-execute --timeout=300 "$$book" || exit 1; done
+
 # follows external links: needs a network
 links: .venv/docs
 	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/links
@@ -56,6 +65,14 @@ clean:
 		{ echo "no torch for this Python: the tests of learners will be skipped" >&2; \
 		$(PIP) --constraint constraints.txt --editable '.[test]'; }
 	@touch $@ .venv/core
+
+.venv/publish: pyproject.toml constraints.txt .venv/python
+	$(PIP) --constraint constraints.txt --editable '.[publish]'
+	@touch $@ .venv/core
+
+.venv/notebooks: pyproject.toml constraints.txt .venv/test
+	$(PIP) --constraint constraints.txt --editable '.[notebooks,viz]'
+	@touch $@
 
 .venv/docs: pyproject.toml constraints.txt .venv/python
 	$(PIP) --constraint constraints.txt --editable '.[docs]'

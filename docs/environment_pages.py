@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents import AnyAgent, LinearAgent
-from certigym.envs.pictures.automaton_drawing import edges, svg
+from certigym.envs.agents import AnyAgent, LinearAgent, counted
+from certigym.envs.pictures import edges
+from certigym.envs.pictures.automaton_drawing import svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
 
@@ -74,10 +75,12 @@ def pages() -> dict[str, str]:
 
 
 def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
-    title, story, versions = _docstring(id)
+    name, about, story, versions = _docstring(id)
     return "\n\n".join(
         [
-            f"# {title}",
+            f"# {name}",
+            f"*{about}.*",
+            *([f"![One episode under certified controllers]({id}.gif)"] if (FOLDER / f"{id}.gif").exists() else []),
             _summary(id, problem),
             *([story] if story else []),
             "## Dynamics",
@@ -136,12 +139,13 @@ def _table(name: str) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
-def _docstring(id: str) -> tuple[str, str, str]:
-    """Title, story and versions in the docstring of a suite module."""
+def _docstring(id: str) -> tuple[str, str, str, str]:
+    """Name, sentence, story and versions in the docstring of a suite module, whose title is "Name: sentence."."""
     text = getdoc(import_module(f"certigym.envs.suite.{MODULES[id]}")) or ""
     title, _, rest = text.partition("\n")
     story, _, versions = rest.partition("**Versions**:")
-    return title.strip().rstrip("."), story.strip(), versions.strip()
+    name, _, about = title.strip().rstrip(".").partition(": ")
+    return name.split(" (")[0], about[:1].upper() + about[1:], story.strip(), versions.strip()
 
 
 def _summary(id: str, problem: cg.Problem) -> str:
@@ -293,7 +297,7 @@ def _automaton(id: str, problem: cg.Problem) -> str:
         kind = f" ({', '.join(kinds[edge.source])})" if kinds[edge.source] else ""
         guard = edge.guard
         if guard != "otherwise":
-            guard = " or ".join(cube if cube.endswith("more cubes") else f"`{cube}`" for cube in guard.split(" or "))
+            guard = " or ".join(cube if cube.endswith(" more") else f"`{cube}`" for cube in guard.split(" or "))
         lines.append(f"| {number} | {name}{kind} | {guard} | {automaton.state_names[edge.target]} |")
     first = problem.initial_q
     begin = "" if first is None else f" The letter of the start leads to {automaton.state_names[first]}."
@@ -407,15 +411,17 @@ def _index(measured: dict[str, Any]) -> str:
         "One page for every problem of the suite. All are cooperative, with Gaussian noise and a temporal-logic "
         "task; agents are linear, or move as expressions say.\n",
         USE,
-        "| id | agents | horizon | certified | what it is about |",
-        "|---|---|---|---|---|",
+        "Each picture is an episode under the controllers that `certigym run` finds when it is given the id alone.\n",
+        "| | |\n|---|---|",
     ]
     for id in cg.problem_ids():
         problem = cg.make_problem(id)
         certificate = (measured.get(id) or {}).get("certificate")
         bound = "none yet" if certificate is None else f"{np.floor(certificate['lower_bound'] * 1e4) / 1e4:.4f}"
-        title = _docstring(id)[0]
-        lines.append(f"| [{id}]({id}.md) | {problem.n_agents} | {problem.horizon} | {bound} | {title} |")
+        name, about, *_ = _docstring(id)
+        size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'step')}, certified {bound}"
+        film = f"[![{name}]({id}.gif)]({id}.md)" if (FOLDER / f"{id}.gif").exists() else ""
+        lines.append(f"| {film} | **[{name}]({id}.md)** `{id}`<br>{about}.<br>{size} |")
     lines += ["\n## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
     return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
 
@@ -463,7 +469,7 @@ def main() -> None:
     for name, text in texts.items():
         (FOLDER / name).write_text(text, encoding="utf-8")
     for path in FOLDER.iterdir():
-        if path.name not in texts and path != MEASURED:
+        if path.name not in texts and path != MEASURED and path.stem not in cg.problem_ids():
             path.unlink()
     print(f"{len(texts)} files in {FOLDER}")
 

@@ -42,7 +42,7 @@ from .models import (
 )
 from .nominal_paths import path_certificate
 from .parts import synthesize_parts
-from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best
+from .search import FINAL, Limits, Relaxation, Search, find_policies, stationary_best, sweep_bar
 from .values import HOST, device_put
 
 MOST_GRID_STATES = 3
@@ -90,7 +90,7 @@ def synthesize(
     max_sweeps: int = 8,
     limits: Limits | None = None,
     value: str = "auto",
-    progress: Callable[[str, float], None] | None = None,
+    progress: Callable[[str, float], None] | bool | None = None,
     memory: float | None = None,
     accuracy: float | None = None,
     device: str = HOST,
@@ -124,8 +124,8 @@ def synthesize(
     value : str
         How the value function is stored: as a ``"tree"`` of products (exact up to what is pruned), as a ``"train"``
         (tensor trains, rounded with a certified error, for tasks whose trees grow too many terms), or ``"auto"``.
-    progress : callable, optional
-        Called with a short text and the best value so far after each sweep.
+    progress : callable or True, optional
+        Called with a short text and the best value so far after each sweep; True: a bar, in notebooks, too.
     memory, accuracy : float, optional
         A budget instead of ``cells``: the memory in bytes that may be used, and the gain of the bound that is not worth
         finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how they were
@@ -156,7 +156,8 @@ def synthesize(
         If the problem has no start, the relation does not apply to an agent, or the device does not exist.
     """
     pruning = Limits() if limits is None else limits
-    search = Search(max_sweeps, pruning, value, restarts, progress, stationary, device)
+    told = sweep_bar() if progress is True else progress or None
+    search = Search(max_sweeps, pruning, value, restarts, told, stationary, device)
     check_settings(settings)
     device_put(device)  # refuses a device that does not exist before any work is done
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)

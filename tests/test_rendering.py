@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import sys
 import time
@@ -14,6 +15,8 @@ import pytest
 import certigym as cg
 import fake_pygame
 from certigym.cli.main import main
+from certigym.envs.pictures import Picture
+from certigym.envs.pictures.label_places import Labels, beside
 from certigym.envs.pictures.scene import panels
 from sample_problems import mixed_problem
 
@@ -145,7 +148,7 @@ def test_the_command_draws_a_certified_rollout(tmp_path: Path, capsys: pytest.Ca
     task.write_text(TASK)
     assert main(["plot", "episode", str(task), "--cells", "40", "--out", str(out), "--seed", "1"]) == 0
     said = capsys.readouterr().out
-    steps = int(said.split(": ")[1].split()[0])
+    steps = int(said.split(": ")[2].split()[0])
     with Image.open(out) as picture:
         assert picture.n_frames == steps + 1 and picture.size == (720, 480)  # type: ignore[attr-defined]
     assert main(["synthesize", str(task), "--cells", "40", "--out", str(certificate)]) == 0
@@ -189,3 +192,60 @@ def test_mp4_goes_through_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert rest == 0 and 2 + 6 <= pictures <= 4 + 6
     tool.write_text(f"#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit('no such codec')\n")
     assert main(["plot", "episode", str(task), "--cells", "20", "--out", str(out)]) == 2
+
+
+def test_policies_are_shown_beside_each_other_on_the_same_start(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from PIL import Image
+
+    task, out, data = tmp_path / "task.toml", tmp_path / "x.gif", tmp_path / "x.json"
+    task.write_text(TASK)
+    command = ["plot", "episode", str(task), "--cells", "40", "--beside", "random", "idle", "--out", str(out)]
+    assert main([*command, "--json", str(data)]) == 0
+    said = capsys.readouterr().out
+    assert "certified P >=" in said and "random: " in said and "idle: " in said
+    shown = json.loads(data.read_text())["shown"]
+    assert [one["policy"] for one in shown][1:] == ["random", "idle"]
+    with Image.open(out) as film:
+        assert film.size == (3 * 720, 480)
+        assert film.n_frames == 1 + max(one["steps"] for one in shown)  # type: ignore[attr-defined]
+        first = np.asarray(film.convert("RGB")).reshape(480, 3, 720, 3)
+    # The tracks begin at the same point; captions and the meter differ.
+    assert (first[:, 0, :500] == first[:, 1, :500]).all() and (first[:, 0] != first[:, 1]).any()
+
+
+def test_the_meter_grows_with_the_certified_value() -> None:
+    picture = Picture(cg.make_problem("reach-avoid-v0"))
+    track = np.array([[-20.0, -3.0]])
+    plain = picture.frame(track, 0, [], "").astype(int)
+    full = [(picture.frame(track, 0, [], "", value) != plain).sum() for value in (0.1, 0.5, 1.0)]
+    assert 0 < full[0] < full[1] < full[2]
+
+
+def test_labels_stay_in_their_frame_and_apart() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        labels = Labels((0.0, 0.0, 200.0, 100.0))
+        for x, y in rng.random((6, 2)) * (200.0, 100.0):
+            spot = labels.place(beside(x, y, 5.0, 40.0, 12.0), 40.0, 12.0)
+            if spot is not None:
+                left, top = spot
+                assert 0 <= left <= 160 and 0 <= top <= 88
+        for k, a in enumerate(labels.taken):
+            for b in labels.taken[:k]:
+                assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+        # Where nothing is free, a label that must be shown is moved into the frame.
+        labels.keep_free((0.0, 0.0, 200.0, 100.0))
+        left, top = labels.place([(190.0, 95.0)], 40.0, 12.0, at_least=True) or (-1.0, -1.0)
+        assert (left, top) == (160.0, 88.0)
+        assert labels.place([(190.0, 95.0)], 40.0, 12.0) is None
+
+
+def test_large_families_are_counted_and_the_missing_are_named() -> None:
+    problem = cg.make_problem("invariance-b-100-v0")
+    picture = Picture(problem)
+    members = problem.families["safe"]
+    told = picture._told([name for name in members if name != members[7]])
+    assert told == ["safe: 99 of 100", f"not {members[7]}"]
+    assert picture._told([]) == ["none"]

@@ -2,7 +2,7 @@
 
 from .disturbances import BEHAVIOURS, Against, Behaviour, checked_behaviour
 from .one_world import OneWorld, World
-from .worlds import Draws, Dynamics, Worlds, joint, neighbours
+from .worlds import Draws, Dynamics, Worlds, joint, letters, neighbours, split_joint
 
 __all__ = [
     "Against",
@@ -15,5 +15,7 @@ __all__ = [
     "Worlds",
     "checked_behaviour",
     "joint",
+    "letters",
     "neighbours",
+    "split_joint",
 ]

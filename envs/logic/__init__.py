@@ -2,6 +2,8 @@
 
 from .automaton import SEMANTICS, Automaton, followed
 from .by_hand import automaton_from_transitions
+from .covers import Cube, cover
+from .decision_diagram import DecisionDiagrams, DiagramSizeError
 from .formula import RESERVED, Formula, FormulaError
 from .guard_diagrams import letter_text
 from .hoa import automaton_from_hoa
@@ -12,6 +14,9 @@ from .translation import translate
 
 __all__ = [
     "Automaton",
+    "Cube",
+    "DecisionDiagrams",
+    "DiagramSizeError",
     "Formula",
     "FormulaError",
     "NormalForm",
@@ -19,6 +24,7 @@ __all__ = [
     "SEMANTICS",
     "automaton_from_hoa",
     "automaton_from_transitions",
+    "cover",
     "followed",
     "letter_text",
     "over_propositions",

@@ -1,12 +1,14 @@
 """Pictures of a problem: scenes, rendered frames, a window, drawings of automata."""
 
-from .automaton_drawing import automaton_to_dot, edges, places
+from .automaton_drawing import automaton_to_dot, places
+from .guard_texts import edges
 from .rendering import Picture, checked_render_mode, verdict_text
-from .scene import Panel, coordinate_name, panels
+from .scene import Panel, Region, coordinate_name, panels
 
 __all__ = [
     "Panel",
     "Picture",
+    "Region",
     "automaton_to_dot",
     "checked_render_mode",
     "coordinate_name",

@@ -4,103 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from itertools import islice
 
-import numpy as np
-
 from ..logic import Automaton, letter_text
-from ..problem import Problem
+from .guard_texts import Edge
 
-# Limits that keep guards readable and large automata quick to draw.
 _DOT_CUBES = 200  # cubes of a state that Graphviz pictures show
-_GUARD_CUBES = 4  # cubes that the text of a guard shows
-_GUARD_PATHS = 5000  # paths of a state's diagram that are read for its guards
 
 # With few states, columns show the progress of the task and numbers on edges lead to a table; with many, both overlap.
 _LAYERED = 5  # states up to which they stand in columns; more stand in a circle, without edges to dead states
 _LABELLED = 9  # states up to which edges carry their numbers
 
 _RADIUS, _STEP_X, _STEP_Y = 20, 130, 84  # pixels: radius of a state, distances of columns and of rows
-
-
-@dataclass(frozen=True)
-class Edge:
-    """One transition between two states, with its guard as text."""
-
-    source: int
-    target: int
-    guard: str
-
-
-def edges(problem: Problem) -> list[Edge]:
-    """Return the transitions that a letter of the workspace can take, ordered by source.
-
-    Regions of one agent that exclude or imply each other shorten the guards. The longest guard of a state reads
-    "otherwise". If no letter among the first that are read is possible, all targets of the state are listed.
-    """
-    automaton = problem.automaton
-    manager, roots = automaton.diagrams()
-    result = []
-    for q, root in enumerate(roots):
-        cubes: dict[int, list[dict[int, bool]]] = {}
-        for assignment, target in islice(manager.paths(root), _GUARD_PATHS):
-            cube = _possible(assignment, problem)
-            if cube is not None and cube not in cubes.setdefault(target, []):
-                cubes[target].append(cube)
-        # Where no path that was read can be taken, every target is shown, without its letters.
-        if not cubes:
-            result += [Edge(q, target, "letters not shown") for target in manager.leaves(root)]
-            continue
-        # The target with the most cubes is "otherwise"; a dead one among equals.
-        longest = max(cubes, key=lambda target: (len(cubes[target]), automaton.dead[target], target))
-        for target, target_cubes in cubes.items():
-            if len(cubes) > 1 and target == longest and len(target_cubes) > 1:
-                text = "otherwise"
-            else:
-                text = _guard(target_cubes, automaton.propositions, problem.families)
-            result.append(Edge(q, target, text))
-    return result
-
-
-def _possible(assignment: Mapping[int, bool], problem: Problem) -> dict[int, bool] | None:
-    """Return the cube without literals that others of the agent imply; None if no point of the workspace has it."""
-    result: dict[int, bool] = {}
-    for positions, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
-        literals = {k: assignment[p] for k, p in enumerate(positions.tolist()) if p in assignment}
-
-        def meets(cube: Mapping[int, bool], classes: np.ndarray = classes) -> np.ndarray:
-            return np.all([classes[:, k] == value for k, value in cube.items()] or [np.ones(len(classes))], axis=0)
-
-        matched = meets(literals)
-        if not matched.any():
-            return None
-        # Drop a literal if the same classes meet the cube without it; negated ones first, as they say less.
-        for k in sorted(literals, key=lambda k: (literals[k], k)):
-            rest = {literal: value for literal, value in literals.items() if literal != k}
-            if (meets(rest) == matched).all():
-                literals = rest
-        result |= {int(positions[k]): value for k, value in literals.items()}
-    return result
-
-
-def _guard(cubes: Sequence[dict[int, bool]], propositions: Sequence[str], families: Mapping[str, Sequence[str]]) -> str:
-    texts = [_cube({propositions[p]: value for p, value in cube.items()}, families) for cube in cubes[:_GUARD_CUBES]]
-    more = f" or {len(cubes) - _GUARD_CUBES} more cubes" if len(cubes) > _GUARD_CUBES else ""
-    return " or ".join(texts) + more
-
-
-def _cube(cube: dict[str, bool], families: Mapping[str, Sequence[str]]) -> str:
-    """Return the text of one cube; a family whose members all hold, or all fail, appears as one literal."""
-    literals = []
-    for family, members in families.items():
-        values = {cube.get(member) for member in members}
-        if len(members) > 1 and values in ({True}, {False}):
-            literals.append(f"all({family})" if values == {True} else f"!any({family})")
-            cube = {name: value for name, value in cube.items() if name not in members}
-    literals += [name if value else f"!{name}" for name, value in cube.items()]
-    return " & ".join(literals) or "any letter"
 
 
 def svg(automaton: Automaton, drawn: Sequence[Edge]) -> str:

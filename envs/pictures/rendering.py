@@ -14,6 +14,7 @@ import numpy as np
 
 from ..agents import shown
 from ..problem import Problem
+from .label_places import Cell, Labels, beside
 from .scene import Panel, panels
 from .window import Window
 
@@ -45,6 +46,19 @@ _REGION_COLORS = (
     (222, 226, 205),
 )
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
+_VALUE = (61, 122, 186)
+_TRAIL = 6
+"""Steps for which a way is drawn strongly: what moved last is seen at once."""
+
+_FEW = 8
+"""Agents of a panel that have names, marks and thick lines; more would cover one another."""
+
+_FAMILY_LISTED = 4
+"""Members up to which a family is listed by name."""
+
+_LINE = 13
+"""Height of a line of small text in pixels."""
+
 _STATES_SHOWN, _PANELS_SHOWN = 9, 12
 """As many automaton states fit below each other at the side, and as many panels stay readable."""
 
@@ -91,11 +105,14 @@ class Picture:
         self._background = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         self._window: Window | None = None
         draw = self._draw(self._background, "RGBA")
+        self._names: list[list[Cell]] = []  # where names of regions stand, per panel
         for panel, cell in zip(self._panels, self._frames):
             self._axes(draw, panel, cell)
         self._side(draw, caption)
 
-    def frame(self, track: np.ndarray, q: int, letter: Sequence[str], verdict: str) -> np.ndarray:
+    def frame(
+        self, track: np.ndarray, q: int, letter: Sequence[str], verdict: str, value: float | None = None
+    ) -> np.ndarray:
         """Return one picture, uint8 (height, width, 3).
 
         Parameters
@@ -108,26 +125,43 @@ class Picture:
             Propositions that hold.
         verdict : str
             "" while undecided.
+        value : float, optional
+            Certified lower bound on the probability of success from here on, drawn as a meter.
         """
         image = self._background.copy()
         draw = self._draw(image)
-        for panel, cell in zip(self._panels, self._frames):
-            # Each agent: its way as a line, a mark per step, and a dot with its name where it is now.
-            for curve in panel.curves:
-                points = self._points(panel, cell, track @ curve.rows.T)
-                color = _AGENT_COLORS[curve.number % len(_AGENT_COLORS)]
-                if len(points) > 1:
-                    draw.line(points, fill=color, width=2)
-                for x, y in points[:-1]:
-                    draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
-                x, y = points[-1]
-                draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=_PAPER)
-                if len(panel.curves) <= 8:  # the name beside the dot, on the left if there is no room on the right
-                    width = 6 * len(curve.name)
-                    place = x + 8 if x + 8 + width < cell[2] else x - 12 - width
-                    draw.text((place, y - 7 if place > x else y - 18), curve.name, fill=color, font=self._small)
+        for panel, cell, names in zip(self._panels, self._frames, self._names):
+            self._curves(draw, panel, cell, track, Labels(cell, names))
         self._status(draw, len(track) - 1, q, letter, verdict)
+        if value is not None:
+            self._meter(draw, value)
         return np.array(image)
+
+    def _curves(self, draw: Any, panel: Panel, cell: Cell, track: np.ndarray, labels: Labels) -> None:
+        """Draw each agent: its way, strong where it is recent, a dot where it is now, and its name if they are few."""
+        few = len(panel.curves) <= _FEW
+        radius, width = (5, 2) if few else (3, 1)
+        ends = []
+        for curve in panel.curves:
+            points = self._points(panel, cell, track @ curve.rows.T)
+            color = _AGENT_COLORS[curve.number % len(_AGENT_COLORS)]
+            recent = points[-_TRAIL - 1 :]
+            if len(points) > len(recent):
+                draw.line(points[: len(points) - len(recent) + 1], fill=_paler(color), width=1)
+            if len(recent) > 1:
+                draw.line(recent, fill=color if few else _paler(color), width=width)
+            for x, y in recent[:-1] if few else ():
+                draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
+                labels.keep_free((x - 3, y - 3, x + 3, y + 3))
+            ends.append((curve, points[-1], color))
+        # Dots and names come after all ways, so that no line covers them.
+        for _, (x, y), color in ends:
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color, outline=_PAPER)
+            labels.keep_free((x - radius, y - radius, x + radius, y + radius))
+        for curve, (x, y), color in ends if few else ():
+            spots = beside(x, y, radius + 3, self._small.getlength(curve.name), _LINE)
+            place = labels.place(spots, self._small.getlength(curve.name), _LINE, at_least=True)
+            draw.text(place, curve.name, fill=color, font=self._small)
 
     def show(self, frame: np.ndarray) -> None:
         """Show a frame in a window, which needs pygame."""
@@ -141,7 +175,7 @@ class Picture:
             self._window.close()
             self._window = None
 
-    def _points(self, panel: Panel, cell: tuple[int, ...], y: np.ndarray) -> list[tuple[float, float]]:
+    def _points(self, panel: Panel, cell: Cell, y: np.ndarray) -> list[tuple[float, float]]:
         """Return the pixels of a curve (t + 1, k), moved to the rim of the panel if they lie beyond it."""
         left, top, right, bottom = cell
         # Positions as shares of the axes; a point beyond the panel is drawn just outside its rim.
@@ -150,7 +184,7 @@ class Picture:
         across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
         return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
 
-    def _axes(self, draw: Any, panel: Panel, cell: tuple[int, ...]) -> None:
+    def _axes(self, draw: Any, panel: Panel, cell: Cell) -> None:
         """Draw what a panel always shows: its regions, their names, the frame and its limits."""
         left, top, right, bottom = cell
         for region in panel.regions:
@@ -160,34 +194,46 @@ class Picture:
                 x0, x1 = left, right
             color = self._colors[region.name]
             draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=tuple(c * 3 // 4 for c in color))
-        # Names come after all regions; one that would cover another moves down by a line.
-        taken: list[tuple[float, float]] = []
-        for region in panel.regions:
-            (x0, y1), (_, y0) = self._points(panel, cell, np.array([region.low, region.high]))
-            place = (x0 + 3, y0 + 1) if panel.is_map else (right - 6 * len(region.name) - 6, y0)
-            while any(abs(place[0] - x) < 6 * len(region.name) and abs(place[1] - y) < 11 for x, y in taken):
-                place = (place[0], place[1] + 12)
-            taken.append(place)
-            if y1 - y0 >= 10:
+        # Names come after all regions, each in a corner of its region that is free, those of small regions first.
+        labels, written = Labels(cell), set()
+        for region in sorted(panel.regions, key=lambda r: float(np.prod(np.subtract(r.high, r.low)))):
+            (x0, y1), (x1, y0) = self._points(panel, cell, np.array([region.low, region.high]))
+            x0, x1 = (x0, x1) if panel.is_map else (left, right)
+            width = self._small.getlength(region.name)
+            corners = [
+                (x0 + 3, y0 + 1),
+                (x0 + 3, y1 - _LINE - 2),
+                (x1 - width - 3, y0 + 1),
+                (x1 - width - 3, y1 - _LINE - 2),
+            ]
+            spots = corners if panel.is_map else corners[::-1]
+            # Regions of one family lie over each other: one name tells all.
+            if y1 - y0 < _LINE - 2 or (key := (region.name, region.low, region.high)) in written:
+                continue
+            place = labels.place(spots, width, _LINE)
+            if place is not None:
+                written.add(key)
                 draw.text(place, region.name, fill=(96, 100, 108), font=self._small)
+        self._names.append(labels.taken)
         draw.rectangle(cell, outline=_INK)
         for value, y in ((panel.high[-1], top - 4), (panel.low[-1], bottom - 10)):
             text = f"{value:g}"
-            draw.text((left - 5 - 6 * len(text), y), text, fill=_INK, font=self._small)
+            draw.text((left - 5 - self._small.getlength(text), y), text, fill=_INK, font=self._small)
         # Limits of the axes: the coordinate, or time from 0 to the horizon.
         ends = (panel.low[0], panel.high[0]) if panel.is_map else (0, self._problem.horizon)
         draw.text((left, bottom + 4), f"{ends[0]:g}" if panel.is_map else "t = 0", fill=_INK, font=self._small)
-        draw.text((right - 8 * len(f"{ends[1]:g}"), bottom + 4), f"{ends[1]:g}", fill=_INK, font=self._small)
+        end = f"{ends[1]:g}"
+        draw.text((right - self._small.getlength(end), bottom + 4), end, fill=_INK, font=self._small)
 
     def _side(self, draw: Any, caption: str) -> None:
         """Draw what the column at the right always shows."""
         x = WIDTH - SIDE + 12
         draw.text((x, 14), self._problem.name[:32], fill=_INK, font=self._font)
         draw.text((x, 32), caption[:36], fill=_INK, font=self._small)
-        draw.text((x, 82), "task automaton", fill=_PALE, font=self._small)
+        draw.text((x, 104), "task automaton", fill=_PALE, font=self._small)
         for k, q in enumerate(self._listed()):
             self._state(draw, k, q, False)
-        draw.text((x, 330), "holds", fill=_PALE, font=self._small)
+        draw.text((x, 346), "holds", fill=_PALE, font=self._small)
 
     def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
         """Draw what the column at the right shows at this time."""
@@ -198,18 +244,42 @@ class Picture:
             self._state(draw, listed.index(q), q, True)
         else:
             self._state(draw, _STATES_SHOWN, q, True)
-        # Break the names of the letter into lines of some thirty characters, at most five.
-        lines, line = [], ""
-        for name in letter:
-            if len(line) + len(name) > 30:
-                lines.append(line)
-                line = ""
-            line += ("" if not line else ", ") + name
-        lines.append(line or "none")
-        for k, text in enumerate(lines[:5]):
-            draw.text((x, 346 + 14 * k), text if k < 4 or len(lines) <= 5 else "...", fill=_INK, font=self._small)
+        for k, text in enumerate(self._wrapped(self._told(letter), SIDE - 20, 5)):
+            draw.text((x, 362 + 14 * k), text, fill=_INK, font=self._small)
         if verdict:
-            draw.text((x, 440), verdict, fill=_VERDICTS[verdict], font=self._font)
+            draw.text((x, 446), verdict, fill=_VERDICTS[verdict], font=self._font)
+
+    def _told(self, letter: Sequence[str]) -> list[str]:
+        """Return the propositions that hold in few words: large families as counts, with those that are missing."""
+        holding, words, told = set(letter), [], set()
+        for family, members in self._problem.families.items():
+            if len(members) > _FAMILY_LISTED and holding & set(members):
+                missing = [name for name in members if name not in holding]
+                words.append(f"{family}: {len(members) - len(missing)} of {len(members)}")
+                words += [f"not {name}" for name in missing] if len(missing) <= 3 else []
+                told |= set(members)
+        return [*words, *(name for name in letter if name not in told)] or ["none"]
+
+    def _wrapped(self, words: Sequence[str], width: float, most: int) -> list[str]:
+        """Return words in at most `most` lines of some width, separated by commas; dots stand for what does not fit."""
+        lines, line = [], ""
+        for word in words:
+            longer = word if not line else f"{line}, {word}"
+            if line and self._small.getlength(longer) > width:
+                lines.append(line)
+                longer = word
+            line = longer
+        lines.append(line)
+        return lines if len(lines) <= most else [*lines[: most - 1], "..."]
+
+    def _meter(self, draw: Any, value: float) -> None:
+        """Draw the certified value as a bar with its number."""
+        left, top, right = WIDTH - SIDE + 12, 76, WIDTH - 14
+        draw.rectangle((left, top, right, top + 8), outline=_PALE)
+        draw.rectangle((left, top, left + max(0.0, min(1.0, value)) * (right - left), top + 8), fill=_VALUE)
+        # Rounded down: what is certified is at least this.
+        text = f"from here: at least {np.floor(value * 1e4) / 1e4:.4f}"
+        draw.text((left, top + 11), text, fill=_INK, font=self._small)
 
     def _listed(self) -> list[int]:
         """Return the automaton states that are always shown."""
@@ -217,7 +287,7 @@ class Picture:
 
     def _state(self, draw: Any, place: int, q: int, current: bool) -> None:
         """Draw one automaton state in the list at the right."""
-        x, y = WIDTH - SIDE + 22, 108 + 22 * place
+        x, y = WIDTH - SIDE + 22, 130 + 21 * place
         automaton = self._problem.automaton
         fill = _INK if current else _PAPER
         draw.ellipse((x - 8, y - 8, x + 8, y + 8), fill=fill, outline=_INK)
@@ -225,6 +295,11 @@ class Picture:
             draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline=_PAPER if current else _INK)
         name = automaton.state_names[q] + (" (no way out)" if automaton.dead[q] else "")
         draw.text((x + 14, y - 7), name[:26], fill=_INK if current else _PALE, font=self._small)
+
+
+def _paler(color: tuple[int, int, int]) -> tuple[int, ...]:
+    """Return a colour mixed with white."""
+    return tuple((c + 2 * 255) // 3 for c in color)
 
 
 def _region_names(shown_panels: Sequence[Panel]) -> list[str]:

@@ -5,7 +5,7 @@ from .best_response import best_choices
 from .limits import Limits
 from .policy_search import FINAL, MANY_TERMS, Found, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relaxed_policies, upper_bound
-from .search_settings import Search
+from .search_settings import Search, sweep_bar
 from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward
@@ -34,6 +34,7 @@ __all__ = [
     "relaxed_policies",
     "start_value",
     "stationary_best",
+    "sweep_bar",
     "sweep",
     "terminal_terms",
     "upper_bound",

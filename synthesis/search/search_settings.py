@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from tqdm import tqdm
+
 from ...envs.agents import checked_count
 from ..values import HOST
 from .limits import Limits
@@ -20,6 +22,17 @@ VALUE_FORMS = ("auto", "tree", "train")
 
 Progress = Callable[[str, float], None]
 """Called with the name of a start and the best value so far."""
+
+
+def sweep_bar() -> Progress:
+    """Return a progress bar of sweeps, for terminals and notebooks; it closes when nobody holds it any more."""
+    bar = tqdm(desc="synthesize", unit=" sweeps", leave=False)
+
+    def report(text: str, value: float) -> None:
+        bar.set_postfix_str(f"value {value:.6f}")
+        bar.update()
+
+    return report
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.logic import Automaton
-from ...envs.pictures import Panel, coordinate_name, places
+from ...envs.pictures import Panel, Region, coordinate_name, places
 from ...envs.problem import Problem
 from ...synthesis.certificates import rounded_down
 from ..verdicts import FieldReport
@@ -40,6 +40,32 @@ def bound_curve(bounds: NDArray[Any], estimate: tuple[float, float, float] | Non
         shapes.append(svg.line(axes.at(horizon, low), axes.at(horizon, high), "estimate"))
         shapes.append(svg.circle(axes.at(horizon, middle), 3.2, "estimate-dot"))
     return svg.picture(axes, shapes, "Certified bound against the number of steps")
+
+
+def meter(bound: tuple[float, float | None], estimate: tuple[float, float, float]) -> str:
+    """Draw what is certified (lower bound, upper bound or None) above what rollouts gave (mean, limits), on one scale.
+
+    The scale ends at what is drawn: bounds of .99998 and .99999 are to be told apart.
+    """
+    lower, upper = bound
+    mean, low, high = estimate
+    ends = [lower, low, high, *([] if upper is None else [upper])]
+    span = max(max(ends) - min(ends), 1e-6)
+    left, right = max(0.0, min(ends) - 0.12 * span), min(1.0, max(ends) + 0.12 * span)
+    axes = Axes((left, 0.0), (right, 2.0), width=420.0, height=104.0, left=70.0, right=26.0, top=6.0, bottom=26.0)
+    shapes = []
+    for x in svg.ticks(left, right, 5):
+        foot = axes.at(x, 0.0)
+        shapes += [svg.line(axes.at(x, 2.0), foot, "grid"), svg.text(foot[0], foot[1] + 14, f"{x:.7g}", "tick middle")]
+    end = right if upper is None else upper
+    shapes.append(svg.rectangle(axes.at(lower, 1.32), axes.at(end, 1.68), "sure" if upper is not None else "sure open"))
+    shapes.append(svg.line(axes.at(lower, 1.15), axes.at(lower, 1.85), "bound"))
+    shapes.append(svg.line(axes.at(low, 0.5), axes.at(high, 0.5), "estimate"))
+    shapes += [svg.line(axes.at(x, 0.36), axes.at(x, 0.64), "estimate") for x in (low, high)]
+    shapes.append(svg.circle(axes.at(mean, 0.5), 4.0, "estimate-dot"))
+    names = ((1.5, "certified"), (0.5, "rollouts"))
+    shapes += [svg.text(axes.left - 10, axes.at(left, y)[1] + 4, name, "end") for y, name in names]
+    return svg.picture(axes, shapes, "Certified bound and rollouts on one scale")
 
 
 def margin_pictures(problem: Problem, field: FieldReport, axes_shown: tuple[int, ...]) -> dict[str, str]:
@@ -112,31 +138,72 @@ def _map(
     return svg.picture(axes, shapes, "A map of starts")
 
 
-def rollouts_picture(panel: Panel, states: NDArray[Any], success: NDArray[np.bool_]) -> str:
-    """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes are broken lines."""
-    horizon = len(states) - 1
+def panel_axes(panel: Panel, horizon: int) -> Axes:
+    """Return the axes of a panel: a map, or one coordinate over time."""
     if panel.is_map:
-        axes = Axes((panel.low[0], panel.low[1]), (panel.high[0], panel.high[1]), height=330.0)
-        shapes = svg.frame(axes, "first coordinate", "second coordinate")
-    else:
-        axes = Axes((0.0, panel.low[0]), (float(horizon), panel.high[0]))
-        shapes = svg.frame(axes, "control step", "position", whole=True)
-    for r in panel.regions:
-        low, high = (r.low, r.high) if panel.is_map else ((0.0, r.low[0]), (float(horizon), r.high[0]))
-        a, b = axes.at(low[0], low[1]), axes.at(high[0], high[1])
-        shapes.append(svg.rectangle(a, b, "region", r.name))
-        shapes.append(svg.text(min(a[0], b[0]) + 3, min(a[1], b[1]) + 10, r.name, "region-name"))
+        return Axes((panel.low[0], panel.low[1]), (panel.high[0], panel.high[1]), height=330.0)
+    return Axes((0.0, panel.low[0]), (float(horizon), panel.high[0]))
+
+
+def tracks(panel: Panel, axes: Axes, states: NDArray[Any]) -> list[list[list[tuple[float, float]]]]:
+    """Return picture points of paths (T + 1, M, D), per curve and episode, up to the decision.
+
+    States outside the workspace are drawn on its edge.
+    """
+    result = []
     for curve in panel.curves:
-        track = states @ curve.rows.T
-        for m in range(states.shape[1]):
-            # States are NaN after the decision; those outside the workspace are drawn on its edge.
-            here = track[~np.isnan(track[:, m]).any(axis=1), m]
-            here = np.clip(here, panel.low, panel.high)
-            points = [axes.at(*p) if panel.is_map else axes.at(t, p[0]) for t, p in enumerate(here)]
-            role = f"path agent{curve.number % 6} {'good' if success[m] else 'lost'}"
+        track = np.clip(states @ curve.rows.T, panel.low, panel.high)
+        going = ~np.isnan(track).any(axis=2)
+        episodes = [track[going[:, m], m].tolist() for m in range(states.shape[1])]
+        points = [[axes.at(*p) if panel.is_map else axes.at(t, p[0]) for t, p in enumerate(path)] for path in episodes]
+        result.append(points)
+    return result
+
+
+def rollouts_picture(panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], number: int = 0) -> str:
+    """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes are broken lines.
+
+    The last group is empty: the player of the page draws one episode into it, by the panel's ``number``.
+    """
+    axes = panel_axes(panel, len(states) - 1)
+    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
+    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.regions]
+    shapes += _region_names(axes, panel)
+    shapes.append('<g class="all">')
+    for curve, episodes in zip(panel.curves, tracks(panel, axes, states)):
+        for points, good in zip(episodes, success):
+            role = f"path agent{curve.number % 6} {'good' if good else 'lost'}"
             shapes += [svg.polyline(points, role), svg.circle(points[-1], 2.0, f"end {role}")]
-    names = ", ".join(curve.name for curve in panel.curves)
-    return svg.picture(axes, shapes, f"Rollouts of {names} over the regions")
+    shapes.append(f'</g><g class="one" data-panel="{number}"></g>')
+    return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
+
+
+def _region(axes: Axes, region: Region, is_map: bool, horizon: int) -> str:
+    low, high = (region.low, region.high) if is_map else ((0.0, region.low[0]), (float(horizon), region.high[0]))
+    return svg.rectangle(axes.at(low[0], low[1]), axes.at(high[0], high[1]), "region", region.name)
+
+
+def _region_names(axes: Axes, panel: Panel) -> list[str]:
+    """Write the name of each region at a corner where it covers no other name; regions too small for it get none."""
+    shapes: list[str] = []
+    taken: list[tuple[float, float, float]] = []
+    horizon_end = axes.high[0]
+    for region in sorted(panel.regions, key=lambda r: r.high[0] - r.low[0]):
+        low, high = (region.low, region.high) if panel.is_map else ((0.0, region.low[0]), (horizon_end, region.high[0]))
+        (left, bottom), (right, top) = axes.at(low[0], low[1]), axes.at(high[0], high[1])
+        width = 5.2 * len(region.name) + 4.0
+        spots = [(left + 3, top + 10), (left + 3, bottom - 3), (right - width, top + 10), (right - width, bottom - 3)]
+        inside = [(x, y) for x, y in spots if x + width <= axes.width and bottom - top >= 11]
+        free = [
+            (x, y)
+            for x, y in inside
+            if all(y0 - y >= 10 or y - y0 >= 10 or x >= x0 + w or x0 >= x + width for x0, y0, w in taken)
+        ]
+        if free:
+            taken.append((*free[0], width))
+            shapes.append(svg.text(*free[0], region.name, "region-name"))
+    return shapes
 
 
 def automaton_picture(automaton: Automaton, transitions: Sequence[Any]) -> str:
@@ -158,7 +225,7 @@ def automaton_picture(automaton: Automaton, transitions: Sequence[Any]) -> str:
     shapes.append(_path(f"M{x - RADIUS - 26:.1f},{y:.1f} L{x - RADIUS - 1:.1f},{y:.1f}"))
     for q, (x, y) in spots.items():
         role = "accepting" if automaton.accepting[q] else "dead" if automaton.dead[q] else "state"
-        shapes.append(svg.circle((x, y), RADIUS, role))
+        shapes.append(svg.circle((x, y), RADIUS, f"{role} state{q}"))
         shapes += [svg.circle((x, y), RADIUS - 4, role)] if automaton.accepting[q] else []
         # Short names stand in the circle, long ones below it.
         name = automaton.state_names[q]

@@ -1,4 +1,4 @@
-"""The HTML of a report: one section per question. All text that comes from a certificate is escaped."""
+"""The HTML of a report: a section per question, verdict first. All text that comes from a certificate is escaped."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from ...envs.agents import counted
 from ...envs.pictures import coordinate_name, edges, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate, ProductCertificate, rounded_down, shown_bound
-from ..verdicts import tried_lines
-from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, rollouts_picture
+from ..verdicts import MEANINGS, tried_lines
+from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
+from .page_style import PLAYER, STYLE
+from .player import episodes_of
 
 if TYPE_CHECKING:
     from .content import ReportContent
@@ -32,30 +34,42 @@ MOST_PANELS_DRAWN = 6
 FINDINGS_SHOWN = 12
 """Findings of an audit that the page shows."""
 
+LONGEST_TASK = 600
+"""Characters of a formula that the head of the page shows; the data at its end have all of it."""
+
 
 def page_of(content: ReportContent) -> str:
     """Return the whole page."""
     problem = content.certificate.problem
-    evidence = [_claim(content), _curve(content), *_map(content), *_rollouts(content)]
-    records = [*_automata(content.certificate), _audit(content), _settings(content), _again(content)]
-    sections = [*evidence, *records]
-    # Data inside a script element must not contain "</script>".
-    data = json.dumps(content.to_dict(), allow_nan=False).replace("<", "\\u003c")
+    sections = [_rollouts(content), _starts(content), _steps(content), _task(content.certificate), _trust(content)]
     task = problem.specification.formula or "given as an automaton"
-    size = f"{counted(problem.n_agents, 'agent')}, horizon {problem.horizon}"
+    size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'control step')}"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(problem.name)}: certificate</title><style>{STYLE}</style></head><body><main>"
-        f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, "
-        f"{escape(problem.specification.semantics)}; task <code>{escape(_cut(task, 400))}</code></p>"
-        f'<div class="grid">{"".join(sections)}</div></main>'
-        f'<script type="application/json" id="data">{data}</script></body></html>\n'
+        f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, {escape(problem.specification.semantics)} task</p>"
+        f"<p class=task><code>{escape(_cut(task, LONGEST_TASK))}</code></p>"
+        f"{_answer(content)}{''.join(sections)}</main>"
+        f"{_data('data', content.to_dict())}{_data('episodes', _episodes(content))}<script>{PLAYER}</script>"
+        "</body></html>\n"
     )
 
 
-def _section(title: str, body: str, wide: bool = False) -> str:
-    return f"<section{' class=wide' if wide else ''}><h2>{escape(title)}</h2>{body}</section>"
+def _data(name: str, values: Any) -> str:
+    """Return values as JSON inside the page; text inside a script element must not contain "</script>"."""
+    text = json.dumps(values, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return f'<script type="application/json" id="{name}">{text}</script>'
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{body}</section>"
+
+
+def _figure(title: str, drawing: str, caption: str) -> str:
+    """Return a drawing with its title above and an explanation, which may hold markup, below."""
+    head = f"<h3>{escape(title)}</h3>" if title else ""
+    return f"<figure>{head}{drawing}<figcaption>{caption}</figcaption></figure>"
 
 
 def _list(pairs: dict[str, Any]) -> str:
@@ -71,178 +85,188 @@ def _verdict(word: str) -> str:
     return f'<span class="verdict {escape(word)}">{escape(word)}</span>'
 
 
-def _claim(content: ReportContent) -> str:
-    """Return the section of what is claimed, and what every kind of test says about it."""
+def _answer(content: ReportContent) -> str:
+    """Return the box at the head: what is certified, beside what rollouts gave, and what each test says."""
     v, certificate = content.validation, content.certificate
     start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(certificate.start, "")
-    checked = "holds" if content.checked else "; ".join(content.checked.failures)
-    body = f"<p class=big>{escape(shown_bound(v.lower_bound, v.gap))}</p><p>{escape(start)} {_verdict(v.verdict)}</p>"
-    facts = {
-        "simulated": f"{v.estimate:.6f}, {100 * v.confidence:g} % limits [{v.ci_low:.6f}, {v.ci_high:.6f}]",
-        "episodes": f"{v.successes} successes of {v.episodes}",
-        "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
-        **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
-        "separate check": checked,
-        "audit": content.audit.verdict,
-        "map of starts": content.field.verdict,
-    }
-    return _section("Claim and verdict", body + _list(facts))
+    upper = None if v.gap is None else min(1.0, v.lower_bound + v.gap)
+    above = "the probability is at least this" if upper is None else "the probability lies between these"
+    claim = (
+        f"<h2>Claim and verdict</h2><p class=big>{escape(shown_bound(v.lower_bound, v.gap))}</p>"
+        f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
+    )
+    w = content.audit
+    tests = [
+        (_mark(v.verdict), f"<b>Rollouts</b>: {_verdict(v.verdict)} {escape(MEANINGS.get(v.verdict, ''))}"),
+        ("yes" if content.checked else "no", f"<b>Separate check</b>: {escape(_checked(content))}"),
+        (_mark(w.verdict), f"<b>Every step</b>: {escape(w.verdict)}, {w.tests} tests"),
+        (
+            _mark(content.field.verdict),
+            f"<b>Other starts</b>: {escape(content.field.verdict)}, {len(content.field.states)} of them",
+        ),
+    ]
+    items = "".join(f"<li class={mark}>{words}</li>" for mark, words in tests)
+    rates = (
+        f"{v.successes} of {counted(v.episodes, 'episode')} satisfied the task: {v.estimate:.6f}, "
+        f"{100 * v.confidence:g} % limits [{v.ci_low:.6f}, {v.ci_high:.6f}]."
+    )
+    blue = "from the lower to the upper bound" if upper is not None else "the certified bound, and what lies above it"
+    caption = f"{_key('bound')}{blue}. {_key('run')}{escape(rates)}"
+    drawing = meter((v.lower_bound, upper), (v.estimate, v.ci_low, v.ci_high))
+    left = f"<div>{claim}<ul class=tests>{items}</ul></div>"
+    return f'<section class="answer is-{escape(v.verdict)}">{left}{_figure("", drawing, caption)}</section>'
 
 
-def _curve(content: ReportContent) -> str:
-    """Return the section of the bound against the number of steps played."""
-    v = content.validation
-    # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
-    estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
-    where = "the start" if estimate else "the middle of the initial box"
-    end = "; at the right end, the rollouts with their limits" if estimate else ""
-    note = f"Certified from {where} if only the last k steps of the policies are played{end}."
-    return _section("Bound against horizon", bound_curve(content.bounds, estimate) + f"<p class=soft>{note}</p>")
+def _mark(verdict: str) -> str:
+    return {"confirmed": "yes", "refuted": "no"}.get(verdict, "open")
 
 
-def _map(content: ReportContent) -> list[str]:
-    """Return the sections of the tests at many starts: two maps, or one line."""
+def _checked(content: ReportContent) -> str:
+    return "holds" if content.checked else "; ".join(content.checked.failures)
+
+
+def _key(role: str) -> str:
+    """Return a square in the colour of a role, for captions."""
+    return f'<span class="key k-{role}"></span>'
+
+
+def _episodes(content: ReportContent) -> dict[str, Any]:
+    """Return what the player of the page shows."""
+    return episodes_of(content, panels(content.certificate.problem)[:MOST_PANELS_DRAWN])
+
+
+def _rollouts(content: ReportContent) -> str:
+    """Return the section of drawn rollouts, one figure per panel, and the player."""
+    shown = panels(content.certificate.problem)
+    lost = int((~content.success).sum())
+    figures = []
+    for number, panel in enumerate(shown[:MOST_PANELS_DRAWN]):
+        names = ", ".join(f'<span class="key k-agent{c.number % 6}"></span>{escape(c.name)}' for c in panel.curves[:12])
+        rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
+        figures.append(_figure("", rollouts_picture(panel, content.states, content.success, number), names + rest))
+    words = f"{counted(len(content.success), 'rollout')} of the continuous system"
+    words += f"; the {lost} with broken lines did not satisfy the task." if lost else ", which all satisfied the task."
+    if len(shown) > MOST_PANELS_DRAWN:
+        words += f" {counted(len(shown) - MOST_PANELS_DRAWN, 'more panel')} not drawn."
+    player = (
+        '<div class="player" hidden><button type="button">Play</button><select aria-label="episode">'
+        + "".join(
+            f'<option value="{m}">{escape(name)}</option>' for m, name in enumerate(_episodes(content)["episodes"])
+        )
+        + '</select><input type="range" min="0" value="0" aria-label="control step"><output></output></div>'
+    )
+    figures += [_drawing(task) for task in _tasks(content.certificate)]
+    return _section("Rollouts", f"<p class=soft>{words}</p>{player}<div class=row>{''.join(figures)}</div>")
+
+
+def _starts(content: ReportContent) -> str:
+    """Return the section of the tests at many starts: two maps, or one line."""
     field, problem = content.field, content.certificate.problem
     names = " and ".join(coordinate_name(problem, k) for k in content.axes)
-    # The long explanation stands below the first drawing, a short one below the second.
-    w = field.weakest
+    w, refuted, below = field.weakest, int(field.refuted.sum()), bool((field.margins < 0).any())
     note = (
-        f"{len(field.states)} starts that differ in {names}, {counted(int(field.episodes.min()), 'episode')} each, all "
-        f"tested together: refuted at {int(field.refuted.sum())}, confirmed at {int(field.confirmed.sum())}. Weakest "
+        f"{len(field.states)} starts that differ in {names}, {counted(int(field.episodes.min()), 'episode')} each, "
+        f"tested together: refuted at {refuted}, confirmed at {int(field.confirmed.sum())}. Weakest "
         f"at ({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {rounded_down(field.lower_bounds[w], 4)}, "
         f"rollouts {field.estimates[w]:.4f}."
     )
-    drawings = margin_pictures(problem, field, content.axes)
-    notes = [
-        f"Line: bound; dots: rollouts with their limits. {note}"
-        if len(content.axes) == 1
-        else f"The stronger the colour, the larger the bound. Dots: confirmed; red: refuted. {note}",
-        "Blue: the rollouts lie above the bound. Orange: they lie below it, by chance unless a cell is red.",
+    red = f" {_key('bad')}refuted." if refuted else ""
+    if len(content.axes) == 1:
+        captions = [f"{_key('bound')}bound; {_key('run')}rollouts with their limits.{red}"]
+    else:
+        orange = f" {_key('run')}They lie below it, by chance unless a cell is refuted." if below else ""
+        captions = [
+            f"{_key('bound')}The stronger the colour, the larger the bound. {_key('good')}confirmed by rollouts.{red}",
+            f"{_key('bound')}The rollouts lie above the bound; the stronger the colour, the farther.{orange}{red}",
+        ]
+    figures = [
+        _figure(title, drawing, words)
+        for (title, drawing), words in zip(margin_pictures(problem, field, content.axes).items(), captions)
     ]
-    return [
-        _section(title, f"{drawing}<p class=soft>{escape(words)}</p>")
-        for (title, drawing), words in zip(drawings.items(), notes)
-    ]
+    return _section("Other starts", f"<p class=soft>{escape(note)}</p><div class=row>{''.join(figures)}</div>")
 
 
-def _rollouts(content: ReportContent) -> list[str]:
-    """Return the sections of drawn rollouts, one per panel."""
-    shown = panels(content.certificate.problem)
-    sections = []
-    for panel in shown[:MOST_PANELS_DRAWN]:
-        names = ", ".join(curve.name for curve in panel.curves)
-        drawing = rollouts_picture(panel, content.states, content.success)
-        note = f"{len(content.success)} rollouts; those with broken lines did not satisfy the task."
-        sections.append(_section(f"Rollouts: {_cut(names, 60)}", f"{drawing}<p class=soft>{escape(note)}</p>"))
-    if len(shown) > MOST_PANELS_DRAWN:
-        rest = counted(len(shown) - MOST_PANELS_DRAWN, "more panel")
-        sections.append(_section("Rollouts", f"<p class=soft>and {rest}, not drawn</p>"))
-    return sections
-
-
-def _automata(certificate: Certificate | ProductCertificate) -> list[str]:
-    """Return the section of the task automaton, or of those of independent tasks that differ in more than names."""
-    if isinstance(certificate, Certificate):
-        return [_automaton(certificate.problem)]
-    distinct = [certificate.parts[group[0]].problem for group in certificate.alike]
-    return [_automaton(task) for task in distinct[:MOST_AUTOMATA]]
-
-
-def _automaton(problem: Problem) -> str:
-    """Return the section of one automaton: a picture, and a table of the letters that take each transition."""
-    automaton = problem.automaton
-    if automaton.n_states > STATES_LISTED:
-        return _section("Automaton", f"<p class=soft>{automaton.n_states} states, not listed</p>")
-    names, transitions = automaton.state_names, edges(problem)
-    rows = [
-        f"<tr><td>{escape(names[edge.source])}</td><td>{escape(names[edge.target])}</td>"
-        f"<td><code>{escape(_cut(edge.guard, 1000))}</code></td></tr>"
-        for edge in transitions[:MOST_TRANSITIONS]
-    ]
-    rest = len(transitions) - MOST_TRANSITIONS
-    more = f"<p class=soft>{counted(rest, 'more transition')}</p>" if rest > 0 else ""
-    table = f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
-    if automaton.n_states > STATES_DRAWN:
-        return _section("Automaton", table)
-    left_out = "" if automaton.n_states <= FEW_STATES else " Arrows to red states are left out."
-    note = f"<p class=soft>Double circle: accepting; red: acceptance can no longer be reached.{left_out}</p>"
-    return _section("Automaton", automaton_picture(automaton, transitions) + note + table)
-
-
-def _audit(content: ReportContent) -> str:
-    """Return the section of the tests step by step."""
-    audit = content.audit
+def _steps(content: ReportContent) -> str:
+    """Return the section about time: the bound against the number of steps, and the tests step by step."""
+    v, audit = content.validation, content.audit
+    # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
+    estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
+    where = "the start" if estimate else "the middle of the initial box"
+    end = f" {_key('run')}the rollouts with their limits." if estimate else ""
+    note = f"{_key('bound')}certified from {where} if only the last k steps of the policies are played.{end}"
+    curve = _figure("Bound against horizon", bound_curve(content.bounds, estimate), note)
     facts = {
         "tests": f"{audit.tests} of pairs of time and task state, on {counted(audit.episodes, 'episode')}",
         "all steps together": f"p = {audit.overall_p:.2g}",
         "contradictions": audit.contradictions,
     }
     findings = "".join(f"<p class=soft>{escape(str(f))}</p>" for f in audit.findings[:FINDINGS_SHOWN])
-    body = _verdict(audit.verdict) + _list(facts) + (findings or "<p class=soft>No step is suspicious.</p>")
-    return _section("Audit of every step", body)
+    findings = findings or "<p class=soft>No step is suspicious.</p>"
+    tested = (
+        f"<div><h3>Audit of every step</h3>{_verdict(audit.verdict)}"
+        "<p>The bound of every state is compared with what becomes of it one step later, so that errors that "
+        f"cancel over a whole episode are seen.</p>{_list(facts)}{findings}</div>"
+    )
+    return _section("Step by step", f"<div class=row>{curve}{tested}</div>")
 
 
-def _settings(content: ReportContent) -> str:
+def _tasks(certificate: Certificate | ProductCertificate) -> list[Problem]:
+    """Return the problem, or of independent tasks those that differ in more than names."""
+    if isinstance(certificate, Certificate):
+        return [certificate.problem]
+    return [certificate.parts[group[0]].problem for group in certificate.alike][:MOST_AUTOMATA]
+
+
+def _drawing(problem: Problem) -> str:
+    """Return the figure of a task automaton; nothing if it is too large to be drawn."""
+    automaton = problem.automaton
+    if automaton.n_states > STATES_DRAWN:
+        return ""
+    left_out = "" if automaton.n_states <= FEW_STATES else " Arrows to red states are left out."
+    dead = f" Red: acceptance can no longer be reached.{left_out}" if automaton.dead.any() else ""
+    note = f"The task automaton. Double circle: accepting.{dead}"
+    return _figure("", automaton_picture(automaton, edges(problem)), note)
+
+
+def _task(certificate: Certificate | ProductCertificate) -> str:
+    """Return the section of the letters that take each transition."""
+    return _section("When the automaton moves", "".join(_automaton(task) for task in _tasks(certificate)))
+
+
+def _automaton(problem: Problem) -> str:
+    """Return the table of one automaton: the letters that take each transition."""
+    automaton = problem.automaton
+    if automaton.n_states > STATES_LISTED:
+        return f"<p class=soft>{automaton.n_states} states, not listed</p>"
+    names, transitions = automaton.state_names, edges(problem)
+    rows = [
+        f"<tr><td>{escape(names[edge.source])}</td><td>{escape(names[edge.target])}</td>"
+        f"<td><code>{escape(edge.guard)}</code></td></tr>"
+        for edge in transitions[:MOST_TRANSITIONS]
+    ]
+    rest = len(transitions) - MOST_TRANSITIONS
+    more = f"<p class=soft>{counted(rest, 'more transition')}</p>" if rest > 0 else ""
+    return f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
+
+
+def _trust(content: ReportContent) -> str:
     """Return the section of everything that a repetition needs."""
-    certificate, details = content.certificate, content.validation.details
+    certificate, v, details = content.certificate, content.validation, content.validation.details
     text = json.dumps(certificate.settings, indent=1, sort_keys=True, default=str)
     facts = {
+        "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
+        **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
+        "separate check": _checked(content),
         "fingerprint": certificate.fingerprint,
         "seed": details["seed"],
         "worlds per chunk": details["chunk"],
-        "confidence": content.validation.confidence,
-        "certigym": details["certigym"],
-        "numpy": details["numpy"],
-        "python": platform.python_version(),
+        "confidence": v.confidence,
+        "versions": f"certigym {details['certigym']}, numpy {details['numpy']}, python {platform.python_version()}",
     }
+    command = f"certigym validate CERT --episodes {v.episodes} --seed {details['seed']} --confidence {v.confidence}"
     settings = f"<details><summary>Settings of the synthesis</summary><pre>{escape(_cut(text, 20_000))}</pre></details>"
-    return _section("Versions, seeds, settings", _list(facts) + settings)
-
-
-def _again(content: ReportContent) -> str:
-    """Return the section of the command that repeats the validation."""
-    d, v = content.validation.details, content.validation
-    command = f"certigym validate CERT --episodes {v.episodes} --seed {d['seed']} --confidence {v.confidence}"
-    words = "The numbers are the same on one worker or many. A bound is about the model only."
-    return _section("Run it again", f"<pre>{escape(command)}</pre><p class=soft>{words}</p>")
-
-
-STYLE = """
-:root{--ink:#1b2430;--soft:#5b6775;--paper:#fbfbf9;--card:#fff;--line:#dfe3e8;--bound:#1f5fae;--run:#c2571a;
---bad:#b3261e;--good:#1e7d4f;--region:#e9b949}
-@media (prefers-color-scheme:dark){:root{--ink:#e6e9ee;--soft:#9aa6b4;--paper:#14181e;--card:#1c222a;--line:#313a45;
---bound:#7db2ef;--run:#f0a06b;--bad:#ff8a80;--good:#74d3a2;--region:#8d6d1d}
-}*{box-sizing:border-box}
-body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,
-sans-serif}
-main{max-width:1120px;margin:0 auto;padding:20px 16px 48px}h1{font-size:1.5rem;margin:0}
-h2{font-size:1.05rem;margin:0 0 6px}p{margin:4px 0}.soft{color:var(--soft);font-size:.86rem}
-.grid{display:grid;gap:14px;margin-top:16px;grid-template-columns:repeat(auto-fit,minmax(min(330px,100%),1fr))}
-section{background:var(--card);border:1px solid var(--line);border-radius:8px;padding:14px;min-width:0}
-.wide{grid-column:1/-1}
-.verdict{display:inline-block;padding:2px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566f}
-.confirmed{background:#1a6e45}.refuted{background:#a3211a}.big{font-size:1.35rem;font-weight:600}
-dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 14px;margin:6px 0}dt{color:var(--soft)}
-dd{margin:0;overflow-wrap:anywhere}table{border-collapse:collapse;width:100%;font-size:.86rem}
-th,td{text-align:left;padding:3px 10px 3px 0;border-top:1px solid var(--line);vertical-align:top;
-overflow-wrap:anywhere}
-code,pre{font:.82rem/1.45 ui-monospace,Menlo,Consolas,monospace}
-pre{overflow-x:auto;white-space:pre-wrap;overflow-wrap:anywhere;margin:4px 0}.scroll{overflow-x:auto}
-svg{width:100%;height:auto;display:block}svg text{font:11px system-ui,sans-serif;fill:var(--ink)}
-svg .tick{font-size:10px;fill:var(--soft)}svg .name{fill:var(--soft)}.middle{text-anchor:middle}
-.end{text-anchor:end}.grid line,line.grid{stroke:var(--line);stroke-width:1}polyline,.arrow{fill:none}
-.bound{stroke:var(--bound);stroke-width:2}.bound-dot{fill:var(--bound)}.estimate{stroke:var(--run);stroke-width:1.5}
-.estimate-dot{fill:var(--run)}.bad-dot{fill:var(--bad)}.cell{fill:var(--bound)}.over{fill:var(--bound)}.under{fill:var(--run)}
-.bad-cell{fill:var(--bad)}
-.sure-dot{fill:var(--good);stroke:var(--card);stroke-width:.4}
-.region{fill:var(--region);fill-opacity:.22;stroke:var(--region);stroke-width:1}
-svg .region-name{font-size:9px;fill:var(--soft)}.path{stroke-width:1;stroke-opacity:.55}
-.path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}.agent0{stroke:var(--bound)}
-.agent1{stroke:var(--run)}.agent2{stroke:var(--good)}.agent3{stroke:#8a4fb0}.agent4{stroke:#b0902a}.agent5{stroke:#c24c7a}
-circle.agent0{fill:var(--bound)}circle.agent1{fill:var(--run)}circle.agent2{fill:var(--good)}circle.agent3{fill:#8a4fb0}
-circle.agent4{fill:#b0902a}circle.agent5{fill:#c24c7a}
-.state,.accepting,.dead{fill:var(--card);stroke:var(--ink);stroke-width:1.3}
-.accepting{stroke:var(--good);stroke-width:1.8}.dead{stroke:var(--bad)}svg .state-name{font-size:10px}
-.arrow{stroke:var(--soft);stroke-width:1.1}.tip{fill:var(--soft)}
-.key{display:inline-block;width:.75em;height:.75em;border-radius:2px;margin-right:4px}
-"""
+    again = (
+        f"<p>Run it again, with the same numbers on one worker or many:</p><pre>{escape(command)}</pre>"
+        "<p class=soft>A bound is about the model only.</p>"
+    )
+    return _section("What it rests on", _list(facts) + settings + again)

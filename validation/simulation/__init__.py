@@ -4,9 +4,10 @@ from .chunks import ChunkResult, Frame, chunks_of, frames, paths
 from .cluster import DaskExecutor, executor_for
 from .loop import CHUNK, Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
-from .report_text import INTERRUPTED, Rows, html_table, labelled_lines
+from .report_text import INTERRUPTED, LABEL_WIDTH, Rows, html_table, labelled_lines
 from .rollouts import Rollouts, rollout, stream
 from .spread import Executor, in_order
+from .task_paths import task_tracks
 from .trials import Plan, TrialOptions, TrialPlan, collect, planned
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "FAMILIES",
     "Frame",
     "INTERRUPTED",
+    "LABEL_WIDTH",
     "Loop",
     "Mismatch",
     "Plan",
@@ -37,4 +39,5 @@ __all__ = [
     "planned",
     "rollout",
     "stream",
+    "task_tracks",
 ]

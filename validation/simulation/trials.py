@@ -10,6 +10,8 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import TypedDict, TypeVar
 
+from tqdm import tqdm
+
 from ...envs.agents import checked_count
 from .loop import CHUNK
 from .spread import Executor, interrupts_at_checkpoints
@@ -25,7 +27,7 @@ class TrialOptions(TypedDict, total=False):
     confidence: float | None
     chunk: int
     executor: Executor | None
-    progress: Callable[[int], None] | None
+    progress: Callable[[int], None] | bool | None
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class TrialPlan:
         Worlds per chunk of the simulation; part of the random record.
     executor : Executor, optional
         Where chunks are computed; default: this process. The results are the same on every executor.
-    progress : callable, optional
-        Called with the number of episodes finished since the last call.
+    progress : callable or True, optional
+        Called with the number of episodes finished since the last call; True: a bar, in notebooks, too.
 
     Raises
     ------
@@ -58,13 +60,15 @@ class TrialPlan:
     confidence: float | None = None
     chunk: int = CHUNK
     executor: Executor | None = None
-    progress: Callable[[int], None] | None = None
+    progress: Callable[[int], object] | bool | None = None
 
     def __post_init__(self) -> None:
         if self.episodes is not None:
             checked_count(self.episodes, "episodes")
         for name, least in (("seed", 0), ("chunk", 1)):
             checked_count(getattr(self, name), name, least)
+        if self.progress is True:
+            object.__setattr__(self, "progress", tqdm(desc="rollouts", unit=" episodes", leave=False).update)
         if self.executor is not None and not hasattr(self.executor, "submit"):
             raise ValueError(
                 f"`executor`: expected an object with `submit`, got {self.executor!r}; open one with `executor_for`, "
@@ -73,7 +77,7 @@ class TrialPlan:
 
     def tell(self, count: int) -> None:
         """Pass on to ``progress`` that so many more episodes are finished."""
-        if self.progress is not None:
+        if callable(self.progress):
             self.progress(count)
 
 

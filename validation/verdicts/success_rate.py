@@ -70,6 +70,9 @@ GIVEN_UP = re.compile(r"(\S+) after one sweep, not gone on with")
 MOST_WORDS = 100
 """Characters that are printed of the reason why a relation does not apply."""
 
+FAR = 0.02
+"""Distance from the bound to the rollouts' limits above which a report gives advice."""
+
 NEGLIGIBLE = 1e-12
 """Gain below which a report says 0: far below what is lost to rounding."""
 
@@ -182,7 +185,16 @@ class ValidationReport:
             rows.append(("inputs", f"inadmissible in {counted(inadmissible, 'episode')}; there actuators saturated"))
         if self.interrupted:
             rows.append(("interrupted", INTERRUPTED))
-        return [*rows, ("verdict", f"{self.verdict}{how}: {MEANINGS[self.verdict]}"), ("times", times)]
+        rows.append(("verdict", f"{self.verdict}{how}: {MEANINGS[self.verdict]}"))
+        return [*rows, *self._advice(), ("times", times)]
+
+    def _advice(self) -> Rows:
+        """Return what to try where the rollouts lie far above the bound; nothing elsewhere."""
+        loose = self.ci_low - self.lower_bound
+        if loose < FAR or self.gap is not None or self.refuted or self.method.startswith("path"):
+            return []
+        less = f"rollouts lie at least {loose:.2g} above the bound: the cells lose this, not the task"
+        return [("advice", f"{less}; try --accuracy {FAR / 2:g}, or more --cells")]
 
     def _limits_of_search(self) -> Rows:
         """Return what no policy exceeds, what each relation gave, and what one agent alone could gain."""
@@ -261,7 +273,7 @@ def validate(
         which hold whenever one stops; the limits are wider than those of a fixed number of episodes.
     mismatch : Mismatch, optional
         Simulate a system that differs from the certified model; then only the lower bound is tested.
-    disturbance : "zero", "random", "periodic" or a function, optional
+    disturbance : "zero", "random", "periodic", "greedy" or a function, optional
         The one behaviour of bounded disturbances that is simulated. By default all that have a name, and for
         certificates of one task the greedy one (``checking.greedy``), each with its share of ``1 - confidence``.
 
@@ -273,7 +285,13 @@ def validate(
     settled = planned(plan, trial, 100_000)
     check_confidence(settled.confidence)
     certificate = any_certificate(result)
-    behaviours = _behaviours(certificate) if disturbance is None else {_name(disturbance): disturbance}
+    behaviours = _behaviours(certificate)
+    if disturbance is not None:
+        # "greedy" needs a certificate to play against; the other names are those of the dynamics
+        name = _name(disturbance)
+        if name == "greedy" and len(behaviours) == 1:
+            raise ValueError("`disturbance`: expected a problem with bounded disturbances, got one without any")
+        behaviours = {name: behaviours[name] if disturbance in behaviours else disturbance}
     if len(behaviours) == 1:
         how = _Trial(initial_state, sequential, mismatch, *next(iter(behaviours.items())))
         return _validated(result, certificate, settled, how)

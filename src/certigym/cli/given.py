@@ -12,6 +12,7 @@ from typing import Any
 from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem, load_problem, split_axes
 from ..envs.suite import make_problem, problem_ids
+from .colors import colored, wants_colors
 
 SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
 """How a number of bytes is written: 500M, 1.5G, 2GiB."""
@@ -99,7 +100,7 @@ def search_of(options: Namespace) -> dict[str, Any]:
 def show(options: Namespace, text: Any, data: Any) -> None:
     """Print the text, and write the data as JSON if ``--json`` asks for it (``-``: data instead of text)."""
     if options.json != "-":
-        print(text)
+        print(colored(str(text)) if wants_colors() else text)
     write_json(options, data)
 
 

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from ..envs.agents import counted, write_json, write_text
-from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from ..synthesis.certificates import load_certificate, save_certificate
+from ..synthesis.certificates import save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
 from ..synthesis.shielding import shield_of
-from ..synthesis.synthesize import synthesize
 from ..validation.figures import draw_comparison, draw_curves
 from ..validation.policies import (
-    ALGORITHMS,
     LEARNERS,
-    IdleController,
     Leaderboard,
-    NotAnActor,
-    RandomController,
     Sources,
     Standing,
     certificate_of,
@@ -32,7 +25,6 @@ from ..validation.policies import (
     judged,
     judging_plan,
     label_of,
-    load_actor,
     page_of,
 )
 from ..validation.policies import compare as compare_policies
@@ -42,6 +34,7 @@ from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
 from .given import cells_of, problem_of, relation_of, show
 from .network_commands import certify_raw, is_actor, problem_of_actor
+from .policy_words import policy_of_file, policy_of_word
 from .work import trained, trials
 
 
@@ -141,7 +134,7 @@ def _with_own_row(board: Leaderboard, options: Namespace, plan: Any, finished: A
     if name in ("certified", "probe", "random", *LEARNERS):
         raise ValueError(f"`--add`: expected a name that is not a column of its own, got {name!r}")
     problem, settled = as_problem(options.ids[0]), judging_plan(planned(plan, {}, options.episodes))
-    row = judged(label_of(options.ids[0]), name, given(problem, name, _policy_of_file(problem, file)), settled)
+    row = judged(label_of(options.ids[0]), name, given(problem, name, policy_of_file(problem, file)), settled)
     board = board.with_row(row)
     finished(board, row)
     return board
@@ -158,7 +151,7 @@ def _made(folder: str | None) -> Path | None:
 def record(options: Namespace) -> int:
     """Write episodes of a policy, and say how many of them satisfied the task."""
     problem = problem_of(options)
-    policy = _policy(problem, options.policy, options)
+    policy = policy_of_word(problem, options.policy, options)
     found = record_episodes(problem, policy, options.episodes, options.seed)
     found.save(options.out)
     if options.minari:
@@ -176,7 +169,7 @@ def record(options: Namespace) -> int:
 def compare(options: Namespace) -> int:
     """Make or load the policies, simulate them, and print the table and the tests."""
     problem = problem_of(options)
-    policies = {name: _policy(problem, name, options) for name in options.policies.split(",")}
+    policies = {name: policy_of_word(problem, name, options) for name in options.policies.split(",")}
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
     if options.plot:
@@ -193,7 +186,7 @@ def certify(options: Namespace) -> int:
         raise ValueError("`--policy`: expected an actor (.npz) or FILE.py:NAME, or an actor in place of the problem")
     else:
         problem, file = problem_of(options), options.policy
-    policy = _policy_of_file(problem, file)
+    policy = policy_of_file(problem, file)
     if options.raw or options.repair is not None:
         return certify_raw(options, problem, policy)
     cells = cells_of(options)
@@ -209,38 +202,3 @@ def certify(options: Namespace) -> int:
     note = "The bounds hold for the policies wrapped on the cells (certified, improved), not for the raw one."
     show(options, f"{result}\n{note}", result.to_dict())
     return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
-
-
-def _policy(problem: Problem, name: str, options: Namespace) -> Any:
-    """Return a policy by its word on the command line."""
-    if name == "certified":
-        return synthesize(problem, cells_of(options), **relation_of(options))
-    if name in ALGORITHMS:
-        return [trained(problem, name, options.steps, seed) for seed in options.train_seeds]
-    if name in ("random", "idle"):
-        return RandomController() if name == "random" else IdleController()
-    return _policy_of_file(problem, name)
-
-
-def _policy_of_file(problem: Problem, name: str) -> Any:
-    """Return a policy from a file: an actor, a certificate, or an object of a Python file."""
-    # FILE.py:NAME runs the file and takes the object of this name.
-    path, _, attribute = name.rpartition(":")
-    if path.endswith(".py"):
-        spec = spec_from_file_location(Path(path).stem, path)
-        if not Path(path).is_file() or spec is None or spec.loader is None:
-            raise ValueError(f"`{name}`: expected a Python file before the colon, found none")
-        module = module_from_spec(spec)
-        spec.loader.exec_module(module)
-        if not hasattr(module, attribute):
-            raise ValueError(f"`{name}`: expected the name of a policy in {path}, found no {attribute!r}")
-        return getattr(module, attribute)
-    if not Path(name).is_file():
-        raise ValueError(
-            f"`{name}`: expected certified, {', '.join(ALGORITHMS)}, random, idle, an existing file (.npz) or "
-            "FILE.py:NAME"
-        )
-    try:
-        return load_actor(name, problem)
-    except NotAnActor:  # an actor that does not fit the problem is refused above; any other file is a certificate
-        return load_certificate(name)

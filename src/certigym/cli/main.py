@@ -19,10 +19,22 @@ NUMBER = re.compile(r"-(\d|\.\d)")
 """How a negative number begins, which must not be taken for an option."""
 
 
+_WELCOME = """certigym: environments with proofs
+
+  certigym run reach-avoid-v0                      synthesize controllers, certify a bound, test it by rollouts
+  certigym describe                                list the problems of the suite
+  certigym plot episode meeting-v0 --out m.gif     watch an episode under certified controllers
+
+A TOML file can stand for an id. `certigym --help` lists all commands, `certigym COMMAND --help` their options."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     # argparse takes "-10,-3" for an option; a leading blank marks it as a value.
+    if not words:
+        print(_WELCOME)
+        return 0
     options = build_parser().parse_args([f" {word}" if NUMBER.match(word) else word for word in words])
     from .given import check_places
 

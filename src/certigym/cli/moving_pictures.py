@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,19 +14,58 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import write_bytes
-from ..envs.interfaces import ProblemEnv
-from ..synthesis.certificates import Certificate, shown_bound
+from ..envs.pictures import Picture, verdict_text
+from ..envs.problem import Problem
+from ..synthesis.certificates import Certificate, ProductCertificate, shown_bound
+from ..synthesis.checking import ValueInTime, value_in_time
+from ..validation.simulation import Batchable, Loop, paths, task_tracks
 
 _HOLD = 1.5  # seconds for which the last picture stays, so that its verdict can be read
 _COLORS = 128  # of a GIF: enough for flat colours, and half the size of 256
 
 
-def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> dict[str, Any]:
-    """Write a moving picture of one episode under a certificate's controllers.
+@dataclass(frozen=True, eq=False)
+class Player:
+    """One policy of a moving picture.
 
     Parameters
     ----------
-    certificate : Certificate
+    controller : object with ``batch(dynamics)``
+    caption : str
+        The line below the problem's name.
+    value : ValueInTime, optional
+        Certified values, for a meter of the bound from every state on.
+    """
+
+    controller: Batchable
+    caption: str
+    value: ValueInTime | None = None
+
+    @classmethod
+    def of(cls, name: str, policy: Any) -> Player:
+        """Return a policy in any form that ``compare`` takes, of several seeds the first."""
+        policy = policy[0] if isinstance(policy, (list, tuple)) else policy
+        claim = getattr(policy, "certificate", policy)
+        if isinstance(claim, Certificate | ProductCertificate):
+            return cls(claim.controller, f"certified {shown_bound(claim.lower_bound, None)}", _values(claim))
+        return cls(getattr(policy, "controller", policy), Path(name).stem)
+
+
+def _values(claim: Certificate | ProductCertificate) -> ValueInTime | None:
+    """Return the values of a certificate at all times; None for kinds that have none."""
+    try:
+        return value_in_time(claim)
+    except ValueError:
+        return None
+
+
+def render_episode(problem: Problem, players: Sequence[Player], out: str, seed: int, fps: int) -> dict[str, Any]:
+    """Write a moving picture of one episode, policies side by side with the same start and the same noise.
+
+    Parameters
+    ----------
+    problem : Problem
+    players : sequence of Player
     out : str
         File to write: `.gif`, `.mp4`, or `.png` for the last picture alone.
     seed : int
@@ -35,21 +76,20 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
     Returns
     -------
     dict
-        Facts about the episode: problem, bound, seed, steps, whether the task was satisfied, the file.
+        Facts about the episode: problem, seed, file, and for each policy its caption, steps, and whether the task was
+        satisfied.
 
     Raises
     ------
     ValueError
         If the kind of file is unknown, or if the program that writes it is not installed.
     """
-    kind = Path(out).suffix.lower()
-    if kind not in (".gif", ".mp4", ".png"):
-        raise ValueError(f"`--out`: expected a file that ends in .gif, .mp4 or .png, got {out!r}")
-    if not 1 <= fps <= 60 or seed < 0:
-        raise ValueError(f"`--fps`, `--seed`: expected 1 to 60 and at least 0, got {fps} and {seed}")
-    # Look for ffmpeg before the episode is simulated.
-    ffmpeg = _ffmpeg() if kind == ".mp4" else ""
-    frames, satisfied = _frames(certificate, seed)
+    kind, ffmpeg = check_film(out, seed, fps)
+    filmed = [film(problem, player, seed) for player in players]
+    longest = max(len(frames) for frames, _ in filmed)
+    # Whoever is decided first waits at the last picture.
+    films = [frames + [frames[-1]] * (longest - len(frames)) for frames, _ in filmed]
+    frames = [np.concatenate(pictures, axis=1) for pictures in zip(*films, strict=True)]
     if kind == ".mp4":
         _write_mp4(ffmpeg, frames, out, fps)
     else:
@@ -63,31 +103,42 @@ def render_rollout(certificate: Certificate, out: str, seed: int, fps: int) -> d
             images = [image.quantize(_COLORS) for image in images]
             images[0].save(file, format="GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
         write_bytes(out, file.getvalue())
-    return {
-        "problem": certificate.problem.name,
-        "lower_bound": certificate.lower_bound,
-        "seed": seed,
-        "steps": len(frames) - 1,
-        "satisfied": satisfied,
-        "file": out,
-    }
+    shown = [
+        {"policy": player.caption, "steps": len(each) - 1, "satisfied": satisfied}
+        for player, (each, satisfied) in zip(players, filmed, strict=True)
+    ]
+    return {"problem": problem.name, "seed": seed, "file": out, "shown": shown}
 
 
-def _frames(certificate: Certificate, seed: int) -> tuple[list[np.ndarray], bool]:
+def check_film(out: str, seed: int, fps: int) -> tuple[str, str]:
+    """Return the kind of a file and the path of ffmpeg, if it is needed; raise ValueError if it cannot be written."""
+    kind = Path(out).suffix.lower()
+    if kind not in (".gif", ".mp4", ".png"):
+        raise ValueError(f"`--out`: expected a file that ends in .gif, .mp4 or .png, got {out!r}")
+    if not 1 <= fps <= 60 or seed < 0:
+        raise ValueError(f"`--fps`, `--seed`: expected 1 to 60 and at least 0, got {fps} and {seed}")
+    return kind, _ffmpeg() if kind == ".mp4" else ""
+
+
+def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray], bool]:
     """Return the pictures of one episode, and whether it satisfied the task."""
-    caption = f"certified {shown_bound(certificate.lower_bound, None)}"
-    env = ProblemEnv(certificate.problem, "rgb_array", caption=caption)
-    controller = certificate.controller
-    observations, infos = env.reset(seed=seed)
-    controller.reset(observations, infos)
     try:
-        frames = [np.asarray(env.render())]
-        while env.agents:
-            observations, _, _, _, infos = env.step(controller.act(observations, infos))
-            frames.append(np.asarray(env.render()))
+        picture = Picture(problem, player.caption)
     except ImportError as error:
         raise ValueError(str(error)) from error
-    return frames, bool(infos[env.possible_agents[0]]["satisfied"])
+    states, success = paths(Loop(problem, player.controller, seed, 1), 1)
+    read, hold = task_tracks(problem, states)
+    track = states[~np.isnan(states[:, 0]).any(axis=1), 0]
+    frames = []
+    for time in range(len(track)):
+        names = [name for name, holds in zip(problem.automaton.propositions, hold[time, :, 0]) if holds]
+        last = time == len(track) - 1
+        verdict = verdict_text(last and bool(success[0]), last and time < problem.horizon, last)
+        value = None
+        if player.value is not None:
+            value = float(player.value.at(track[time], int(read[time, 0]), problem.horizon - time)[0])
+        frames.append(picture.frame(track[: time + 1], int(read[time, 0]), names, verdict, value))
+    return frames, bool(success[0])
 
 
 def _ffmpeg() -> str:

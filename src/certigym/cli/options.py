@@ -93,6 +93,11 @@ def add_trials(parser: argparse.ArgumentParser, episodes: int, per: str = "", co
 def add_test(parser: argparse.ArgumentParser) -> None:
     """Add how a bound is tested."""
     parser.add_argument("--sequential", action="store_true", help="stop as soon as the bound is confirmed or refuted")
+    parser.add_argument(
+        "--disturbance",
+        choices=["zero", "random", "periodic", "greedy"],
+        help="behaviour of bounded disturbances (default: all of them, and the worst is reported)",
+    )
     parser.add_argument("--mismatch", nargs="+", metavar="NAME=VALUE", help=f"simulate another system: {MISMATCH}")
 
 

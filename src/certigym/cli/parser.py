@@ -289,4 +289,12 @@ def _add_pictures(commands: Any) -> None:
     plot.add_argument("--agent", type=int, default=0, metavar="I", help="number of the agent of `relation`")
     plot.add_argument("--episodes", type=int, metavar="M", help="rollouts (default: 40, or 2000 per horizon)")
     plot.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the rollouts (default: 0)")
+    plot.add_argument(
+        "--beside",
+        nargs="+",
+        metavar="POLICY",
+        help=f"of `episode`: policies side by side, on the same noise: {POLICIES}",
+    )
+    plot.add_argument("--steps", type=int, metavar="N", help="world steps of learners that --beside trains")
+    plot.set_defaults(train_seeds=[0])
     plot.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second of `episode` (4)")

@@ -5,28 +5,43 @@ from __future__ import annotations
 from argparse import Namespace
 from typing import Any
 
+from ..envs.agents import counted
 from ..synthesis.certificates import load_certificate
 from ..synthesis.synthesize import synthesize
 from ..validation import figures
 from ..validation.figures import check_format
 from ..validation.verdicts import validate_horizons
 from .given import cells_of, problem_of, relation_of, show
-from .moving_pictures import render_rollout
+from .moving_pictures import Player, check_film, render_episode
+from .policy_words import policy_of_word
 
 
 def plot(options: Namespace) -> int:
     """Draw one figure or one episode."""
     if options.kind == "episode":
-        shown = render_rollout(_certificate(options), options.out, options.seed, options.fps)
-        verdict = "satisfied" if shown["satisfied"] else "not satisfied"
-        show(options, f"{shown['problem']}: {shown['steps']} steps, {verdict}, written to {options.out}", shown)
-        return 0
+        return _episode(options)
     # A wrong file name is refused before anything is computed.
     check_format(options.out, "--out")
     figures.save_figure(_figure(options), options.out)
     text = f"{options.kind} of {options.problem}, written to {options.out}"
     drawn = {"kind": options.kind, "problem": options.problem, "seed": options.seed, "figure": options.out}
     show(options, text, drawn)
+    return 0
+
+
+def _episode(options: Namespace) -> int:
+    """Draw one episode, with other policies beside the certified controllers if they are named."""
+    check_film(options.out, options.seed, options.fps)  # before anything is computed
+    certificate = _certificate(options)
+    problem = certificate.problem
+    players = [Player.of("certified", certificate)]
+    players += [Player.of(name, policy_of_word(problem, name, options)) for name in options.beside or []]
+    facts = render_episode(problem, players, options.out, options.seed, options.fps)
+    told = [
+        f"{one['policy']}: {counted(one['steps'], 'step')}, {'satisfied' if one['satisfied'] else 'not satisfied'}"
+        for one in facts["shown"]
+    ]
+    show(options, f"{problem.name}: {'; '.join(told)}; written to {options.out}", facts)
     return 0
 
 

@@ -50,6 +50,7 @@ def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
             initial_state=initial_state,
             sequential=options.sequential,
             mismatch=_mismatch(options.mismatch),
+            disturbance=options.disturbance,
         )
     show(options, report, report.to_dict())
     return 130 if report.interrupted else int(report.refuted)

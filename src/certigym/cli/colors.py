@@ -1,0 +1,44 @@
+"""Colours of reports on a terminal."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+
+from ..validation.simulation import LABEL_WIDTH
+
+_GREEN, _RED, _CYAN, _BOLD, _FAINT = 32, 31, 36, 1, 2
+
+_WORDS = {"confirmed": _GREEN, "valid": _GREEN, "consistent": _CYAN, "refuted": _RED, "invalid": _RED, "failed": _RED}
+"""Words of verdicts and their colours."""
+
+_LABEL = re.compile(rf"(?=.{{{LABEL_WIDTH}}}\S)(?P<label>[a-z ]{{{LABEL_WIDTH - 1}}} )")
+"""A label at the beginning of a line, padded to its width."""
+
+
+def wants_colors() -> bool:
+    """Return whether standard output is a terminal that shows colours (https://no-color.org)."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def colored(text: str) -> str:
+    """Return a report with faint labels, a strong claim, and the word of each verdict in its colour."""
+    return "\n".join(_line(line) for line in text.splitlines())
+
+
+def _line(line: str) -> str:
+    """Return one line of a report with colours."""
+    label = _LABEL.match(line)
+    if label is None:
+        return re.sub(r"(?<=: )(valid|invalid)(?=:)", lambda m: _painted(m[0], _WORDS[m[0]]), line)
+    rest = line[label.end() :]
+    if label[0].strip() == "certified":
+        rest = _painted(rest, _BOLD)
+    elif (first := re.match(r"\w+", rest)) and first[0] in _WORDS:
+        rest = _painted(first[0], _WORDS[first[0]]) + rest[first.end() :]
+    return _painted(label[0], _FAINT) + rest
+
+
+def _painted(text: str, color: int) -> str:
+    return f"\033[{color}m{text}\033[0m"
