@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent
+from ..envs.agents import Agent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused
@@ -17,6 +17,7 @@ from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import (
     GOOD,
+    MOST_LINEAR_AGENTS,
     SOLVED,
     Budget,
     Run,
@@ -24,6 +25,7 @@ from .choosing import (
     finer_levels,
     first_cells,
     groups_of,
+    has_linear_cells,
     linear_levels,
     policies_from,
     refine,
@@ -47,9 +49,6 @@ from .values import HOST, device_put
 
 MOST_GRID_STATES = 3
 """States of an agent up to which it has a grid by default; certificates along a path need none."""
-
-MOST_LINEAR_AGENTS = 2
-"""Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
 
 MOST_LINEAR_TERMS = 32
 """Terms of the value trees of further agents up to which linear cells, which pay for every term, are tried."""
@@ -281,21 +280,11 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
-    if not all(map(_has_smooth_noise, problem.agents)):
+    if not all(map(has_linear_cells, problem.agents)):
         return False
-    few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
+    scalar = all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
+    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
-
-
-def _has_smooth_noise(agent: AnyAgent) -> bool:
-    """Return whether linear cells hold for the noise of an agent, and no other agent moves it.
-
-    Neighbours would be disturbances under linear cells; mean boxes cancel those that are communicated.
-    """
-    if isinstance(agent, Agent):
-        laws = [] if agent.laws is None else [law.name for law in agent.laws]
-        return not agent.others and {*laws} <= {"gaussian", "uniform"} and laws.count("uniform") <= 1
-    return agent.laws is None
 
 
 def _has_usual_search(plan: Plan) -> bool:
@@ -314,6 +303,8 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
             return first if first.certificate.lower_bound >= GOOD else _doubled(problem, kinds, plan, first)
     linear, record = linear_levels(problem, plan.settings, run)
+    if linear is None and any(isinstance(agent, Agent) for agent in problem.agents):
+        return _finer(problem, kinds, plan)
     if linear is None:
         return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
     best = linear
@@ -322,8 +313,9 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     if "auto" in kinds and (linear.certificate.lower_bound < GOOD or is_scalar):
         try:
             # Boxes of expressions need cells of their own, and coarse ones show whether they come near.
-            has_boxes = any(isinstance(agent, Agent) for agent in problem.agents)
-            other = _compared(problem, first_cells(problem) if has_boxes else None, kinds, plan)
+            written = [isinstance(agent, Agent) for agent in problem.agents]
+            others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
+            other = _compared(problem, first_cells(problem) if any(written) else None, others, plan)
         except ValueError as refusal:
             tried["others"] = str(refusal)
         else:

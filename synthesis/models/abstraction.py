@@ -343,7 +343,7 @@ def _shared_model(
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
-    # Of agents whose dynamics are expressions no more is known than boxes.
+    # Agents whose dynamics are expressions are enclosed in boxes unless something else is asked for.
     is_any = kind in ("auto", "quick")
     if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
