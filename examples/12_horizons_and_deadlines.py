@@ -18,3 +18,8 @@ parking = cg.make_problem("car-park-v0")
 stationary = cg.without_deadline(parking, 60, longest=150).certificate
 print(f"within {stationary.problem.horizon} steps, and so without a deadline: P >= {stationary.unbounded}")
 assert stationary.stationary
+
+# Safety without a deadline: a bound that holds for every number of steps at once.
+safe = cg.without_deadline("invariance-b-20-v0", 100)
+lasting = cg.safety_rate(safe)
+print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))

@@ -12,6 +12,7 @@ from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts
 from .certificates import Synthesis
+from .checking import SHORTEST, is_safety, safety_rate
 from .synthesize import synthesize
 
 TOLERANCE = 1e-6
@@ -71,14 +72,17 @@ def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings:
 def without_deadline(
     problem: Any, cells: CellCounts = None, *, tolerance: float = TOLERANCE, longest: int = LONGEST, **settings: Any
 ) -> Synthesis:
-    """Compute stationary policies for a co-safe task, and a lower bound on the probability of ever satisfying it.
+    """Compute stationary policies for a task without a deadline, and what is certified about them.
 
-    The horizon of the problem is doubled until the bound gains less than ``tolerance``.
+    For a co-safe task that is a lower bound on the probability of ever satisfying it: the horizon of the problem is
+    doubled until the bound gains less than ``tolerance``. For a safety task nothing lasts for ever under unbounded
+    noise; ``safety_rate`` of the result bounds the probability of being safe for every number of steps at once, and the
+    horizon is doubled until its rate gains less than ``tolerance``.
 
     Parameters
     ----------
     problem : Problem, id or path
-        One co-safe task; the search begins with its horizon.
+        One co-safe or safety task; the search begins with its horizon.
     cells, **settings
         As for ``synthesize``.
     tolerance : float
@@ -89,27 +93,40 @@ def without_deadline(
     Returns
     -------
     Synthesis
-        The synthesis with the largest bound among all horizons tried. Its certificate is about that horizon
-        (``certificate.problem``) and, by ``certificate.unbounded``, about all longer ones.
+        The best synthesis among all horizons tried. Its certificate is about that horizon (``certificate.problem``)
+        and, by ``certificate.unbounded`` or ``safety_rate``, about all longer ones.
 
     Raises
     ------
     ValueError
-        If the task is not co-safe, because then more time can lower the probability; or if it decomposes.
+        If the task is neither, because then more time can lower the probability; or if it decomposes.
     """
     problem = as_problem(problem)
-    if not problem.specification.is_co_safe:
+    automaton = problem.automaton
+    if not automaton.is_co_safe and not is_safety(automaton):
         raise ValueError(
-            '`problem`: expected a task of semantics "co-safe", which is satisfied at some time, got '
-            f"{problem.specification.semantics!r}; give it a horizon"
+            "`problem`: expected a co-safe task, which is satisfied at some time, or a safety task, which is satisfied "
+            "until it fails; give other tasks a horizon"
         )
     if problem.groups:
         raise ValueError("`problem`: expected one task, got independent ones; take the problems of `problem.tasks`")
     settings = {**settings, "stationary": True}
+    problem = problem if automaton.is_co_safe else problem.replace(horizon=max(problem.horizon, SHORTEST))
     best = _from(None, problem, cells, settings)
     while 2 * best.certificate.problem.horizon <= longest:
         longer = _from(best, problem.replace(horizon=2 * best.certificate.problem.horizon), cells, settings)
-        if longer.certificate.lower_bound <= best.certificate.lower_bound + tolerance:
-            return max(best, longer, key=lambda result: result.certificate.lower_bound)
+        if _worth(longer) <= _worth(best) + tolerance:
+            return max(best, longer, key=_worth)
         best = longer
     return best
+
+
+def _worth(result: Synthesis) -> float:
+    """Return what is certified without a deadline: the bound of a co-safe task, the rate of a safety task."""
+    certificate = result.certificate
+    if certificate.problem.automaton.is_co_safe:
+        return certificate.lower_bound
+    try:
+        return safety_rate(certificate).rate
+    except ValueError:  # a value that falls to 0 somewhere bounds nothing; a longer horizon may do better
+        return 0.0

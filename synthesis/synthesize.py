@@ -26,6 +26,7 @@ from .choosing import (
     first_cells,
     groups_of,
     has_linear_cells,
+    least_above,
     linear_levels,
     policies_from,
     refine,
@@ -312,19 +313,23 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     is_scalar = all(agent.n_states == 1 for agent in problem.agents)
     if "auto" in kinds and (linear.certificate.lower_bound < GOOD or is_scalar):
         try:
-            # Boxes of expressions need cells of their own, and coarse ones show whether they come near.
-            written = [isinstance(agent, Agent) for agent in problem.agents]
-            others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
-            other = _compared(problem, first_cells(problem) if any(written) else None, others, plan)
+            other = _others(problem, kinds, plan)
         except ValueError as refusal:
             tried["others"] = str(refusal)
         else:
             kind = other.certificate.settings["relation"]
             tried |= other.stats.get("tried", {kind: other.certificate.lower_bound})  # type: ignore[call-overload]
             best = max(linear, other, key=lambda result: result.certificate.lower_bound)
-            best = replace(best, stats={**best.stats, **_least_above(linear, other)})
+            best = replace(best, stats={**best.stats, **least_above(linear, other)})
     more = {"levels": record} if best.certificate is linear.certificate else {}
     return _with_record(best, {**more, "relations_tried": tried}, began)
+
+
+def _others(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the best of other relations; boxes of expressions have coarse cells that show whether they come near."""
+    written = [isinstance(agent, Agent) for agent in problem.agents]
+    others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
+    return _compared(problem, first_cells(problem) if any(written) else None, others, plan)
 
 
 def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
@@ -339,7 +344,7 @@ def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     best, record = finer_levels(problem, plan.settings, first, _run_of_levels(problem, plan))
     if best.certificate is certificate:
         return first
-    best = replace(best, stats={**best.stats, **_least_above(first, best)})
+    best = replace(best, stats={**best.stats, **least_above(first, best)})
     tried = certificate.settings.get("relations_tried")
     more = {} if tried is None else {"relations_tried": tried}
     return _with_record(best, {"levels": record, **more}, began)
@@ -373,14 +378,7 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan, first: Synthesi
     cells = {name: tuple(2 * n for n in part.grid.shape) for name, part in parts}
     second = _compared(problem, cells, kinds, plan)
     best = max(first, second, key=lambda result: result.certificate.lower_bound)
-    return replace(best, stats={**best.stats, **_least_above(first, second)})
-
-
-def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
-    """Return the smaller of two upper bounds on what any policy attains; finite models bound only themselves."""
-    bounds = [result.stats.get("continuous_upper_bound") for result in (first, second)]
-    known = [bound for bound in bounds if isinstance(bound, float)]
-    return {"continuous_upper_bound": min(known, default=None)}
+    return replace(best, stats={**best.stats, **least_above(first, second)})
 
 
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:

@@ -46,7 +46,7 @@ MAY_IMPORT = {
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing synthesis.nominal_paths",
+    "synthesis.choosing synthesis.nominal_paths synthesis.checking",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",

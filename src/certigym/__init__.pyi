@@ -28,6 +28,7 @@ from .synthesis.certify import certify as certify
 from .synthesis.certify import improve as improve
 from .synthesis.checking import check as check
 from .synthesis.checking import check_rigorous as check_rigorous
+from .synthesis.checking import safety_rate as safety_rate
 from .synthesis.checking import value_in_time as value_in_time
 from .synthesis.controllers import Controller as Controller
 from .synthesis.controllers import InputTable as InputTable
@@ -121,6 +122,7 @@ __all__ = [
     "rollout",
     "save_certificate",
     "save_permission",
+    "safety_rate",
     "shield",
     "shielded",
     "split_axes",

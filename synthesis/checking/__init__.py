@@ -3,6 +3,7 @@
 from .certificate_check import CheckReport, check
 from .execution import execution_of
 from .greedy import Greedy, greedy_disturbance
+from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
@@ -14,6 +15,9 @@ __all__ = [
     "CheckReport",
     "Greedy",
     "RigorousReport",
+    "SHORTEST",
+    "SafetyRate",
+    "is_safety",
     "ValueInTime",
     "check",
     "check_rigorous",
@@ -22,6 +26,7 @@ __all__ = [
     "masks_of",
     "greedy_disturbance",
     "regrow",
+    "safety_rate",
     "tree_start_value",
     "value_in_time",
     "verify_relation",

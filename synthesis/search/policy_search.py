@@ -158,12 +158,9 @@ def find_policies(
     most = upper_bound(joint, start, relaxations)
     given = dict(given or {})
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
-        relaxed = relaxed_policies(relaxations)
         if len(joint.models) == 1:
-            # One agent has nobody to wait for: its relaxation is dynamic programming, losses counted.
-            alone = sweep(joint, relaxed, start, LINEAR_FINAL, improve=False)
-            return Found(alone, [alone.value], {"relaxed start": alone.value}, relaxations, None)
-        given = given or {"relaxed start": relaxed}  # sweeps are long
+            return _alone(joint, start, relaxations)
+        given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
     trees = _TreeAscent(joint, start, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)
@@ -203,6 +200,12 @@ def find_policies(
             break
         frozen, gain = polished, polished_gain
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
+
+
+def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> Found:
+    """Return the policies of a single agent: its relaxation is dynamic programming, losses counted."""
+    best = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
+    return Found(best, [best.value], {"relaxed start": best.value}, relaxations, None)
 
 
 def _coarser(first: Limits, second: Limits) -> Limits:

@@ -68,6 +68,11 @@ def add_search(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
+    parser.add_argument(
+        "--no-deadline",
+        action="store_true",
+        help="stationary policies, and a horizon that is doubled until the bound gains less than --accuracy (1e-6)",
+    )
     parser.add_argument("--stationary", action="store_true", help="policies that do not look at the time")
     parser.add_argument(
         "--device",

@@ -12,7 +12,8 @@ from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
 from ..synthesis.checking import check as check_certificate
-from ..synthesis.checking import check_rigorous
+from ..synthesis.checking import check_rigorous, safety_rate
+from ..validation.simulation import LABEL_WIDTH
 from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
@@ -57,7 +58,18 @@ def run(options: Namespace) -> int:
     result = synthesized(options)
     if options.out:
         save_certificate(result.certificate, options.out)
-    return validate_result(options, result, None)
+    status = validate_result(options, result, None)
+    if options.no_deadline and options.json != "-":
+        print(f"{'no deadline':<{LABEL_WIDTH}}{_lasting(result)}")
+    return status
+
+
+def _lasting(result: Any) -> str:
+    """Return what is certified without a deadline, in words."""
+    certificate = result.certificate
+    if certificate.unbounded is not None:
+        return f"the bound holds for every longer horizon, too, and without any: P >= {certificate.unbounded:.6g}"
+    return f"P(safe for k steps) >= {safety_rate(certificate)}, for every k"
 
 
 def synthesize(options: Namespace) -> int:

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from ..envs.agents import counted
 from ..envs.problem import Problem
 from ..synthesis.certificates import Synthesis
+from ..synthesis.horizons import without_deadline
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
@@ -28,6 +29,12 @@ def synthesized(options: Namespace) -> Synthesis:
             bar.set_postfix_str(f"value {value:.6f}")
             bar.update()
 
+        if getattr(options, "no_deadline", False):
+            # --accuracy is about the horizon here
+            asked = search_of(options)
+            gain = {} if options.accuracy is None else {"tolerance": options.accuracy}
+            kept = {name: asked[name] for name in ("restarts", "device")}
+            return without_deadline(problem, cells, **relation_of(options), **kept, **gain, progress=report)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
         result = synthesize(problem, cells, **chosen, progress=report)
     record = result.stats.get("cells")
@@ -54,7 +61,7 @@ def trials(options: Namespace, total: int | None = None) -> Iterator[TrialPlan]:
 
 def trained(problem: Problem, algorithm: str, steps: int | None, seed: int, **arguments: Any) -> Training:
     """Train a baseline with a progress bar; the arguments are those of ``train``."""
-    with tqdm(desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
+    with tqdm(total=steps, desc=f"{algorithm} (seed {seed})", unit=" steps", disable=None, leave=False) as bar:
 
         def progress(count: int, success: float) -> None:
             bar.set_postfix_str(f"success {success:.3f}")
