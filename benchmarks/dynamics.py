@@ -20,6 +20,15 @@ EPISODES, CONFIDENCE = 100_000, 0.999
 CASES: dict[str, tuple[Callable[[], cg.Problem], dict[str, Any]]] = {
     "van der Pol, 40 steps": (lambda: cg.make_problem("van-der-pol-v0"), {"cells": [240, 34]}),
     "van der Pol, 200 steps": (lambda: cg.make_problem("van-der-pol-v0", horizon=200), {"cells": [160, 24]}),
+    "van der Pol, linear cells": (lambda: cg.make_problem("van-der-pol-v0"), {"cells": 60, "relation": "linear"}),
+    "van der Pol, linear, 100 steps": (
+        lambda: cg.make_problem("van-der-pol-v0", horizon=100),
+        {"cells": 40, "relation": "linear"},
+    ),
+    "dubins, 1, linear cells": (
+        lambda: cg.make_problem("dubins-team-v0", n_agents=1),
+        {"cells": [32, 32, 24], "relation": "linear"},
+    ),
     "van der Pol, default": (lambda: cg.make_problem("van-der-pol-v0"), {}),
     "rooms, 8": (lambda: cg.make_problem("room-network-v0", n_agents=8), {"cells": 64}),
     "rooms, 100": (lambda: cg.make_problem("room-network-v0", n_agents=100), {"cells": 64, "max_sweeps": 0}),
@@ -40,7 +49,7 @@ def measure(name: str, problem: cg.Problem, settings: dict[str, Any]) -> bool:
     low, high = clopper_pearson(runs.successes, runs.episodes, CONFIDENCE)
     bound = result.certificate.lower_bound
     words = f"{made - began:.1f} s, check {checked - made:.1f} s{'' if verified else ', NOT VERIFIED'}"
-    print(f"{name:24} P >= {bound:.6f}  {words}, rollouts [{low:.5f}, {high:.5f}]", flush=True)
+    print(f"{name:32} P >= {bound:.6f}  {words}, rollouts [{low:.5f}, {high:.5f}]", flush=True)
     return verified and bound <= high
 
 

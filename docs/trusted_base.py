@@ -43,6 +43,7 @@ TRUSTED = {
         "synthesis.controllers.controller synthesis.controllers.path_controller "
         "synthesis.controllers.product_controller synthesis.controllers.team_controller "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
+        "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
@@ -56,7 +57,7 @@ TRUSTED = {
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
         "synthesis.checking.train_check "
-        "synthesis.checking.upper_end"
+        "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
     ),
 }
 """Modules in which a mistake could let a false claim pass."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, LinearAgent
+from ..envs.agents import Agent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused
@@ -17,6 +17,7 @@ from .certificates import Certificate, Synthesis, checked_certificate
 from .certification import certified
 from .choosing import (
     GOOD,
+    MOST_LINEAR_AGENTS,
     SOLVED,
     Budget,
     Run,
@@ -24,6 +25,8 @@ from .choosing import (
     finer_levels,
     first_cells,
     groups_of,
+    has_linear_cells,
+    least_above,
     linear_levels,
     policies_from,
     refine,
@@ -48,9 +51,6 @@ from .values import HOST, device_put
 
 MOST_GRID_STATES = 3
 """States of an agent up to which it has a grid by default; certificates along a path need none."""
-
-MOST_LINEAR_AGENTS = 2
-"""Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
 
 MOST_LINEAR_TERMS = 32
 """Terms of the value trees of further agents up to which linear cells, which pay for every term, are tried."""
@@ -302,9 +302,10 @@ def _may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
         return False
     if {*kinds} == {"linear"}:
         return True
-    if not all(isinstance(agent, LinearAgent) and agent.laws is None for agent in problem.agents):
+    if not all(map(has_linear_cells, problem.agents)):
         return False
-    few = problem.n_agents <= MOST_LINEAR_AGENTS or all(agent.n_states == 1 for agent in problem.agents)
+    scalar = all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
+    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
 
 
@@ -324,6 +325,8 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
             return first if first.certificate.lower_bound >= GOOD else _doubled(problem, kinds, plan, first)
     linear, record = linear_levels(problem, plan.settings, run)
+    if linear is None and any(isinstance(agent, Agent) for agent in problem.agents):
+        return _finer(problem, kinds, plan)
     if linear is None:
         return _compared(problem, None, kinds, plan) if "auto" in kinds else _plain(problem, None, kinds, plan)
     best = linear
@@ -331,16 +334,23 @@ def _by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     is_scalar = all(agent.n_states == 1 for agent in problem.agents)
     if "auto" in kinds and (linear.certificate.lower_bound < GOOD or is_scalar):
         try:
-            other = _compared(problem, None, kinds, plan)
+            other = _others(problem, kinds, plan)
         except ValueError as refusal:
             tried["others"] = str(refusal)
         else:
             kind = other.certificate.settings["relation"]
             tried |= other.stats.get("tried", {kind: other.certificate.lower_bound})  # type: ignore[call-overload]
             best = max(linear, other, key=lambda result: result.certificate.lower_bound)
-            best = replace(best, stats={**best.stats, **_least_above(linear, other)})
+            best = replace(best, stats={**best.stats, **least_above(linear, other)})
     more = {"levels": record} if best.certificate is linear.certificate else {}
     return _with_record(best, {**more, "relations_tried": tried}, began)
+
+
+def _others(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the best of other relations; boxes of expressions have coarse cells that show whether they come near."""
+    written = [isinstance(agent, Agent) for agent in problem.agents]
+    others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
+    return _compared(problem, first_cells(problem) if any(written) else None, others, plan)
 
 
 def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
@@ -355,7 +365,7 @@ def _finer(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     best, record = finer_levels(problem, plan.settings, first, _run_of_levels(problem, plan))
     if best.certificate is certificate:
         return first
-    best = replace(best, stats={**best.stats, **_least_above(first, best)})
+    best = replace(best, stats={**best.stats, **least_above(first, best)})
     tried = certificate.settings.get("relations_tried")
     more = {} if tried is None else {"relations_tried": tried}
     return _with_record(best, {"levels": record, **more}, began)
@@ -389,14 +399,7 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan, first: Synthesi
     cells = {name: tuple(2 * n for n in part.grid.shape) for name, part in parts}
     second = _compared(problem, cells, kinds, plan)
     best = max(first, second, key=lambda result: result.certificate.lower_bound)
-    return replace(best, stats={**best.stats, **_least_above(first, second)})
-
-
-def _least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
-    """Return the smaller of two upper bounds on what any policy attains; finite models bound only themselves."""
-    bounds = [result.stats.get("continuous_upper_bound") for result in (first, second)]
-    known = [bound for bound in bounds if isinstance(bound, float)]
-    return {"continuous_upper_bound": min(known, default=None)}
+    return replace(best, stats={**best.stats, **least_above(first, second)})
 
 
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:

@@ -32,7 +32,7 @@ def true_hats(mean: float, low: float, high: float, std: float) -> tuple[mpmath.
 
 def hats_of(code: str, means: NDArray, edges: NDArray, std: float) -> NDArray:
     """Masses by the code of the search, or by that of the check."""
-    return hat_masses(means, edges, std)[0] if code == "search" else linear_tables._hats(means, edges, std)[0]
+    return hat_masses(means, edges, std)[0] if code == "search" else linear_tables.normal_hats(means, edges, std)[0]
 
 
 @pytest.mark.parametrize("code", ["search", "check"])

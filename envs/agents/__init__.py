@@ -15,7 +15,7 @@ from .checks import (
 )
 from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
-from .laws import Gaussian, Law
+from .laws import Gaussian, Law, Uniform
 from .neighbours import neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
 from .printing import box_text, counted, names_text, shortened, tree_text
@@ -35,6 +35,7 @@ __all__ = [
     "PairRegion",
     "Proposition",
     "REFUSAL",
+    "Uniform",
     "UnknownArgument",
     "box_text",
     "checked_count",

@@ -1,7 +1,7 @@
 """Expressions that say how agents move: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
 
 from .affine_inputs import split_at, substituted
-from .enclosure import Affine, enclosed
+from .enclosure import Affine, enclosed, gradients
 from .evaluation import computed
 from .expression_tree import Name, Number, Operation, Tree, names_in, whole_exponent
 from .intervals import Interval
@@ -19,6 +19,7 @@ __all__ = [
     "checked_variable",
     "computed",
     "enclosed",
+    "gradients",
     "names_in",
     "read_expression",
     "split_at",

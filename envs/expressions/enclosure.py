@@ -84,6 +84,29 @@ def enclosed(
         return result
 
 
+def gradients(
+    trees: Sequence[Tree], names: Mapping[str, Affine], at: Sequence[FloatArray], rows: FloatArray | None = None
+) -> list[tuple[FloatArray, dict[int, FloatArray]]]:
+    """Return values and partial derivatives of expressions, or rows of a matrix times them, at points (rounded).
+
+    Derivatives that are left out are 0. At kinks they are between the slopes on both sides; where nothing is known they
+    are not numbers.
+
+    Parameters
+    ----------
+    trees, names, rows
+        As for ``enclosed``.
+    at : sequence of arrays
+        The variables, arrays that broadcast.
+    """
+    with np.errstate(all="ignore"):
+        found = _outputs(trees, names, [(point, point) for point in at], rows)
+        return [
+            (0.5 * (low + high), {k: 0.5 * (slope[0] + slope[1]) for k, slope in slopes.items()})
+            for (low, high), slopes in found
+        ]
+
+
 def _mean_value(centre: Interval, slopes: Slopes, box: Sequence[Interval], middle: Sequence[Interval]) -> Interval:
     value = centre
     for k, slope in slopes.items():

@@ -306,7 +306,8 @@ def _wrong_written(
 
     Cells are -1 where there is no choice.
     """
-    menu, steer = np.array(part.relation["menu"], dtype=float), np.array(part.relation["steer"], dtype=bool)[choice]
+    menu = np.array(part.relation["menu"], dtype=float)
+    steer = np.array(part.relation.get("steer", [False] * len(menu)), dtype=bool)[choice]
     if np.any((inputs != menu[choice].T) & (cells >= 0) & ~steer):
         return ["its controller was seen to do something else than its policy says"]
     assert isinstance(agent, Agent)

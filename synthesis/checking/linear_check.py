@@ -17,6 +17,7 @@ from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from .linear_tables import ON_LATTICE, UNIT, LinearTables, grid_matrix, values_and_bends
+from .written_linear import WrittenTables, image_values, written_values
 
 RELATIVE = 1e-11
 """Share by which stored factors may exceed what is computed here; the claim's own reserve is larger."""
@@ -26,9 +27,9 @@ CHUNK = 3_000_000
 
 
 def linear_values(
-    agent: LinearAgent,
+    agent: AnyAgent,
     part: AgentPart,
-    tables: LinearTables,
+    tables: LinearTables | WrittenTables,
     factors: FloatArray,
     t: int,
     q: int,
@@ -40,8 +41,8 @@ def linear_values(
     """
     if not len(factors):
         return np.zeros((0, places_of(part))), np.ones(0, dtype=bool)
-    values, bends = values_and_bends(tables, factors)
-    d = len(tables.masses)
+    smoothed = _smoothed(part, tables, factors)
+    d, parts = len(part.lattice), int(part.relation["parts"])
     policy = part.policy[min(t, len(part.policy) - 1), q]
     result = np.zeros((len(factors), part.grid.n_cells, 2**d))
     chosen_cells = np.flatnonzero(policy >= 0)
@@ -50,10 +51,10 @@ def linear_values(
         by_cell = _by_cell(stored, part.grid.shape)
         # Where there is no choice the value is 0.
         proved = np.all(stored >= 0.0, axis=1) & ~by_cell[:, policy < 0].any(axis=(1, 2))
-    pieces = len(chosen_cells) * len(factors) * (tables.parts + 1) ** d // CHUNK + 1
+    pieces = len(chosen_cells) * len(factors) * (parts + 1) ** d // CHUNK + 1
     for cells in np.array_split(chosen_cells, pieces):
         if len(cells):
-            lower, at, lacking, blend = _corner_values(agent, part, tables, values, bends, cells, policy[cells])
+            lower, at, lacking, blend = _corner_values(agent, part, tables, smoothed, cells, policy[cells])
             result[:, cells] = lower
             if stored is not None:
                 # Any multilinear function will do that is below f at the points that are read by what f may lack.
@@ -66,6 +67,14 @@ def linear_values(
     return result.transpose(order).reshape(len(factors), -1), proved
 
 
+def _smoothed(part: AgentPart, tables: LinearTables | WrittenTables, factors: FloatArray) -> list[FloatArray]:
+    """Values of factors on the lattice and what is known of them between its points; last the largest of each (n,)."""
+    largest = factors.max(axis=1, initial=0.0)
+    if isinstance(tables, WrittenTables):
+        return [*written_values(part, tables, factors), largest]
+    return [*values_and_bends(tables, factors), largest]
+
+
 def _by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Factors (n, places) by cell and corner: (n, S, 2^d)."""
     d = len(shape)
@@ -75,11 +84,10 @@ def _by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _corner_values(
-    agent: LinearAgent,
+    agent: AnyAgent,
     part: AgentPart,
-    tables: LinearTables,
-    values: FloatArray,
-    bends: FloatArray,
+    tables: LinearTables | WrittenTables,
+    smoothed: list[FloatArray],
     cells: NDArray[np.int64],
     choices: NDArray[np.integer],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -88,6 +96,31 @@ def _corner_values(
     Also the values (n, C, K) at the points that are read, what they may lack between them (n, C), and the weights
     (2^d, K) of corners at these points.
     """
+    d = len(part.lattice)
+    share = np.array(list(itertools.product(np.linspace(0.0, 1.0, int(part.relation["parts"]) + 1), repeat=d)))
+    if isinstance(tables, WrittenTables):
+        at, lacking, inside = image_values(part, tables, smoothed[:-1], smoothed[-1], cells, choices, share)
+    else:
+        assert isinstance(agent, LinearAgent)
+        at, lacking, inside = _images(agent, part, tables, smoothed, cells, choices, share)
+    sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
+    corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
+    blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)
+    # An image that leaves the lattice is not known there.
+    at, lower = at * inside[:, None], _below(at, corners, corners @ blend, lacking) * inside[:, None]
+    return lower, at, lacking, blend
+
+
+def _images(
+    agent: LinearAgent,
+    part: AgentPart,
+    tables: LinearTables,
+    smoothed: list[FloatArray],
+    cells: NDArray[np.int64],
+    choices: NDArray[np.integer],
+    share: FloatArray,
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Values (n, C, K) at the images of points ``share`` (K, d), what they may lack (n, C), and images inside (C,)."""
     d, shape = len(part.lattice), tuple(len(axis) for axis in part.lattice)
     n_points = math.prod(shape)
     places = np.unravel_index(cells, part.grid.shape)
@@ -103,20 +136,13 @@ def _corner_values(
         gain, point = np.divmod(choices, n_points)
         z = np.stack([axis[k] for axis, k in zip(part.lattice, np.unravel_index(point, shape), strict=True)], axis=1)
         gains = gain[:, None, None] * np.eye(d)
-    share = np.array(list(itertools.product(np.linspace(0.0, 1.0, tables.parts + 1), repeat=d)))
     position = z[:, None] + np.einsum("sij,sj,kj->ski", gains, half, 2.0 * share - 1.0)
     first = np.array([axis[0] for axis in part.lattice])
     pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-    at, lacking, inside = _read(values, bends, (position - first) / pitch, shape, tables.between)
+    at, lacking, inside = _read(smoothed[0], smoothed[1], (position - first) / pitch, shape, tables.between)
     # A choice that commands one mean has one value, and loses nothing.
-    fixed = ~gains.any(axis=(1, 2))
-    lacking[:, fixed] = 0.0
-    sides = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
-    corners = at[:, :, np.flatnonzero(np.all((share == 0.0) | (share == 1.0), axis=1))]
-    blend = np.prod(np.where(sides[:, None] == 1.0, share, 1.0 - share), axis=2)
-    # An image that leaves the lattice is not known there.
-    at, lower = at * inside[:, None], _below(at, corners, corners @ blend, lacking) * inside[:, None]
-    return lower, at, lacking, blend
+    lacking[:, ~gains.any(axis=(1, 2))] = 0.0
+    return at, lacking, inside
 
 
 def _read(

@@ -119,7 +119,7 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
     shares = lengths / lengths.sum()
     masses, lost = [], 0.0
     for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations.tolist(), strict=True):
-        table, missing = _hats(axis, edges, deviation)
+        table, missing = normal_hats(axis, edges, deviation)
         masses.append(table)
         lost += missing
     count = sum(float(np.sum(np.abs(move)) ** 2) / share for move, share in zip(moves, shares, strict=True) if share)
@@ -136,7 +136,7 @@ def grid_matrix(agent: LinearAgent, part: AgentPart) -> FloatArray:
     return np.asarray(np.linalg.solve(part.coordinates, agent.A @ part.coordinates))
 
 
-def _hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, float]:
+def normal_hats(axis: FloatArray, edges: FloatArray, sigma: float) -> tuple[FloatArray, float]:
     """Masses (Z, 2 S) of both hats of every cell around every lattice point, from below, and what rows lack at most."""
     t = (edges - axis[:, None]) / sigma
     width = np.diff(edges) / sigma

@@ -82,7 +82,7 @@ def steered_spans(
     unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
 
     def outputs(of: Sequence[Tree], on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = _leaves(agent, on, inputs, np.eye(agent.n_states), with_slopes)
+        leaves = leaves_of(agent, on, inputs, np.eye(agent.n_states), with_slopes)
         for command in commands:
             leaves[_target(command)] = Span.of(
                 targets[command.axis], targets[command.axis], next(iter(leaves.values()))
@@ -114,7 +114,7 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
     box, no_inputs = np.stack([low.T, high.T], axis=1), np.zeros((len(low), 0))
 
     def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
-        leaves = _leaves(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
+        leaves = leaves_of(agent, on, no_inputs, np.eye(agent.n_states), with_slopes)
         return [span(tree, leaves) for tree in agent.output_trees]
 
     with np.errstate(all="ignore"):
@@ -122,7 +122,7 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
     return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
 
 
-def _leaves(
+def leaves_of(
     agent: Agent, box: FloatArray, inputs: FloatArray, coordinates: FloatArray, with_slopes: bool
 ) -> dict[str, Span]:
     """Spans of all names on boxes (v, 2, n) of variables: the axes of the cell, then disturbances and neighbours."""
@@ -154,7 +154,7 @@ def _means(
     with_slopes: bool = False,
 ) -> list[Span]:
     """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
-    leaves = _leaves(agent, on, inputs, coordinates, with_slopes)
+    leaves = leaves_of(agent, on, inputs, coordinates, with_slopes)
     values = [span(tree, leaves) for tree in agent.trees]
     if rows is None:
         return values

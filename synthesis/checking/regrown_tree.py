@@ -12,14 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, linear_agent
-from ..certificates import Certificate, axis_tables, smooth
+from ..certificates import AgentPart, Certificate, axis_tables, smooth
 from ..values import Merges, Terms
 from .boxes_check import box_tables, box_values
 from .execution import execution_of
 from .forward_mass import mass_at_start
 from .linear_check import linear_values, masks_of, places_of
-from .linear_tables import linear_tables
+from .linear_tables import LinearTables, linear_tables
+from .written_linear import WrittenTables, written_tables
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of
@@ -40,7 +42,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
     kernels = [axis_tables(a, p, tables) if p.is_additive else [] for a, p in pairs]
-    linear = [linear_tables(linear_agent(a, "linear"), p) if p.is_linear else None for a, p in pairs]
+    linear = [_linear_tables(a, p) if p.is_linear else None for a, p in pairs]
     boxes = [
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
         for a, p in pairs
@@ -66,7 +68,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                         # The stored factors need not be those that are best here, but must be below the truth.
                         distinct, where = vertex[kept], np.arange(len(kept))
                         stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
-                    agent = linear_agent(certificate.problem.agents[i], "linear")
+                    agent = certificate.problem.agents[i]
                     values, proved = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
                     if not np.all(proved):
                         raise BrokenTreeError(
@@ -86,6 +88,13 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:
+    """Tables of an agent under the relation ``linear``."""
+    if isinstance(agent, Agent):
+        return written_tables(agent, part)
+    return linear_tables(linear_agent(agent, "linear"), part)
 
 
 def vertices_of(

@@ -24,6 +24,7 @@ from ..relations import (
     ExactRelation,
     LinearRelation,
     Relation,
+    WrittenRelation,
     ellipsoid_factor,
     ellipsoid_failure,
     ellipsoid_is_invariant,
@@ -59,6 +60,9 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     """
     if isinstance(relation, BoxRelation):
         return _verify_boxes(agent, part, execution)
+    if isinstance(relation, WrittenRelation):
+        outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
+        return ["its menu holds inputs beyond its input box"] if np.any(outside) else []
     if not isinstance(agent, LinearAgent):
         return ["its relation is for linear dynamics, which it has not"]
     if isinstance(relation, ExactRelation):

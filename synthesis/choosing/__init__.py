@@ -3,17 +3,20 @@
 from .cell_choice import Budget, refine
 from .given_start import policies_from
 from .levels import GOOD, SOLVED, Run, finer_levels, first_cells, linear_levels
-from .relation_choice import Tries, groups_of
+from .relation_choice import MOST_LINEAR_AGENTS, Tries, groups_of, has_linear_cells, least_above
 
 __all__ = [
     "Budget",
     "GOOD",
+    "MOST_LINEAR_AGENTS",
     "Run",
     "SOLVED",
     "Tries",
     "finer_levels",
     "first_cells",
     "groups_of",
+    "has_linear_cells",
+    "least_above",
     "linear_levels",
     "policies_from",
     "refine",

@@ -29,6 +29,7 @@ from ..models import (
     Policies,
     Settings,
     TargetWindows,
+    WrittenChoices,
     abstraction_of,
     has_full_rank,
 )
@@ -68,6 +69,9 @@ CELLS_PER_SECOND = 1e5
 WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
 """The same for other relations, whose choices are lattice points, inputs that lead to lattice points, and boxes."""
 
+DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
+"""Lattice points whose differences are found, and cells that are read and decided, with affine maps of expressions."""
+
 LATTICE_PER_SECOND = 1.3e7
 """Lattice points whose charge and window minima are found, under boxes."""
 
@@ -77,14 +81,22 @@ READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 SURELY = 0.7
 """Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
+MOST_SECONDS_WRITTEN = 50.0
+"""The same for linear cells of agents with expressions: there are fewer levels before."""
+
 MOST_SECONDS = 40.0
 """Estimate up to which a level is begun: all levels together then take about a minute at most."""
 
 CHEAP_SECONDS = 0.5
 """Estimate below which a level is begun whatever the last one gained."""
 
-GUESSED_RANK, MOST_GUESSED_RANK = 10, 20
-"""Terms that the first level of two agents is expected to have, and further ones at most: sweeps have few."""
+GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_WRITTEN = 10, 20, 2
+"""Terms that the first level of two agents is expected to have, and further ones at most: sweeps have few. The last is
+for linear cells of agents with expressions, of which the first level takes next to no time."""
+
+LEAST_SHARE, SOLVED_WRITTEN = 0.2, 0.9999
+"""The same gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
+agents with expressions."""
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which no finer level is worth its time, and from which no other relation is tried."""
@@ -151,7 +163,7 @@ class _Levels:
         self.best: Synthesis | None = None
         self.record: Record = []
         self.before: tuple[Abstraction, Policies] | None = None
-        self.rank = GUESSED_RANK if problem.n_agents > 1 else 1
+        self.rank = 1 if problem.n_agents == 1 else GUESSED_WRITTEN if self.is_written else GUESSED_RANK
         self.undecided = int((~problem.automaton.absorbing).sum())
 
     def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
@@ -186,6 +198,9 @@ class _Levels:
             if found is None:
                 return
             abstraction, finer, seconds = found
+            if self.is_written and self.has_cells_of(abstraction):
+                width /= finer  # boundaries of regions ask for as many cells as there are
+                continue
             if is_flat and seconds > CHEAP_SECONDS:
                 return
             is_first, bound = self.before is None, self.bound
@@ -193,10 +208,32 @@ class _Levels:
             result = self.run(abstraction, carried)
             self.begin(abstraction, result)
             # Where a level gained little, further ones are made only if they cost next to nothing.
-            is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < LEAST_GAIN
-            if result.certificate.lower_bound >= SOLVED or (not is_first and finer < FINER[0]):
+            is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < self.least_gain
+            if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
                 return
             width /= finer
+
+    @property
+    def is_written(self) -> bool:
+        """Whether agents with expressions have linear cells: levels are quick, and lose little of what is left."""
+        return "linear" in self.kinds and any(isinstance(agent, Agent) for agent in self.problem.agents)
+
+    def has_cells_of(self, abstraction: Abstraction) -> bool:
+        """Return whether the last level had as many cells."""
+        if self.before is None:
+            return False
+        pairs = zip(self.before[0].models, abstraction.models, strict=True)
+        return all(one.grid.shape == other.grid.shape for one, other in pairs)
+
+    @property
+    def solved(self) -> float:
+        """The bound from which no finer level is worth its time."""
+        return SOLVED_WRITTEN if self.is_written else SOLVED
+
+    @property
+    def least_gain(self) -> float:
+        """Gain of a level from which the next one is worth its time."""
+        return min(LEAST_GAIN, LEAST_SHARE * (1.0 - self.bound)) if self.is_written else LEAST_GAIN
 
     @property
     def bound(self) -> float:
@@ -208,15 +245,16 @@ class _Levels:
         # Time grows with the cells at least, so that most levels that take too long need not be built to know it.
         d = min(agent.n_states for agent in self.problem.agents)
         least = 0.0 if self.before is None else SURELY * self.seconds(self.before[0])
+        most = MOST_SECONDS_WRITTEN if self.is_written else MOST_SECONDS
         for finer in FINER if self.before is not None else (1.0,):
-            if least * finer**d > MOST_SECONDS:
+            if least * finer**d > most:
                 continue
             try:
                 abstraction = abstraction_of(self.problem, self.cells_of(width / finer), self.kinds, self.settings)
             except RelationRefused:
                 return None
             seconds = self.seconds(abstraction)
-            if seconds <= MOST_SECONDS:
+            if seconds <= most:
                 return abstraction, finer, seconds
         return None
 
@@ -275,7 +313,7 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
 
     It is counted from sizes alone, so that it is the same on every machine.
     """
-    total = 0.0
+    total, seen = 0.0, set[int]()
     for model in abstraction.models:
         places, points = model.kernel.shape, model.kernel.lattice_shape
         # Smoothing: one axis after the other, each lattice point meeting the cells within reach of the noise.
@@ -285,6 +323,12 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
             size = size / places[axis] * points[axis]
             smoothing += size * stored / points[axis]
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
+        if isinstance(model.choices, WrittenChoices):
+            # Agents that are alike have equal factors as a rule, which are smoothed once.
+            lattice = 0.0 if id(model) in seen else math.prod(points) / DIFFERENCES_PER_SECOND
+            total += rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
+            seen.add(id(model))
+            continue
         smoothing *= LINEAR_TABLES if isinstance(model.choices, AffineChoices) else 1
         if isinstance(model.choices, BoxChoices):
             total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ...envs.problem import Problem
 from ..cells import CellCounts, RelationRefused, cells_of_agent
 from ..certificates import Synthesis, rounded_up
@@ -52,6 +52,9 @@ LEAST_GAIN = 1e-3
 
 PROMISING = 0.5
 """Share of the best bound that one sweep must reach for the search to go on."""
+
+MOST_LINEAR_AGENTS = 2
+"""Agents of a task up to which linear cells are tried without being asked for, unless each has a single state."""
 
 DOUBLINGS, MOST_CELLS = 2, 200_000
 """How often default cells are doubled where no relation applies to them, and to how many of one agent."""
@@ -132,7 +135,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     automatic = ALL_RELATIONS[:3] if has_full_rank(first) else ALL_RELATIONS[1:3]
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
-        wanted = dict.fromkeys(wanted, ("boxes",))
+        is_smooth = problem.n_agents <= MOST_LINEAR_AGENTS and has_linear_cells(first)
+        wanted = dict.fromkeys(wanted, ("linear", "boxes") if is_smooth else ("boxes",))
     elif first.laws is not None:
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
     for relation in wanted.get(asked, (asked,)):
@@ -153,6 +157,17 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         listed = "; ".join(f"{relation}: {reason}" for relation, reason in refused.items())
         raise RelationRefused(f"`relation`: expected one that applies to agent `{name}`, got none: {listed}")
     return AgentGroup(members, models, refused)
+
+
+def has_linear_cells(agent: AnyAgent) -> bool:
+    """Return whether linear cells hold for the noise of an agent, and no other agent moves it.
+
+    Neighbours would be disturbances under linear cells; mean boxes cancel those that are communicated.
+    """
+    if isinstance(agent, Agent):
+        laws = [] if agent.laws is None else [law.name for law in agent.laws]
+        return not agent.others and {*laws} <= {"gaussian", "uniform"} and laws.count("uniform") <= 1
+    return agent.laws is None
 
 
 def is_settled(model: AgentModel) -> bool:
@@ -333,3 +348,10 @@ def _same_model(first: AgentModel, second: AgentModel) -> bool:
     axes = zip(first.lattice, second.lattice, strict=True)
     close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in axes)
     return close and np.array_equal(a.leads_to, b.leads_to)
+
+
+def least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
+    """Return the smaller of two upper bounds on what any policy attains; finite models bound only themselves."""
+    bounds = [result.stats.get("continuous_upper_bound") for result in (first, second)]
+    known = [bound for bound in bounds if isinstance(bound, float)]
+    return {"continuous_upper_bound": min(known, default=None)}

@@ -23,8 +23,9 @@ from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .joint import JointModel, join, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
-from .linear_kernel import LinearKernel, hat_table
+from .linear_kernel import HatKernel, LinearKernel, hat_table
 from .network_model import NetworkChoices, network_abstraction, network_tables
+from .written_choices import WrittenChoices
 
 __all__ = [
     "Abstraction",
@@ -36,6 +37,7 @@ __all__ = [
     "BoxKernel",
     "Choices",
     "INPUT_LEVELS",
+    "HatKernel",
     "InputMenu",
     "JointModel",
     "Kernel",
@@ -49,6 +51,7 @@ __all__ = [
     "Settings",
     "StepPolicy",
     "TargetWindows",
+    "WrittenChoices",
     "abstract",
     "abstraction_of",
     "alike_arrays",

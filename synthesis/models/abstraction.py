@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent, checked_count, counted, tree_text
+from ...envs.agents import Agent, AnyAgent, LinearAgent, checked_count, counted, tree_text
 from ...envs.problem import Problem, checked_problem
 from ..cells import (
     DEFAULT_TARGETS,
@@ -48,6 +48,7 @@ from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_mo
 from .box_model import box_model
 from .kernel import Kernel
 from .linear_model import linear_model
+from .written_model import written_model
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
@@ -342,13 +343,15 @@ def _shared_model(
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
-    # Of agents whose dynamics are expressions no more is known than boxes.
+    # Agents whose dynamics are expressions are enclosed in boxes unless something else is asked for.
     is_any = kind in ("auto", "quick")
     if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
         return _shared_model(agent, kind, grid, coordinates, room, settings)
+    if kind == "linear" and isinstance(agent, Agent):
+        return written_model(agent, grid, coordinates, settings.targets_per_cell)
     agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)

@@ -79,7 +79,30 @@ def hat_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[AxisTab
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearKernel(Kernel):
+class HatKernel(Kernel):
+    """Kernel from lattice points to corners of cells; ``smooth`` gives values, and more columns beside them."""
+
+    @property
+    def n_points(self) -> int:
+        """Number of lattice points Z."""
+        return math.prod(self.lattice_shape)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns of smoothed factors: the values, and what choices need beside them."""
+        raise NotImplementedError
+
+    def rough(self, factors: NDArray) -> NDArray:
+        """Return values with nothing beside them: about right, for choosing policies and for nothing else."""
+        return self.alone(super().smooth(factors))
+
+    def alone(self, values: NDArray) -> NDArray:
+        """Return numbers of lattice points (n, Z) as smoothed factors with nothing beside their values."""
+        return np.concatenate([values, np.zeros((len(values), self.n_columns - self.n_points))], axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearKernel(HatKernel):
     """Kernel from lattice points to corners of cells; ``smooth`` gives values and, beside them, bends.
 
     Parameters
@@ -95,14 +118,9 @@ class LinearKernel(Kernel):
     bends: Bends = field(kw_only=True)
 
     @property
-    def n_points(self) -> int:
-        """Number of lattice points Z."""
-        return math.prod(self.lattice_shape)
-
-    def rough(self, factors: NDArray) -> NDArray:
-        """Return the same without bends: about right, for choosing policies and for nothing else."""
-        values = super().smooth(factors)
-        return np.concatenate([values, np.zeros_like(values)], axis=1)
+    def n_columns(self) -> int:
+        """Number of columns of smoothed factors: values and bends."""
+        return 2 * self.n_points
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return values and bends (n, 2 Z) at every lattice point of factors (n, 2^d S), nonnegative."""

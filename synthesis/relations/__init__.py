@@ -1,5 +1,6 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
+from .affine_means import AffineBoxes, AffineMeans, WrittenRelation, written_relation
 from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
@@ -26,6 +27,8 @@ from .written_means import WrittenMeans
 
 __all__ = [
     "ACTIVATIONS",
+    "AffineBoxes",
+    "AffineMeans",
     "BoxRelation",
     "Command",
     "CoupledRelation",
@@ -42,6 +45,7 @@ __all__ = [
     "Relation",
     "Row",
     "WrittenMeans",
+    "WrittenRelation",
     "best_feedback",
     "commands_of",
     "box_relation",
@@ -70,4 +74,5 @@ __all__ = [
     "tube_generators",
     "tube_relation",
     "write_task",
+    "written_relation",
 ]

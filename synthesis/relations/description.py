@@ -16,6 +16,7 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
+from .affine_means import WrittenRelation, written_relation
 from .boxes import BoxRelation, NetworkMeans, box_relation
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -56,6 +57,9 @@ ARRAY_ENTRIES = {
 MOST_BOXES_OF_A_CELL = 256
 """Most parts of a cell whose means are enclosed one by one."""
 
+MOST_REACH = 10_000
+"""Most lattice steps within which largest differences are taken."""
+
 MOST_PARTS = 16
 """Most parts of each side of an image: what a file may ask a check to compute."""
 
@@ -72,6 +76,10 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
         if isinstance(relation.means, NetworkMeans):
             written = {"parts": relation.means.parts, "network": relation.means.policy.description}
         return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
+    if isinstance(relation, WrittenRelation):
+        assert relation.means is not None
+        written = {"parts": relation.parts, "cuts": relation.means.cuts, "reach": [*relation.reach]}
+        return {"kind": "linear", "menu": relation.menu.tolist(), **written}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
     if relation.kind == "paper":
@@ -102,6 +110,10 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
             name: description[name] for name in ("parts", "steer", "network") if name in description
         }
         return box_relation(agent, coordinates, menu, gains, written)
+    if kind == "linear" and isinstance(agent, Agent):
+        menu = np.array(description["menu"], dtype=float)
+        numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
+        return written_relation(agent, coordinates, menu, *numbers)
     agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_relation(agent, coordinates)
@@ -135,7 +147,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     is_written = isinstance(agent, Agent)
-    if is_written != (description["kind"] == "boxes" and "parts" in description and "steer" in description):
+    named = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach")}.get(description["kind"])
+    if is_written != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
     has_network = description["kind"] == "boxes" and "network" in description
     in_parts = description["kind"] == "linear" or is_written or has_network
@@ -145,9 +158,15 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         if is_written:
             raise ValueError("it has a network for an agent whose dynamics are expressions")
         check_network(description["network"], agent, len(description["menu"]))
-    if (is_written or has_network) and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL:
+    if (
+        (is_written or has_network)
+        and description["kind"] == "boxes"
+        and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
+    ):
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
-    if is_written:
+    if is_written and description["kind"] == "linear":
+        _check_maps(description, agent)
+    elif is_written:
         steer = description["steer"]
         if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
@@ -164,3 +183,14 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
+
+
+def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:
+    """Raise ValueError unless a relation of affine maps says into what cells are cut, and how far differences reach."""
+    cuts, reach = description["cuts"], description["reach"]
+    if type(cuts) is not int or not 1 <= cuts**agent.n_states <= MOST_BOXES_OF_A_CELL:
+        raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
+    if not isinstance(reach, list) or len(reach) != agent.n_states:
+        raise ValueError("a relation does not say of every axis how far differences reach")
+    if any(type(n) is not int or not 0 <= n <= MOST_REACH for n in reach):
+        raise ValueError(f"a relation has differences that reach farther than {MOST_REACH} lattice steps")

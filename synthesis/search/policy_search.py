@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
-from ..models import JointModel, Policies, start_of
+from ..models import JointModel, Policies, WrittenChoices, start_of
 from ..values import Occupancy
 from .ascent import Sweep, resting_policies, sweep
 from .limits import Limits
@@ -156,7 +156,12 @@ def find_policies(
     start = start_of(problem, joint)
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
-    trees, given = _TreeAscent(joint, start, search, most), dict(given or {})
+    given = dict(given or {})
+    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+        if len(joint.models) == 1:
+            return _alone(joint, start, relaxations)
+        given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
+    trees = _TreeAscent(joint, start, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
@@ -195,6 +200,12 @@ def find_policies(
             break
         frozen, gain = polished, polished_gain
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
+
+
+def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> Found:
+    """Return the policies of a single agent: its relaxation is dynamic programming, losses counted."""
+    best = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
+    return Found(best, [best.value], {"relaxed start": best.value}, relaxations, None)
 
 
 def _coarser(first: Limits, second: Limits) -> Limits:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AffineChoices, AgentModel, BoxChoices, Choices, LinearKernel, StepPolicy
+from ..models import AffineChoices, AgentModel, BoxChoices, Choices, HatKernel, StepPolicy
 from ..values import (
     Guards,
     IndexArray,
@@ -204,7 +204,7 @@ def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray], rough: boo
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for batch in _batches(users, factors):
-            smooth = kernel.rough if rough and isinstance(kernel, LinearKernel) else kernel.smooth
+            smooth = kernel.rough if rough and isinstance(kernel, HatKernel) else kernel.smooth
             stacked = smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
             first = 0
             for i in batch:

@@ -1,0 +1,318 @@
+"""The relation ``linear`` of agents with expressions, once more, by code of the check's own.
+
+In a cell with centre c, under the input of a choice, the mean from x is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``;
+what is left of it is enclosed with the spans of ``own_intervals``, under every disturbance. On the lattice the
+interpolant I of the values is known, so that its slopes and bends are differences of neighbouring numbers; the largest
+ones around an image are taken, as far around as the certificate says, after it was seen that the image reaches no
+farther. How far expected values are below I depends on the noise (docs/theory/linear.md, "Agents written as
+expressions").
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import Agent
+from ..cells import FloatArray
+from ..certificates import AgentPart, grid_noise
+from .geometry import cell_boxes
+from .linear_tables import UNIT, applied, normal_hats
+from .mean_spans import leaves_of
+from .own_intervals import Span, bounds, products, span
+from .uniform_noise import Ends, uniform_ends
+
+ROUNDING = 2.999e-9
+"""Share of the largest value that is taken off for rounding and lattices that are uneven by 1e-9 of a step."""
+
+COMPUTED = 1e-14
+"""Share of their size by which maps may be off as they are computed."""
+
+STRAIGHT, CROSSED, SECOND = 1.40031, 0.46840, 0.48395
+"""Half the L1 norms of ``phi''''``, ``phi'' phi''`` and ``phi''``, rounded up."""
+
+LOOK, BESIDE = 0.37, 1.63
+"""What is added to a position, in lattice steps, before it is rounded down to where differences are read, and how far
+it is off then, the next lattice point included. A half would leave it to rounding which point that is."""
+
+NOTHING = 1e-50
+"""Values below this count as 0: numbers without all their digits are slow to compute with."""
+
+CELLS_AT_ONCE = 20_000
+"""Maps that are made at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """By increasing numbers ``cell * A + choice`` (K,): z (K, d), G (K, d, d) and rho (K, d), in grid coordinates."""
+
+    numbers: NDArray[np.int64]
+    z: FloatArray
+    gain: FloatArray
+    rho: FloatArray
+
+    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The maps with some numbers (C,)."""
+        places = np.searchsorted(self.numbers, numbers)
+        return self.z[places], self.gain[places], self.rho[places]
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenTables:
+    """What a step needs of one agent.
+
+    ``masses`` are hat masses (Z_k, 2 S_k) of every axis, from below; ``slack`` is what is taken off per unit of the
+    largest value; ``normal`` says along which axes the noise is normal, ``ends`` what is needed of the uniform one.
+    """
+
+    masses: list[FloatArray]
+    maps: Maps
+    slack: float
+    normal: list[bool]
+    ends: Ends | None
+
+
+def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
+    """Compute the tables of one agent anew.
+
+    Raises
+    ------
+    ValueError
+        If its noise has laws for which the relation does not hold.
+    """
+    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+    names = ["gaussian"] * len(deviations) if agent.laws is None else [law.name for law in agent.laws]
+    if {*names} - {"gaussian", "uniform"} or names.count("uniform") > 1:
+        raise ValueError(
+            "linear cells of agents with expressions are for Gaussian noise, and uniform noise on one axis"
+        )
+    masses, lost, ends = [], 0.0, None
+    ratios = np.array([(a[-1] - a[0]) / (len(a) - 1) for a in part.lattice]) / deviations
+    for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
+        if names[k] == "uniform":
+            assert agent.laws is not None
+            table, missing, ends = uniform_ends(k, edges, axis, agent.laws[k].to_dict())
+        else:
+            table, missing = normal_hats(axis, edges, float(deviations[k]))
+        masses.append(table)
+        lost += missing
+    normal, slack = [name == "gaussian" for name in names], ROUNDING * (1.0 + float(ratios.sum())) + lost
+    for k in np.flatnonzero(normal).tolist():
+        # An eighth of: a twelfth of fourth derivatives, and an eighth of them along each axis between lattice points.
+        r = float(ratios[k])
+        slack += STRAIGHT * r**4 / 96.0
+        slack += sum(
+            (STRAIGHT if e == k else CROSSED) * (r * float(ratios[e])) ** 2 / 64.0 for e in np.flatnonzero(normal)
+        )
+        if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
+            slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
+    return WrittenTables(masses, _maps(agent, part), slack, normal, ends)
+
+
+def _maps(agent: Agent, part: AgentPart) -> Maps:
+    """The maps of every cell under every choice that a policy makes there."""
+    menu = np.array(part.relation["menu"], dtype=float)
+    cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
+    asked = part.policy >= 0
+    numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
+    cell, choice = np.divmod(numbers, len(menu))
+    low, high = cell_boxes(part)
+    made = [
+        map_spans(
+            agent, low[cell[some]], high[cell[some]], menu[choice[some]], part.coordinates, int(part.relation["cuts"])
+        )
+        for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1)
+    ]
+    return Maps(numbers, *(np.concatenate(arrays) for arrays in zip(*made, strict=True)))
+
+
+def map_spans(
+    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, cuts: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """z (n, d), G (n, d, d) and rho (n, d) of closed cells (n, d) under inputs (n, m), whatever disturbances do.
+
+    rho is infinite, or no number, where nothing is known of the mean.
+    """
+    n, d = low.shape
+    rows = None if np.array_equal(coordinates, np.eye(d)) else np.linalg.inv(coordinates)
+    middle = 0.5 * (low + high)
+    calm = [(np.full(n, a), np.full(n, b)) for a, b in agent.unknowns.values()]
+    still = np.array([(x, x) for x in middle.T] + [(0.5 * (a + b),) * 2 for a, b in calm])
+    with np.errstate(all="ignore"):
+        at = _means(agent, inputs, coordinates, rows, still, True)
+        z = np.stack([value.ends.mean(axis=0) for value in at], axis=1)
+        gain = np.stack([value.slopes[:, :d].mean(axis=0).T for value in at], axis=1)
+        outputs = partial(_left, agent, inputs, coordinates, rows, (z, gain, middle))
+        first, last = np.full((n, d), np.inf), np.full((n, d), -np.inf)
+        cut = [low + (high - low) * (k / cuts) for k in range(cuts)] + [high]
+        for piece in itertools.product(range(cuts), repeat=d):
+            box = np.array([(cut[k][:, axis], cut[k + 1][:, axis]) for axis, k in enumerate(piece)] + calm)
+            ends = np.stack(bounds(outputs, box), axis=-1)
+            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+        moved = 0.5 * (first + last)
+        rho = np.maximum(last - moved, moved - first) + COMPUTED * np.abs(z)
+        if rows is not None:
+            size = np.maximum(np.abs(low), np.abs(high)) + 1.0
+            rho = rho + 1e-13 * size @ (np.abs(rows) @ np.abs(coordinates)).T
+    return z + moved, gain, rho
+
+
+def _means(
+    agent: Agent,
+    inputs: FloatArray,
+    coordinates: FloatArray,
+    rows: FloatArray | None,
+    on: FloatArray,
+    with_slopes: bool = False,
+) -> list[Span]:
+    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
+    leaves = leaves_of(agent, on, inputs, coordinates, with_slopes)
+    values = [span(tree, leaves) for tree in agent.trees]
+    return values if rows is None else [_weighted(row, values) for row in rows]
+
+
+def _weighted(row: FloatArray, values: list[Span]) -> Span:
+    factors = [np.full_like(value.ends, factor) for value, factor in zip(values, row, strict=True)]
+    terms = [v.scaled(products(a, v.ends), a) for v, a in zip(values, factors, strict=True) if np.any(a)]
+    return sum(terms[1:], terms[0])
+
+
+def _left(
+    agent: Agent,
+    inputs: FloatArray,
+    coordinates: FloatArray,
+    rows: FloatArray | None,
+    maps: tuple[FloatArray, FloatArray, FloatArray],
+    on: FloatArray,
+    with_slopes: bool = False,
+) -> list[Span]:
+    """Spans of what is left of the mean: less ``z + G (x - middle)``."""
+    z, gain, middle = maps
+    result = []
+    for k, mean in enumerate(_means(agent, inputs, coordinates, rows, on, with_slopes)):
+        left = mean + (-Span.of(z[:, k], z[:, k], mean))
+        for j in range(z.shape[1]):
+            if np.any(gain[:, k, j]):
+                unit = np.zeros_like(mean.slopes)
+                if with_slopes:
+                    unit[:, j] = 1.0
+                factor = np.stack([gain[:, k, j]] * 2)
+                away = Span(on[j], unit) + (-Span.of(middle[:, j], middle[:, j], mean))
+                left = left + (-away.scaled(products(factor, away.ends), factor))
+        result.append(left)
+    return result
+
+
+def written_values(part: AgentPart, tables: WrittenTables, factors: FloatArray) -> list[FloatArray]:
+    """Values (n, Z_1, ..) of factors (n, places) on the lattice, from below, and largest differences around each point.
+
+    Second differences of every axis that are positive, mixed ones of every pair of axes, first ones of every axis, and
+    what is below the interpolant at the ends of uniform noise; all without a sign.
+    """
+    d, shape = len(part.lattice), [len(axis) for axis in part.lattice]
+    values = applied(factors, tables.masses).reshape(len(factors), *shape)
+    values[values < NOTHING] = 0.0
+    found = []
+    for k in range(d):
+        up, down = np.roll(values, -1, axis=k + 1), np.roll(values, 1, axis=k + 1)
+        found.append(_without_ends(np.maximum(up + down - 2.0 * values, 0.0), k, (0, -1)))
+    for i, j in itertools.combinations(range(d), 2):
+        up = np.roll(values, -1, axis=i + 1)
+        mixed = np.roll(up, -1, axis=j + 1) - up - np.roll(values, -1, axis=j + 1) + values
+        found.append(_without_ends(_without_ends(np.abs(mixed), i, (-1,)), j, (-1,)))
+    for k in range(d):
+        found.append(_without_ends(np.abs(np.roll(values, -1, axis=k + 1) - values), k, (-1,)))
+    if tables.ends is not None:
+        found.append(tables.ends.added(tables.masses, factors))
+    return [values, *(_largest(table, part.relation["reach"]) for table in found)]
+
+
+def _without_ends(table: FloatArray, axis: int, ends: tuple[int, ...]) -> FloatArray:
+    """The same with 0 where neighbours are missing."""
+    for end in ends:
+        table[(slice(None),) * (axis + 1) + (end,)] = 0.0
+    return table
+
+
+def _largest(table: FloatArray, reach: list[int]) -> FloatArray:
+    """The largest of the numbers (n, Z_1, ..) around every block of points: of it, and of all blocks within reach."""
+    for axis, radius in enumerate(reach, start=1):
+        size, count = block_size(radius), table.shape[axis]
+        table = np.moveaxis(table, axis, -1)
+        table = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, -count % size)])
+        table = table.reshape(*table.shape[:-1], -1, size).max(axis=-1)
+        around, blocks = -(-radius // size), table.shape[-1]
+        wide = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(around, around)])
+        table = np.max([wide[..., k : k + blocks] for k in range(2 * around + 1)], axis=0)
+        table = np.moveaxis(table, -1, axis)
+    return table
+
+
+def block_size(reach: int) -> int:
+    """Lattice points of a block: as in the search, a third of what is looked at to either side."""
+    return max(1, reach // 3)
+
+
+def image_values(
+    part: AgentPart,
+    tables: WrittenTables,
+    around: list[FloatArray],
+    largest: FloatArray,
+    cells: NDArray[np.int64],
+    choices: NDArray[np.integer],
+    share: FloatArray,
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Values (n, C, K) at the images of points ``share`` (K, d) of cells, what they may lack (n, C), and images inside.
+
+    ``around`` is made by ``written_values``; ``largest`` (n,) are the largest numbers of the factors.
+    """
+    d, shape = len(part.lattice), around[0].shape[1:]
+    z, gain, rho = tables.maps.at(cells * len(part.relation["menu"]) + choices)
+    places = np.unravel_index(cells, part.grid.shape)
+    half = 0.5 * np.stack([np.diff(edges)[k] for edges, k in zip(part.grid.edges, places, strict=True)], axis=1)
+    first = np.array([axis[0] for axis in part.lattice])
+    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    position, rest = (z - first) / pitch, rho / pitch
+    moved = gain * half[:, None, :] / pitch[:, None]  # along axis i for side k of the cell
+    extent = np.abs(moved).sum(axis=2) + rest
+    with np.errstate(invalid="ignore"):
+        inside = np.all((position - extent >= 1.0) & (position + extent <= np.array(shape) - 2.0), axis=1)
+        inside &= np.all(extent + BESIDE <= np.array(part.relation["reach"]), axis=1)
+    position, moved, rest = (np.where(_like(inside, x), x, 1.0) for x in (position, moved, rest))
+    moved[~inside] = 0.0
+    at = _interpolated(around[0], position[:, None] + np.einsum("cik,qk->cqi", moved, 2.0 * share - 1.0))
+    steps = 2.0 * np.abs(moved) / int(part.relation["parts"])
+    bends = np.where(steps < 1.0, steps / 4.0, (steps * steps + 1.0) / 8.0).sum(axis=2)
+    weights = [bends[:, k] + (0.125 if tables.normal[k] else 0.0) for k in range(d)]
+    weights += [(steps[:, i] * steps[:, j]).sum(axis=1) / 4.0 for i, j in itertools.combinations(range(d), 2)]
+    weights += [rest[:, k] for k in range(d)] + [np.ones(len(cells))]
+    sizes = np.array([block_size(n) for n in part.relation["reach"]])
+    looked = tuple((np.floor(position + LOOK).astype(np.int64) // sizes).T)
+    lacking = np.repeat(tables.slack * largest[:, None], len(cells), axis=1)
+    for weight, table in zip(weights, around[1:], strict=False):
+        lacking += weight * table[(slice(None), *looked)]
+    return at, lacking * (1.0 + 4.0 * UNIT), inside
+
+
+def _like(flags: NDArray[np.bool_], array: FloatArray) -> NDArray[np.bool_]:
+    """Flags (C,) that broadcast to an array (C, ..)."""
+    return flags.reshape(-1, *[1] * (array.ndim - 1))
+
+
+def _interpolated(values: FloatArray, position: FloatArray) -> FloatArray:
+    """The multilinear interpolant (n, C, K) of numbers (n, Z_1, ..) at positions (C, K, d) in lattice steps."""
+    shape = values.shape[1:]
+    base = np.minimum(np.maximum(np.floor(position).astype(np.int64), 0), np.array(shape) - 2)
+    share, flat = position - base, values.reshape(len(values), -1)
+    result = np.zeros((len(values), *position.shape[:2]))
+    for corner in itertools.product((0, 1), repeat=len(shape)):
+        weight = np.ones(position.shape[:2])
+        for k, side in enumerate(corner):
+            weight = weight * (share[..., k] if side else 1.0 - share[..., k])
+        places = np.ravel_multi_index(tuple(np.moveaxis(base + np.array(corner), 2, 0)), shape)
+        result += weight * flat[:, places]
+    return result

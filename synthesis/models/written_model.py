@@ -1,0 +1,176 @@
+"""Relation, lattice, kernel and choices of an agent with expressions under the relation ``linear``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...envs.agents import Agent, Gaussian, Law, Uniform
+from ..cells import FloatArray, Grid, RelationRefused, grid_laws
+from ..relations import AffineBoxes, WrittenRelation, written_relation
+from .bends import SECOND
+from .box_kernel import box_lattice, rounding_of, slack_of
+from .box_model import with_rest
+from .lattice_kernel import LatticeKernel
+from .linear_kernel import hat_table
+from .uniform_ends import UniformEnds, uniform_hats
+from .written_choices import BESIDE, WrittenChoices
+
+POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
+"""Lattice points per deviation of normal noise, at least, by dimension: the slack is then 1e-5 per axis and step."""
+
+FEWER_PER_DEVIATION = 4.0
+"""The same beyond: a slack of 1e-4."""
+
+POINTS_PER_CELL = {1: 8, 2: 4, 3: 2}
+"""Lattice points per cell and axis, at least, by dimension (2 beyond)."""
+
+MOST_PER_CELL = {1: 64, 2: 16, 3: 4}
+"""The same, at most."""
+
+POINTS_PER_UNIFORM = 24.0
+"""Lattice points per width of uniform noise, at least."""
+
+MOST_LATTICE = 8_000_000
+"""Most lattice points of an agent: 64 MB for each of some ten columns of a factor."""
+
+MOST_MAPS = 10_000_000
+"""Most maps of an agent, cells times choices: 1 GB in three dimensions."""
+
+PARTS = {1: 8, 2: 4, 3: 2}
+"""Parts of each side of an image at most, by dimension (2 beyond): as many as lattice steps, if there are as few."""
+
+CUTS = {1: 4, 2: 2, 3: 2}
+"""Parts into which cells are cut along each axis to enclose what maps leave, by dimension (1 beyond): with two, slopes
+of what is left have a sign in each part as a rule, and enclosures are next to exact."""
+
+MOST_REACH = 1000.0
+"""Most lattice steps from the middle of an image to its ends: wider ones are worth nothing."""
+
+CELLS_AT_ONCE = 4096
+"""Cells whose maps are made at once."""
+
+
+def written_model(
+    agent: Agent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+) -> tuple[WrittenRelation, tuple[FloatArray, ...], LatticeKernel, WrittenChoices]:
+    """Return relation, lattice, kernel and choices of an agent with expressions under the relation ``linear``.
+
+    Raises
+    ------
+    RelationRefused
+        If its noise has laws for which nothing is known between lattice points, or there are too many maps or points.
+    """
+    laws, d = grid_laws(agent, coordinates), agent.n_states
+    _refuse_laws(agent, laws)
+    menu, points = with_rest(agent.input_box), _points_per_cell(grid, laws, per_cell)
+    count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
+    if grid.n_cells * len(menu) > MOST_MAPS or count > MOST_LATTICE:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `linear` needs at most {MOST_MAPS} maps and {MOST_LATTICE} lattice "
+            f"points, got {grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
+        )
+    relation = written_relation(agent, coordinates, menu, 1, CUTS.get(d, 1), (0,) * d)
+    maps = _maps(relation, grid)
+    half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)
+    low, high = (_end(maps.centre, half + maps.rest, sign) for sign in (-1.0, 1.0))
+    lattice = box_lattice(grid, np.array([law.std for law in laws]), points, low, high)
+    pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
+    # How far images reach, and their sides: those few that are far wider than all others would blur what is read.
+    reach = tuple(int(n) for n in np.ceil(_most_of((half + maps.rest) / pitch, 0.999) + BESIDE))
+    steps = 2.0 * float(np.max(_most_of(half / pitch, 0.9)))
+    relation = replace(relation, parts=int(np.clip(round(steps), 2, PARTS.get(d, 2))), reach=reach)
+    kernel = _kernel(grid, lattice, laws, reach)
+    charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
+    has_ends = kernel.ends is not None
+    choices = WrittenChoices(grid, lattice, relation, max(points), maps=maps, charged=charged, has_ends=has_ends)
+    return relation, lattice, kernel, choices
+
+
+def _refuse_laws(agent: Agent, laws: Sequence[Law]) -> None:
+    """Refuse noise of which nothing is known between lattice points."""
+    uniform = [law for law in laws if isinstance(law, Uniform)]
+    if len(uniform) > 1 or not all(isinstance(law, Gaussian | Uniform) for law in laws):
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `linear` is for Gaussian noise, uniform along one axis at most, got "
+            "other laws; ask for `boxes`"
+        )
+
+
+def _most_of(numbers: FloatArray, share: float) -> FloatArray:
+    """Return along each axis (d,) what a share of the numbers (S, A, d) does not exceed, those aside that are none."""
+    known = numbers[np.isfinite(numbers).all(axis=2)]
+    if not len(known):
+        return np.ones(numbers.shape[2])
+    return np.asarray(np.minimum(np.quantile(known, share, axis=0), MOST_REACH))
+
+
+def _maps(relation: WrittenRelation, grid: Grid) -> AffineBoxes:
+    """Return the maps of all cells."""
+    assert relation.means is not None
+    blocks = [
+        relation.means.around(
+            grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.menu
+        )
+        for first in range(0, grid.n_cells, CELLS_AT_ONCE)
+    ]
+    return AffineBoxes(
+        *(np.concatenate([getattr(block, name) for block in blocks]) for name in ("centre", "gain", "rest"))
+    )
+
+
+def _end(centre: FloatArray, extent: FloatArray, sign: float) -> FloatArray:
+    """Return the least (sign -1) or largest (sign 1) means (d,) of all that are known."""
+    ends = sign * centre + extent
+    return np.asarray(sign * np.where(np.isfinite(ends), ends, -np.inf).max(axis=(0, 1)))
+
+
+def _points_per_cell(grid: Grid, laws: Sequence[Law], per_cell: int | None) -> tuple[int, ...]:
+    """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
+    d, points = len(grid.shape), []
+    for edges, n, law in zip(grid.edges, grid.shape, laws, strict=True):
+        width = float(edges[-1] - edges[0]) / n
+        if isinstance(law, Gaussian):
+            wanted = width / law.std * POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION)
+        else:
+            wanted = width / (law.std * math.sqrt(12.0)) * POINTS_PER_UNIFORM
+        fewest = per_cell or POINTS_PER_CELL.get(d, 2)
+        points.append(max(fewest, math.ceil(min(wanted, max(fewest, MOST_PER_CELL.get(d, 2))))))
+    return tuple(points)
+
+
+def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]) -> LatticeKernel:
+    """Return the kernel on a lattice."""
+    tables, loss, ends, ratios = [], 0.0, None, []
+    for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
+        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        ratios.append(pitch / law.std)
+        if isinstance(law, Uniform):
+            ends = UniformEnds(k, axis, edges, law)
+            table, missing = uniform_hats(axis, edges, law)
+            if pitch > float(np.min(np.diff(edges))):
+                raise RelationRefused(
+                    "the relation `linear` needs lattice steps no wider than cells under uniform noise"
+                )
+        else:
+            table, missing = hat_table(axis, edges, law.std)
+        tables.append(table)
+        loss += missing
+    return LatticeKernel(
+        tuple(tables), loss, reach=reach, slack=_slack(np.array(ratios), laws, lattice) + loss, ends=ends
+    )
+
+
+def _slack(ratios: FloatArray, laws: Sequence[Law], lattice: tuple[FloatArray, ...]) -> float:
+    """Return how far g may be below its interpolant besides what differences say, for factors of at most 1."""
+    normal = np.array([isinstance(law, Gaussian) for law in laws])
+    slack = slack_of(ratios[normal]) - rounding_of(ratios[normal]) if np.any(normal) else 0.0
+    # Second derivatives along normal axes are read at lattice points of the uniform one as well.
+    for axis, law in zip(lattice, laws, strict=True):
+        if isinstance(law, Uniform):
+            share = float(axis[-1] - axis[0]) / (len(axis) - 1) / (law.high - law.low)
+            slack += float(np.sum(ratios[normal] ** 2)) / 8.0 * 2.0 * SECOND * 0.5 * share
+    return slack * (1.0 + 1e-9) + rounding_of(ratios)
