@@ -87,7 +87,7 @@ def test_the_optimum_of_the_whole_is_the_product_of_the_parts(monkeypatch: pytes
     for q in range(whole.automaton.n_states):  # states by the states of the parts, found by their values
         choices = [np.einsum("ab,cd->abcd", first, second) for first in parts[0] for second in parts[1]]
         assert min(np.abs(together[q] - choice).max() for choice in choices) < 1e-12
-    certificate = cg.synthesize(problem, 8).certificate
+    certificate = cg.synthesize(problem, 8, relation="exact").certificate
     assert isinstance(certificate, ProductCertificate)
     cells = [abstract(whole, 8).models[i].grid.cell_of(whole.agents[i].initial.low[:, None])[0] for i in range(4)]
     optimum = together[(whole.initial_q, *cells)]
@@ -138,7 +138,7 @@ def test_a_hundred_agents_are_certified_checked_and_simulated(semantics: str, tm
 def test_co_safe_parts_ask_for_no_less_than_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, problem = pairs(2, 4, "co-safe"), apart(monkeypatch, 2, 4, "co-safe")
     optimum = dense_optimum(whole, list(abstract(whole, 10).models))
-    result = cg.synthesize(problem, 10)
+    result = cg.synthesize(problem, 10, relation="exact")
     certificate = result.certificate
     assert isinstance(certificate, ProductCertificate)
     known = ProductCertificate(problem, tuple(replace(part, gap=0.0) for part in certificate.parts))
