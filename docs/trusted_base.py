@@ -41,7 +41,7 @@ TRUSTED = {
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
         "synthesis.controllers.controller synthesis.controllers.path_controller "
-        "synthesis.controllers.product_controller synthesis.controllers.team_controller "
+        "synthesis.controllers.product_controller synthesis.controllers.team_controller synthesis.controllers.told "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "

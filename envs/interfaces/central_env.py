@@ -3,11 +3,11 @@
 - **Action**: the inputs of all agents one after the other, scaled to [-1, 1], float32; with `actions="input"` the input
   boxes themselves, float64. Actions outside are clipped.
 - **Observation**: the states of all agents (projected onto the workspace after an exit), the automaton state one-hot,
-  the fraction of time left.
+  the fraction of time left; with `scale="unit"` states are mapped to [-1, 1].
 - **Reward**: 1 once, when the task is satisfied, else 0; with `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
 - **Info**: `automaton_state`, `satisfied`, `time` as in `parallel_env`, `state` (the true joint state, float64), and
-  `is_success` in the last step; with `infos="words"` also `letter`.
+  `is_success` in the last step; with `infos="words"` also `letter`, with noisy sensors also `reading`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,17 @@ from ..problem import Problem, checked_problem
 from .episode import RENDER_MODES, Episode
 from .observation import (
     ACTIONS,
-    PRECISIONS,
+    Form,
     action_space,
     checked_option,
     input_of,
+    joint_bounds,
     observation_space,
     projected,
+    scaled,
     shared,
 )
+from .sensors import READING, Sensors
 
 
 class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -47,6 +50,13 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Type of the observations.
     actions : "unit" or "input"
     infos : "numbers" or "words"
+    scale : "raw" or "unit"
+        States as they are, or each component mapped from its workspace to [-1, 1].
+    automaton : "one-hot", "number" or "hidden"
+        How the automaton state stands in an observation.
+    sensor_noise : float or sequence of D floats
+        Standard deviation of the errors with which states are read (see `sensors`); certified controllers and shields
+        refuse such environments.
 
     Examples
     --------
@@ -59,6 +69,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 4}  # type: ignore[misc]
 
+    # Many parameters: `gymnasium.make` hands them on as flat keywords.
     def __init__(
         self,
         problem: Problem,
@@ -69,16 +80,31 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         dtype: str = "float64",
         actions: str = "unit",
         infos: str = "numbers",
+        scale: str = "raw",
+        automaton: str = "one-hot",
+        sensor_noise: Any = 0.0,
         disturbance: Behaviour = "zero",
     ) -> None:
         self.problem = checked_problem(problem)
         self.render_mode = render_mode
-        self.options = {"reward": reward, "discount": discount, "dtype": dtype, "actions": actions, "infos": infos}
-        self._dtype = checked_option(dtype, "dtype", PRECISIONS)
+        self.options = {
+            "reward": reward,
+            "discount": discount,
+            "dtype": dtype,
+            "actions": actions,
+            "infos": infos,
+            "scale": scale,
+            "automaton": automaton,
+            "sensor_noise": sensor_noise,
+        }
+        self._form = Form(scale, automaton, dtype)
+        self.sensors = Sensors(self.problem, sensor_noise)
+        self._reading = np.zeros(self.problem.n_states)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._episode = Episode(self.problem, reward, discount, render_mode, infos=infos, disturbance=disturbance)
         self._ended = False
-        self.observation_space = observation_space(self.problem, self.problem.agents, dtype)
+        self._bounds = joint_bounds(self.problem.agents)
+        self.observation_space = observation_space(self.problem, self._bounds, self._form)
         self.action_space = action_space(self.problem.agents, actions)
 
     def reset(
@@ -88,7 +114,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         self._episode.begin(self.np_random, options)
         self._ended = False
-        return self._observation(), self._info()
+        return self._observation(), self._info()  # in this order: infos hold the readings of the observation
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advance one control step.
@@ -109,10 +135,10 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"`action`: expected shape {self.action_space.shape}, got {joint_action.shape}")
         reward, terminated, truncated = self._episode.step(self._inputs(joint_action), self.np_random)
         self._ended = terminated or truncated
-        info = self._info()
+        observation, info = self._observation(), self._info()
         if self._ended:  # learners read the key in the last step alone
             info["is_success"] = info["satisfied"]
-        return self._observation(), reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a line of text ("ansi"), a picture ("rgb_array"), or None."""
@@ -130,10 +156,19 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         ]
 
     def _observation(self) -> np.ndarray:
-        world = self._episode.world
-        tail = shared(self.problem, world.q, world.time)
-        return np.array(projected(world.states, self._episode.one_world.agents) + tail, dtype=self._dtype)
+        world, states = self._episode.world, self._episode.world.states
+        if not self.sensors.is_exact:
+            joint = np.concatenate([np.asarray(x, dtype=float) for x in states])[None]
+            self._reading = self.sensors.readings(joint, self.np_random)[0]
+            states = tuple(self._reading[columns].tolist() for columns in self.problem.columns)
+        seen = projected(states, self._episode.one_world.agents)
+        if self._form.scale == "unit":
+            seen = scaled(seen, self._bounds).tolist()
+        tail = shared(self.problem, world.q, world.time, self._form.automaton)
+        return np.array(seen + tail, dtype=self._form.dtype)
 
     def _info(self) -> dict[str, Any]:
+        """Return the info of the last observation."""
         joint = [number for x in self._episode.world.states for number in x]
-        return {**self._episode.info(), "state": np.array(joint)}
+        reading = {} if self.sensors.is_exact else {READING: self._reading.copy()}
+        return {**self._episode.info(), "state": np.array(joint), **reading}

@@ -1,13 +1,17 @@
 """Spaces, observations and actions of environments, for one world and for batches alike.
 
-An observation is a list of states, each projected onto its workspace, then the automaton state one-hot, then the
-fraction of time left. Spaces are bounded, because the projection stays in them; the true state is in the info.
+An observation is a list of states, each projected onto its workspace, then the automaton state, then the fraction of
+time left. Spaces are bounded, because the projection stays in them; the true state is in the info.
 
 - "local": the state of the agent itself;
 - "full": the state of the agent itself, then the states of the other agents in order;
 - "relative": the state of the agent itself, then the states of the other agents in order, each less its own (as many
   components as both have);
+- "neighbours": the state of the agent itself, then where the nearest other agents are (see `nearest`);
 - joint (the centralised environment, and `state()`): the states of all agents in order.
+
+How numbers stand in an observation is its `Form`: states as they are ("raw") or with the range of each component mapped
+to [-1, 1] ("unit"); the automaton state "one-hot", as a "number", or "hidden". Sensors may be noisy (see `sensors`).
 
 Actions are inputs as the dynamics take them ("input": the input box), or scaled to [-1, 1] ("unit", float32). Either
 way they are clipped. The dynamics are float64 for every precision of observations.
@@ -16,6 +20,7 @@ way they are clipped. The dynamics are float64 for every precision of observatio
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -23,10 +28,12 @@ import numpy as np
 from gymnasium import spaces
 
 from ..agents import AnyAgent, shown
-from ..dynamics import Dynamics, Worlds, joint
+from ..dynamics import Dynamics, Worlds
 from ..problem import Problem
 
-SCOPES = ("local", "full", "relative")
+SCOPES = ("local", "full", "relative", "neighbours")
+SCALES = ("raw", "unit")
+AUTOMATON = ("one-hot", "number", "hidden")
 PRECISIONS = ("float64", "float32")
 ACTIONS = ("input", "unit")
 INFOS = ("numbers", "words")
@@ -54,26 +61,50 @@ def checked_reset(options: dict[str, Any] | None, known: Sequence[str] = RESET_O
     return options
 
 
-def observation_space(problem: Problem, agents: Sequence[AnyAgent], dtype: str) -> spaces.Box:
-    """Return the space of observations that list the states of `agents`."""
-    # The automaton state one-hot and the fraction of time left lie between 0 and 1.
-    zeros = np.zeros(problem.automaton.n_states + 1)
-    low = np.concatenate([*(agent.state_low for agent in agents), zeros])
-    high = np.concatenate([*(agent.state_high for agent in agents), zeros + 1.0])
-    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
+Bounds = tuple[np.ndarray, np.ndarray]
+"""Lower and upper ends of the numbers that tell states."""
 
 
-def relative_space(problem: Problem, agent: AnyAgent, dtype: str) -> spaces.Box:
-    """Return the space of observations of an agent that sees the others from its own place."""
-    zeros = np.zeros(problem.automaton.n_states + 1)
-    lows, highs = [agent.state_low], [agent.state_high]
+@dataclass(frozen=True)
+class Form:
+    """How numbers stand in an observation: `SCALES`, `AUTOMATON`, `PRECISIONS`."""
+
+    scale: str = "raw"
+    automaton: str = "one-hot"
+    dtype: str = "float64"
+
+    def __post_init__(self) -> None:
+        checked_option(self.scale, "scale", SCALES)
+        checked_option(self.automaton, "automaton", AUTOMATON)
+        checked_option(self.dtype, "dtype", PRECISIONS)
+
+
+def joint_bounds(agents: Sequence[AnyAgent]) -> Bounds:
+    """Return between which numbers the states of `agents` lie, one after the other."""
+    return np.concatenate([agent.state_low for agent in agents]), np.concatenate([agent.state_high for agent in agents])
+
+
+def relative_bounds(problem: Problem, agent: AnyAgent) -> Bounds:
+    """Return between which numbers the other agents are, as seen by an agent from its own place."""
+    lows, highs = [np.zeros(0)], [np.zeros(0)]
     for other in problem.agents:
         if other is not agent:
             d = min(agent.n_states, other.n_states)
             lows.append(other.state_low[:d] - agent.state_high[:d])
             highs.append(other.state_high[:d] - agent.state_low[:d])
-    low, high = np.concatenate([*lows, zeros]), np.concatenate([*highs, zeros + 1.0])
-    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
+    return np.concatenate(lows), np.concatenate(highs)
+
+
+def observation_space(problem: Problem, bounds: Bounds, form: Form) -> spaces.Box:
+    """Return the space of observations whose states lie between `bounds`."""
+    low, high = bounds
+    if form.scale == "unit":
+        low, high = np.full_like(low, -1.0), np.full_like(high, 1.0)
+    # The automaton state one-hot and the fraction of time left lie between 0 and 1.
+    states = problem.automaton.n_states
+    most = {"one-hot": [1.0] * states, "number": [states - 1.0], "hidden": []}[form.automaton] + [1.0]
+    low, high = np.concatenate([low, np.zeros(len(most))]), np.concatenate([high, most])
+    return spaces.Box(low.astype(form.dtype), high.astype(form.dtype), dtype=np.dtype(form.dtype).type)
 
 
 def action_space(agents: Sequence[AnyAgent], actions: str) -> spaces.Box:
@@ -93,27 +124,52 @@ def projected(states: Any, agents: Sequence[Any]) -> list[float]:
     return result
 
 
-def shared(problem: Problem, q: int, time: int) -> list[float]:
-    """Return the automaton state one-hot and the fraction of time left."""
+def projected_rows(states: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the same of arrays of states."""
+    return np.clip(np.where(np.isnan(states), low, states), low, high)
+
+
+def scaled(numbers: Any, bounds: Bounds) -> np.ndarray:
+    """Return numbers (k,) or (..., k) with the range of each mapped to [-1, 1]; those outside count as the ends."""
+    low, high = bounds
+    return np.clip((np.asarray(numbers) - low) * (2.0 / (high - low)) - 1.0, -1.0, 1.0)
+
+
+def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> list[float]:
+    """Return the automaton state and the fraction of time left."""
+    left = 1.0 - time / problem.horizon
+    if automaton != "one-hot":
+        return [float(q), left] if automaton == "number" else [left]
     result = [0.0] * (problem.automaton.n_states + 1)
     result[q] = 1.0
-    result[-1] = 1.0 - time / problem.horizon
+    result[-1] = left
     return result
 
 
-def joint_observations(dynamics: Dynamics, worlds: Worlds, dtype: str) -> np.ndarray:
-    """Return the joint observations of a batch, shape (M, D + Q + 1)."""
-    problem = dynamics.problem
-    n, n_q = problem.n_states, problem.automaton.n_states
-    result = np.zeros((worlds.n_worlds, n + n_q + 1))
-    low = np.concatenate([agent.state_low for agent in problem.agents])
-    high = np.concatenate([agent.state_high for agent in problem.agents])
-    states = joint(dynamics, worlds)
-    # The same projection as `projected`.
-    np.clip(np.where(np.isnan(states), low, states), low, high, out=result[:, :n])
-    result[np.arange(worlds.n_worlds), n + worlds.q] = 1.0
-    result[:, -1] = 1.0 - worlds.time / problem.horizon
-    return result.astype(dtype, copy=False)
+def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
+    """Return the same of a batch: (k, M), one column per world."""
+    count, n_worlds = problem.automaton.n_states, worlds.n_worlds
+    left = 1.0 - np.broadcast_to(np.asarray(worlds.time), (1, n_worlds)) / problem.horizon
+    if automaton == "one-hot":
+        seen = worlds.q == np.arange(count)[:, None]
+    else:
+        seen = worlds.q[None, :] if automaton == "number" else np.zeros((0, n_worlds))
+    return np.concatenate([seen, left])
+
+
+def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:
+    """Return the joint observations of a batch, shape (M, D + Q + 1) if the automaton state is one-hot.
+
+    `states` (M, D) is what sensors read of the worlds.
+    """
+    low, high = joint_bounds(problem.agents)
+    tail = shared_rows(problem, worlds, form.automaton)
+    result = np.empty((worlds.n_worlds, problem.n_states + len(tail)))
+    seen, result[:, problem.n_states :] = result[:, : problem.n_states], tail.T
+    seen[:] = projected_rows(states, low, high)
+    if form.scale == "unit":
+        seen[:] = scaled(seen, (low, high))
+    return result.astype(form.dtype, copy=False)
 
 
 def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:

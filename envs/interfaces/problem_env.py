@@ -6,13 +6,13 @@ Everything below holds for any problem; the pages of the suite add the numbers o
   are clipped.
 - **Observations**: the state of the agent itself (projected onto the workspace after an exit), with
   `observation="full"` also the states of the other agents; then the automaton state one-hot and the fraction of time
-  left.
+  left. See `observation` for other choices, `nearest` for the neighbours, and `sensors` for noisy ones.
 - **Rewards**: cooperative: every agent gets 1 once, when the task is satisfied, else 0; the undiscounted return *is*
   satisfaction. For `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
 - **Infos**, per agent: numbers and arrays of fixed shape: `automaton_state` (int), `satisfied` (bool), `state` (the
   agent's true state, float64), `time` (int); with `infos="words"` also `letter` (names of the propositions that hold;
-  empty after a failure, when no letter is read).
+  empty after a failure, when no letter is read), and with noisy sensors `reading` (what was read of the state).
 """
 
 from __future__ import annotations
@@ -24,21 +24,27 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
+from ..agents import AnyAgent
 from ..dynamics import Behaviour
 from ..problem import Problem
 from .episode import RENDER_MODES, Episode
+from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
 from .observation import (
     ACTIONS,
-    PRECISIONS,
     SCOPES,
+    Bounds,
+    Form,
     action_space,
     checked_option,
     input_of,
+    joint_bounds,
     observation_space,
     projected,
-    relative_space,
+    relative_bounds,
+    scaled,
     shared,
 )
+from .sensors import READING, Sensors
 
 Observations = dict[str, np.ndarray]
 Infos = dict[str, dict[str, Any]]
@@ -52,12 +58,21 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     problem : Problem
     render_mode : None, "ansi", "rgb_array" or "human"
         A line of text, or a picture (see `rendering`).
-    observation : "local", "full" or "relative"
+    observation : "local", "full", "relative" or "neighbours"
+    neighbours : int, optional
+        How many neighbours an agent sees; by default two, or all others in smaller teams.
     reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
     dtype : "float64" or "float32"
         Type of the observations.
+    scale : "raw" or "unit"
+        States as they are, or the range of each component mapped to [-1, 1]. Certified controllers need the infos then.
+    automaton : "one-hot", "number" or "hidden"
+        How the automaton state stands in an observation.
+    sensor_noise : float or sequence of D floats
+        Standard deviation of the errors with which states are read: one, or one for each component of the joint state.
+        Certified controllers and shields refuse such environments.
     actions : "input" or "unit"
     infos : "numbers" or "words"
     caption : str
@@ -75,6 +90,10 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         render_mode: str | None = None,
         *,
         observation: str = "local",
+        neighbours: int | None = None,
+        scale: str = "raw",
+        automaton: str = "one-hot",
+        sensor_noise: Any = 0.0,
         reward: str = "sparse",
         discount: float = 1.0,
         dtype: str = "float64",
@@ -93,6 +112,10 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.render_mode = render_mode
         self.options = {
             "observation": observation,
+            "neighbours": neighbours,
+            "scale": scale,
+            "automaton": automaton,
+            "sensor_noise": sensor_noise,
             "reward": reward,
             "discount": discount,
             "dtype": dtype,
@@ -105,16 +128,19 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self._episode = Episode(problem, reward, discount, render_mode, caption, infos, disturbance)
         self._rng: np.random.Generator | None = None
         self._scope = checked_option(observation, "observation", SCOPES)
-        self._dtype = checked_option(dtype, "dtype", PRECISIONS)
+        self._form = Form(scale, automaton, dtype)
         self._actions = checked_option(actions, "actions", ACTIONS)
+        self._neighbours = checked_neighbours(problem, self._scope, neighbours)
+        self.sensors = Sensors(problem, sensor_noise)
+        self._seen: tuple[Any, ...] = ()
         members = problem.agents
-        # An agent sees itself first, and with the scope "full" the other agents in order.
-        seen = {a.name: [a] + [b for b in members if b is not a and self._scope == "full"] for a in members}
-        self._observation_spaces = {name: observation_space(problem, agents, dtype) for name, agents in seen.items()}
-        if self._scope == "relative":
-            self._observation_spaces = {agent.name: relative_space(problem, agent, dtype) for agent in members}
+        self._bounds = {agent.name: self._bounds_of(agent) for agent in members}
+        self._observation_spaces = {
+            name: observation_space(problem, bounds, self._form) for name, bounds in self._bounds.items()
+        }
         self._action_spaces = {agent.name: action_space([agent], actions) for agent in members}
-        self.state_space = observation_space(problem, members, dtype)
+        self._joint_bounds = joint_bounds(members)
+        self.state_space = observation_space(problem, self._joint_bounds, self._form)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return the space of one agent's observations (the same object each time)."""
@@ -181,10 +207,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         return self._episode.level
 
     def state(self) -> np.ndarray:
-        """Return the joint state (projected onto the workspace), automaton state one-hot and fraction of time left."""
+        """Return the true joint state (projected onto the workspace), automaton state and fraction of time left."""
         world, numbers = self._episode.world, self._episode.one_world.agents
-        tail = shared(self.problem, world.q, world.time)
-        return np.array(projected(world.states, numbers) + tail, dtype=self._dtype)
+        return self._told(projected(world.states, numbers), self._joint_bounds, self._tail())
 
     def render(self) -> str | np.ndarray | None:
         """Return a line of text ("ansi"), a picture ("rgb_array"), or None."""
@@ -194,27 +219,75 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         """Close the window of the render mode "human"."""
         self._episode.close()
 
-    def _observations(self) -> Observations:
-        """Return the observation of every agent."""
-        world, numbers, dtype = self._episode.world, self._episode.one_world.agents, self._dtype
-        tail = shared(self.problem, world.q, world.time)
-        states = [projected((x,), (agent,)) for x, agent in zip(world.states, numbers)]
-        if self._scope == "local":
-            return {name: np.array(x + tail, dtype=dtype) for name, x in zip(self.possible_agents, states)}
-        result = {}
-        for i, name in enumerate(self.possible_agents):
-            others = [number for k, x in enumerate(states) if k != i for number in self._seen(states[i], x)]
-            result[name] = np.array(states[i] + others + tail, dtype=dtype)
-        return result
+    def _bounds_of(self, agent: AnyAgent) -> Bounds:
+        """Return between which numbers the states lie that an agent sees: its own first, then those of others."""
+        others = [other for other in self.problem.agents if other is not agent]
+        if self._scope == "full":
+            return joint_bounds([agent, *others])
+        seen = np.zeros(0), np.zeros(0)
+        if self._scope == "relative":
+            seen = relative_bounds(self.problem, agent)
+        elif self._scope == "neighbours":
+            seen = nearest_bounds(self.problem, agent, self._neighbours)
+        low, high = joint_bounds([agent])
+        return np.concatenate([low, seen[0]]), np.concatenate([high, seen[1]])
 
-    def _seen(self, own: list[float], other: list[float]) -> list[float]:
-        """Return what an agent sees of another one: its state, or where it is from the agent's own place."""
-        return other if self._scope == "full" else [b - a for a, b in zip(own, other)]
+    def _observations(self) -> Observations:
+        """Return the observation of every agent, from new readings of the states."""
+        world, numbers = self._episode.world, self._episode.one_world.agents
+        self._seen = world.states if self.sensors.is_exact else self._read(world.states)
+        tail = self._tail()
+        states = [projected((x,), (agent,)) for x, agent in zip(self._seen, numbers)]
+        if self._scope == "neighbours":
+            others = self._nearest(states)
+        else:
+            others = [self._others(states, i) for i in range(len(states))]
+        return {
+            name: self._told(own + other, self._bounds[name], tail)
+            for name, own, other in zip(self.possible_agents, states, others)
+        }
+
+    def _read(self, states: Any) -> tuple[Any, ...]:
+        """Return what the sensors read of the states."""
+        assert self._rng is not None
+        joint = np.concatenate([np.asarray(x, dtype=float) for x in states])[None]
+        reading = self.sensors.readings(joint, self._rng)[0]
+        return tuple(reading[columns].tolist() for columns in self.problem.columns)
+
+    def _others(self, states: list[list[float]], i: int) -> list[float]:
+        """Return what an agent sees of the other ones: nothing, their states, or where they are from its own place."""
+        if self._scope == "local":
+            return []
+        others = [x for k, x in enumerate(states) if k != i]
+        if self._scope == "full":
+            return [number for x in others for number in x]
+        return [b - a for x in others for a, b in zip(states[i], x)]
+
+    def _nearest(self, states: list[list[float]]) -> list[list[float]]:
+        """Return where the nearest other agents are from the place of every agent."""
+        d, p = common_sizes(self.problem)
+        outputs = [agent.outputs(x)[:p] for agent, x in zip(self._episode.one_world.agents, states)]
+        common, places = np.array([x[:d] for x in states])[..., None], np.array(outputs)[..., None]
+        return [nearest_seen(common, places, i, self._neighbours)[:, 0].tolist() for i in range(len(states))]
+
+    def _tail(self) -> list[float]:
+        world = self._episode.world
+        return shared(self.problem, world.q, world.time, self._form.automaton)
+
+    def _told(self, states: list[float], bounds: Bounds, tail: list[float]) -> np.ndarray:
+        """Return an observation: states in the form that was asked for, then automaton state and time left."""
+        if self._form.scale == "unit":
+            states = scaled(states, bounds).tolist()
+        return np.array(states + tail, dtype=self._form.dtype)
 
     def _infos(self) -> Infos:
-        common = self._episode.info()
-        states = zip(self.possible_agents, self._episode.world.states)
-        return {name: {**common, "state": np.array(x)} for name, x in states}
+        """Return the infos that belong to the last observations."""
+        common, states = self._episode.info(), self._episode.world.states
+        infos = {name: {**common, "state": np.array(x)} for name, x in zip(self.possible_agents, states)}
+        if not self.sensors.is_exact:
+            for name, x in zip(self.possible_agents, self._seen):
+                infos[name][READING] = np.array(x)
+        return infos
 
     def _inputs(self, actions: dict[str, Any]) -> list[list[float]]:
         """Return the inputs for the actions of all agents; raise ValueError if one is missing, wrong or unknown."""

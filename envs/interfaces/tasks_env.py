@@ -3,8 +3,8 @@
 Every agent lives in the environment of the task it belongs to. All tasks share time, reward and end. Spaces and options
 are those of `parallel_env`, with these differences:
 
-- **Observations**: the automaton state, here and in the info, is that of the agent's task; with `observation="full"`
-  the other agents shown are those of the task.
+- **Observations**: the automaton state, here and in the info, is that of the agent's task; other agents that are shown
+  are those of the task.
 - **Rewards**: every agent gets 1 once, when the *whole* is satisfied, else 0; the undiscounted return is satisfaction.
   `reward="shaped"` adds the differences of the mean of the tasks' potentials.
 - **Episode ends**: terminated as soon as any task has failed; terminated when a co-safe whole is satisfied, which is
@@ -24,6 +24,7 @@ from pettingzoo import ParallelEnv
 from ..problem import Problem
 from .observation import checked_reset
 from .problem_env import Infos, Observations, ProblemEnv
+from .sensors import checked_noise
 
 
 class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
@@ -66,7 +67,19 @@ class TasksEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         self.render_mode = render_mode
         self.discount = discount
         self.options = {"discount": discount, **options}
-        self.tasks = tuple(ProblemEnv(task, render_mode, discount=discount, **options) for task in problem.tasks)
+        # Sensors are told for the whole; each task takes the components of its agents.
+        deviations = checked_noise(problem, options.pop("sensor_noise", 0.0))
+        by_agent = {name: deviations[columns] for name, columns in zip(problem.agent_names, problem.columns)}
+        self.tasks = tuple(
+            ProblemEnv(
+                task,
+                render_mode,
+                discount=discount,
+                sensor_noise=np.concatenate([by_agent[name] for name in task.agent_names]),
+                **options,
+            )
+            for task in problem.tasks
+        )
         self._task_of = {name: task for task in self.tasks for name in task.possible_agents}
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []

@@ -11,7 +11,7 @@ needs no value of what comes after it, and so no last observation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,12 +20,11 @@ import numpy as np
 from ..dynamics import Dynamics
 from ..dynamics import worlds as core
 from ..problem import Problem
-from .observation import checked_option
+from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
+from .observation import AUTOMATON, SCALES, checked_option, projected_rows, scaled, shared_rows
 from .vector_env import ProblemVectorEnv
 
-OBSERVATIONS = ("own", "joint")
-SCALES = ("unit", "raw")
-AUTOMATON = ("one-hot", "number", "hidden")
+OBSERVATIONS = ("own", "joint", "neighbours")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +66,16 @@ class TeamEnv:
         Ids and files are taken by `certigym.team_env`.
     num_envs : int
         Number of worlds M.
-    observation : "own" or "joint"
-        The state of the agent itself (what certified policies see), or the states of all agents in order.
+    observation : "own", "joint" or "neighbours"
+        The state of the agent itself (what certified policies see); the states of all agents in order; or the own state
+        and where the nearest other agents are from it (see `nearest`).
+    neighbours : int, optional
+        How many neighbours an agent sees; by default two, or all others in smaller teams.
     scale : "unit" or "raw"
         States moved into the workspace and scaled to [-1, 1], or as they are.
     automaton : "one-hot", "number" or "hidden"
         How the automaton state stands in an observation.
-    reward, discount, actions, spread
+    reward, discount, actions, spread, sensor_noise
         As for `vector_env`.
 
     Examples
@@ -92,6 +94,7 @@ class TeamEnv:
         num_envs: int = 1,
         *,
         observation: str = "own",
+        neighbours: int | None = None,
         scale: str = "unit",
         automaton: str = "one-hot",
         actions: str = "unit",
@@ -101,6 +104,7 @@ class TeamEnv:
         self.problem, self.num_envs, self.agents = self._batch.problem, num_envs, tuple(problem.agent_names)
         self.options = {
             "observation": observation,
+            "neighbours": neighbours,
             "scale": scale,
             "automaton": automaton,
             "actions": actions,
@@ -109,6 +113,8 @@ class TeamEnv:
         self._observation = checked_option(observation, "observation", OBSERVATIONS)
         self._scale = checked_option(scale, "scale", SCALES)
         self._automaton = checked_option(automaton, "automaton", AUTOMATON)
+        self._neighbours = checked_neighbours(problem, self._observation, neighbours)
+        self._bounds = [nearest_bounds(problem, agent, self._neighbours) for agent in problem.agents]
         self._is_unit = actions == "unit"
         self._dynamics = Dynamics.of(self.problem)
         # Where an agent stands: its block, and its place in the block.
@@ -137,6 +143,8 @@ class TeamEnv:
         if ended.any():
             satisfied = ended & np.asarray(core.satisfied(self._dynamics, self._batch.worlds))
             self._batch.renew()
+        if not self._batch.sensors.is_exact:  # a reset has read the states already
+            self._batch.read()
         return self._told(rewards, (terminated, truncated, satisfied))
 
     def _inputs(self, actions: Mapping[str, Any]) -> tuple[np.ndarray, ...]:
@@ -166,14 +174,32 @@ class TeamEnv:
 
     def _observed(self) -> dict[str, np.ndarray]:
         """Return the observations: states, automaton state, share of time left."""
-        worlds, tail = self._batch.worlds, self._tail()
-        states = [self._scaled(block, x) for block, x in zip(self._dynamics.blocks, worlds.states, strict=True)]
+        worlds, read = self._batch.worlds, self._batch.worlds.states
+        if not self._batch.sensors.is_exact:
+            read = core.split_joint(self._dynamics, self._batch.readings)
+        tail = shared_rows(self.problem, worlds, self._automaton).astype(np.float32)
+        states = [self._scaled(block, x) for block, x in zip(self._dynamics.blocks, read, strict=True)]
         own = [states[block][:, place] for block, place in self._places]
         if self._observation == "joint":
             common = np.concatenate([*own, tail]).T
             return dict.fromkeys(self.agents, common)
+        parts = zip(own, self._nearest(read)) if self._observation == "neighbours" else ((x,) for x in own)
         # Worlds are the last axis in memory: each array is a transposed view of one that is written row by row.
-        return {name: np.concatenate([x, tail]).T for name, x in zip(self.agents, own, strict=True)}
+        return {name: np.concatenate([*part, tail]).T for name, part in zip(self.agents, parts, strict=True)}
+
+    def _nearest(self, read: tuple[np.ndarray, ...]) -> Iterator[np.ndarray]:
+        """Yield where the nearest others are from the place of every agent, (k, M) float32."""
+        d, p = common_sizes(self.problem)
+        blocks = self._dynamics.blocks
+        inside = [projected_rows(x, block.state_low, block.state_high) for block, x in zip(blocks, read, strict=True)]
+        outputs = [block.outputs(x) for block, x in zip(blocks, inside, strict=True)]
+        states = np.stack([inside[block][:d, place] for block, place in self._places])
+        places = np.stack([outputs[block][:p, place] for block, place in self._places])
+        for i, (low, high) in enumerate(self._bounds):
+            seen = nearest_seen(states, places, i, self._neighbours)
+            if self._scale == "unit":
+                seen = scaled(seen, (low[:, None], high[:, None]))
+            yield seen.astype(np.float32)
 
     def _scaled(self, block: Any, x: np.ndarray) -> np.ndarray:
         """Return the states (d, n, M) of a block as observations show them, float32."""
@@ -183,13 +209,3 @@ class TeamEnv:
         seen = (x - low) * (2.0 / (high - low)) - 1.0
         # NaN counts as the lower corner, as in all observations.
         return np.fmin(np.fmax(seen, -1.0), 1.0).astype(np.float32)
-
-    def _tail(self) -> np.ndarray:
-        """Return what all agents of a world see, (k, M) float32: the automaton state, and the share of time left."""
-        worlds, count = self._batch.worlds, self.problem.automaton.n_states
-        left = 1.0 - np.broadcast_to(np.asarray(worlds.time), (1, self.num_envs)) / self.problem.horizon
-        if self._automaton == "one-hot":
-            seen = worlds.q == np.arange(count)[:, None]
-        else:
-            seen = worlds.q[None, :] if self._automaton == "number" else np.zeros((0, self.num_envs))
-        return np.concatenate([seen, left]).astype(np.float32)

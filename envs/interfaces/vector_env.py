@@ -10,7 +10,7 @@ Autoreset, declared in `metadata["autoreset_mode"]`:
 - `DISABLED`: the caller resets all worlds, or those of `options["reset_mask"]`; stepping an ended world is an error.
 
 Infos are arrays over the worlds with masks `_name`, as in Gymnasium: `state` (M, D), `automaton_state`, `satisfied`,
-`time`; with `spread` also `scattered`, whether the episode began anywhere.
+`time`; with `spread` also `scattered`, whether the episode began anywhere; with noisy sensors also `reading` (M, D).
 """
 
 from __future__ import annotations
@@ -31,16 +31,18 @@ from ..problem import Problem, checked_problem
 from .episode import checked_discount
 from .observation import (
     ACTIONS,
-    PRECISIONS,
     RESET_OPTIONS,
+    Form,
     action_space,
     batch_inputs,
     checked_option,
     checked_reset,
+    joint_bounds,
     joint_observations,
     observation_space,
 )
 from .scattering import checked_share, scattered
+from .sensors import READING, Sensors
 from .shaping import REWARDS, Potential
 
 MOST_WORLDS = 10_000_000
@@ -60,7 +62,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Number of worlds M.
     render_mode : None or "rgb_array"
     autoreset_mode : AutoresetMode or str
-    reward, discount, dtype, actions
+    reward, discount, dtype, actions, scale, automaton, sensor_noise
         As for `central_env`.
     spread : float
         Share of the episodes that begin anywhere, for learners: at states uniform in the workspaces, in an automaton
@@ -75,7 +77,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     (1000, 6)
     """
 
-    # Nine parameters: `gymnasium.make_vec` hands them on as flat keywords.
+    # Many parameters: `gymnasium.make_vec` hands them on as flat keywords.
     def __init__(
         self,
         problem: Problem,
@@ -87,6 +89,9 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         discount: float = 1.0,
         dtype: str = "float64",
         actions: str = "unit",
+        scale: str = "raw",
+        automaton: str = "one-hot",
+        sensor_noise: Any = 0.0,
         spread: float = 0.0,
         disturbance: Behaviour = "zero",
     ) -> None:
@@ -102,20 +107,25 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "discount": discount,
             "dtype": dtype,
             "actions": actions,
+            "scale": scale,
+            "automaton": automaton,
+            "sensor_noise": sensor_noise,
             "spread": spread,
         }
-        self._dtype = checked_option(dtype, "dtype", PRECISIONS)
+        self._form = Form(scale, automaton, dtype)
+        self.sensors = Sensors(self.problem, sensor_noise)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._dynamics = core.Dynamics.of(self.problem, disturbance)
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._spread = checked_share(spread)
         self._scattered = np.zeros(self.num_envs, dtype=bool)
-        self.single_observation_space = observation_space(self.problem, self.problem.agents, dtype)
+        self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
         self.single_action_space = action_space(self.problem.agents, actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._worlds: core.Worlds | None = None
+        self.readings = np.zeros((self.num_envs, self.problem.n_states))
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
         # States at all times are stored only if pictures may be asked for.
@@ -155,7 +165,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._worlds = self._begun(core.restart(dynamics, self._worlds, which, self.np_random), which)
         self._ended = self._ended & ~which
         self._relevel(which)
-        return joint_observations(self._dynamics, self._worlds, self._dtype), self._infos(which)
+        return self._observations(), self._infos(which)
 
     def step(self, actions: Any) -> Step:
         """Advance all worlds one control step.
@@ -172,10 +182,14 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if np.ndim(actions) > 0 and len(actions) != self.num_envs:
             raise ValueError(f"`actions`: expected one row for each of {self.num_envs} worlds, got {len(actions)}")
         rewards, terminated, truncated = self.advance(batch_inputs(self._dynamics, actions, self._actions))
-        infos = self._infos(np.ones(self.num_envs, dtype=bool))
+        observations, everywhere = self._observations(), np.ones(self.num_envs, dtype=bool)
+        infos = self._infos(everywhere)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            infos = self._restarted(self._ended, infos)
-        return joint_observations(self._dynamics, self._worlds, self._dtype), rewards, terminated, truncated, infos
+            last = self._last(self._ended, observations, infos)
+            self.renew()
+            observations = self._observations()
+            infos = {**self._infos(everywhere), **last}
+        return observations, rewards, terminated, truncated, infos
 
     def advance(self, inputs: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance all worlds with inputs (m, n, M) per block; return rewards, terminated and truncated, (M,) each.
@@ -268,23 +282,29 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._levels = np.where(fresh, self._first_levels(worlds), levels)
         return rewards
 
-    def _restarted(self, ended: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
-        """Restart ended worlds within the step; return the new infos, with the last observations and infos in them."""
+    def _last(self, ended: np.ndarray, last: np.ndarray, infos: dict[str, Any]) -> dict[str, Any]:
+        """Return the entries of infos that hold the last observations and infos of ended worlds."""
         # Gymnasium expects the last observations as an array of objects, None in worlds that go on.
-        final = joint_observations(self._dynamics, self._present(), self._dtype)
         observations = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
-            observations[k] = final[k].copy()
+            observations[k] = last[k].copy()
         before = {name: values for name, values in infos.items() if not name.startswith("_")}
         masks = {f"_{name}": ended.copy() for name in before}
-        self.renew()
         return {
-            **self._infos(np.ones(self.num_envs, dtype=bool)),
             "final_obs": observations,
             "_final_obs": ended.copy(),
             "final_info": {**before, **masks},
             "_final_info": ended.copy(),
         }
+
+    def read(self) -> np.ndarray:
+        """Let the sensors read the states, (M, D), and note that in `readings`; noisy ones draw new errors."""
+        self.readings = self.sensors.readings(core.joint(self._dynamics, self._present()), self.np_random)
+        return self.readings
+
+    def _observations(self) -> np.ndarray:
+        """Return the observations of all worlds, from new readings."""
+        return joint_observations(self.problem, self._present(), self.read(), self._form)
 
     def _relevel(self, which: np.ndarray) -> None:
         """Note the potentials of worlds that have just started."""
@@ -316,6 +336,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "time": worlds.time.copy(),
             "state": core.joint(self._dynamics, worlds),
         }
+        if not self.sensors.is_exact:
+            values[READING] = self.readings.copy()
         if self._spread > 0.0:
             values["scattered"] = self._scattered.copy()
         return {**values, **{f"_{name}": which.copy() for name in values}}

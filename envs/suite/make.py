@@ -17,16 +17,30 @@ from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, Tea
 from ..problem import Problem, load_problem
 from .catalogue import problem_of_id
 
-OPTIONS = ("observation", "reward", "discount", "dtype", "actions", "infos", "caption", "disturbance")
+SIGHT = ("scale", "automaton", "sensor_noise")
+"""Arguments of all environments that say how states and the automaton state are seen."""
+
+OPTIONS = (
+    "observation",
+    "neighbours",
+    *SIGHT,
+    "reward",
+    "discount",
+    "dtype",
+    "actions",
+    "infos",
+    "caption",
+    "disturbance",
+)
 """Arguments of `parallel_env` that say how a problem is shown, not which problem."""
 
-CENTRAL_OPTIONS = ("reward", "discount", "dtype", "actions", "infos", "disturbance")
+CENTRAL_OPTIONS = (*SIGHT, "reward", "discount", "dtype", "actions", "infos", "disturbance")
 """The same of `central_env`."""
 
-VECTOR_OPTIONS = ("autoreset_mode", "reward", "discount", "dtype", "actions", "spread", "disturbance")
+VECTOR_OPTIONS = (*SIGHT, "autoreset_mode", "reward", "discount", "dtype", "actions", "spread", "disturbance")
 """The same of `vector_env`."""
 
-TEAM_OPTIONS = ("observation", "scale", "automaton", "actions", "reward", "discount", "spread", "disturbance")
+TEAM_OPTIONS = ("observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")
 """The same of `team_env`."""
 
 

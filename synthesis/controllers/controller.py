@@ -17,6 +17,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, alike_text, shape_text
 from .abstract_state import Memory
 from .agent_controller import AgentController
+from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,8 +62,10 @@ class Controller:
         Raises
         ------
         ValueError
-            If the agents are not those of the controller's problem.
+            If the agents are not those of the controller's problem, or the environment has noisy sensors.
         """
+        for name in observations:
+            told(infos, name)
         strangers = sorted(set(observations) ^ set(self._by_name))
         if strangers:
             raise ValueError(
@@ -77,7 +80,8 @@ class Controller:
         """Return the action of every agent observed: name -> (m,) float64.
 
         The state is read from the observation, or from ``infos[agent]`` (keys ``state``, ``automaton_state``, ``time``)
-        if that is given: it survives wrappers that round or rescale observations.
+        if that is given: it survives wrappers that round or rescale observations. Infos also say whether the
+        environment has noisy sensors, which is refused (ValueError).
         """
         actions, seen = {}, dict[str, tuple[FloatArray, int, int]]()
         for name, observation in observations.items():
@@ -87,8 +91,8 @@ class Controller:
                     "environment"
                 )
             agent = self._by_name[name]
-            info = infos.get(name) if infos is not None else None
-            if info is not None and "state" in info:
+            info = told(infos, name)
+            if info is not None:
                 state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
             else:
                 state, q, time = self._read(agent, np.asarray(observation, dtype=float))

@@ -14,6 +14,7 @@ from ...envs.agents import LinearAgent, tree_text
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +47,9 @@ class PathController:
     def reset(
         self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
     ) -> None:
-        """Begin an episode; nothing is remembered and nothing is drawn."""
+        """Begin an episode; nothing is remembered and nothing is drawn. Noisy sensors are refused (ValueError)."""
+        for name in observations:
+            told(infos, name)
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
         """Return the action of every agent observed: name -> (m,) float64.
@@ -56,9 +59,9 @@ class PathController:
         actions = {}
         numbers = {name: i for i, name in enumerate(self.problem.agent_names)}
         for name, observation in observations.items():
-            i, info = numbers[name], infos.get(name) if infos is not None else None
+            i, info = numbers[name], told(infos, name)
             d = self.problem.agents[i].n_states
-            if info is not None and "state" in info:
+            if info is not None:
                 state, time = np.asarray(info["state"], dtype=float), int(info["time"])
             else:
                 own = np.asarray(observation, dtype=float)

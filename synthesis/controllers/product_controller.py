@@ -49,7 +49,7 @@ class ProductController:
         Raises
         ------
         ValueError
-            If the agents are not those of the controller's problem.
+            If the agents are not those of the controller's problem, or the environment has noisy sensors.
         """
         strangers = sorted(set(observations) ^ set(self._part_of))
         if strangers:
@@ -59,7 +59,7 @@ class ProductController:
             )
         seeds = np.random.SeedSequence(seed).generate_state(len(self.parts), np.uint64)
         for part, observed, drawn in zip(self.parts, self._by_part(observations), seeds, strict=True):
-            part.reset(observed, None, int(drawn) if seed is not None else None)
+            part.reset(observed, infos, int(drawn) if seed is not None else None)
 
     def act(self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None) -> dict[str, FloatArray]:
         """Return the action of every agent observed: name -> (m,) float64; see ``Controller.act``."""

@@ -14,6 +14,7 @@ from ...envs.agents import tree_text
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .told import told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,8 +48,10 @@ class TeamController:
         Raises
         ------
         ValueError
-            If the agents are not those of the problem.
+            If the agents are not those of the problem, or the environment has noisy sensors.
         """
+        for name in observations:
+            told(infos, name)
         strangers = sorted(set(observations) ^ set(self.problem.agent_names))
         if strangers:
             raise ValueError(
@@ -71,16 +74,16 @@ class TeamController:
         states, q, time = [], 0, 0
         n_q = self.problem.automaton.n_states
         for name, agent in zip(names, agents, strict=True):
-            info = infos.get(name) if infos is not None else None
-            if info is not None and "state" in info:
+            info = told(infos, name)
+            if info is not None:
                 state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
             else:
                 seen, d = np.asarray(observations[name], dtype=float), agent.n_states
                 state, q = seen[:d], int(np.argmax(seen[-1 - n_q : -1]))
                 time = round((1.0 - float(seen[-1])) * self.problem.horizon)
             states.append(np.asarray(state, dtype=float))
-        told = {self._name: {"state": np.concatenate(states), "automaton_state": q, "time": time}}
-        inputs = self.inner.act({self._name: None}, told)[self._name]
+        joined = {self._name: {"state": np.concatenate(states), "automaton_state": q, "time": time}}
+        inputs = self.inner.act({self._name: None}, joined)[self._name]
         return {name: inputs[columns] for name, columns in zip(names, self.problem.input_columns, strict=True)}
 
     def batch(self, dynamics: Dynamics) -> BatchTeam:

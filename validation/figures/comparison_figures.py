@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from ..policies import Comparison, Training
 
 
+LONGEST_NAME = 32
+"""Characters of a policy's name that are shown; longer names, such as paths, would leave no room for the rates."""
+
+
 def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     """Draw and write success rates with their limits, and certified lower bounds as marks that point upwards.
 
@@ -33,7 +37,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     if bounds:
         x, y = zip(*bounds, strict=True)
         axes.plot(x, y, marker=">", markersize=7, color=BOUND, linestyle="none", label="certified: at least")
-    axes.set_yticks(rows, [entry.name for entry in entries])
+    axes.set_yticks(rows, [_short(entry.name) for entry in entries])
     axes.set_ylim(-0.7, len(entries) - 0.3)
     axes.set_xlabel("P(satisfied)")
     legend_above(axes)
@@ -60,10 +64,16 @@ def draw_curves(trainings: Sequence[Training], path: str | Path, lower_bound: fl
         label = f"{training.algorithm}, seed {training.seed}"
         axes.plot(*zip(*points, strict=True), color=color, marker=mark, markersize=3.5, label=label)
     if lower_bound is not None:
-        axes.axhline(lower_bound, color=BOUND, linestyle="--", linewidth=1.2, label="certified controllers: at least")
+        # Not the colour of bounds: that of the first training is the same.
+        axes.axhline(lower_bound, color=SOFT, linestyle="--", linewidth=1.2, label="certified controllers: at least")
     axes.set_xlabel("world steps")
     axes.set_ylabel("success rate while exploring")
     axes.set_ylim(-0.02, 1.02)
     legend_above(axes)
     axes.set_title(trainings[0].problem.name, loc="left", fontsize=10, color=SOFT, pad=24)
     save_figure(figure, path)
+
+
+def _short(name: str) -> str:
+    """Return a name, or its end if it is long: the end of a path tells more than its beginning."""
+    return name if len(name) <= LONGEST_NAME else "…" + name[1 - LONGEST_NAME :]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ...envs.interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ...envs.problem import Problem
 from ...envs.suite import as_problem, parallel_env
@@ -41,7 +43,8 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
     Raises
     ------
     ValueError
-        If the certificate cannot be a shield, does not fit, or the probability is out of range.
+        If the certificate cannot be a shield, does not fit, or the probability is out of range; if the environment has
+        noisy sensors.
 
     Examples
     --------
@@ -62,6 +65,11 @@ def shield(env_or_problem: Any, certificate: Any, *, probability: float | None =
         )
     if not isinstance(env, known):
         env = parallel_env(as_problem(env))
+    if np.any(env.options.get("sensor_noise", 0.0)):
+        raise ValueError(
+            "`env_or_problem`: expected exact sensors, got `sensor_noise`; the certificate is about controllers that "
+            "see the true states"
+        )
     made = _made(env.problem, certificate, probability, form)
     if isinstance(made, ProductShield):
         assert isinstance(env, TasksEnv)  # independent tasks have no other environment

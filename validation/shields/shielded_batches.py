@@ -104,7 +104,7 @@ class ShieldedTeamEnv(TeamEnv):
     def __init__(self, problem: Problem, shield: Shield, num_envs: int = 1, **options: Any) -> None:
         super().__init__(problem, num_envs, **options)
         self.shield = shield
-        own = ("observation", "scale", "automaton")
+        own = ("observation", "neighbours", "scale", "automaton")
         rest = {name: value for name, value in self.options.items() if name not in own}
         self._batch: ShieldedVectorEnv = ShieldedVectorEnv(problem, shield, num_envs, autoreset_mode="SameStep", **rest)
 

@@ -1,0 +1,38 @@
+"""A problem of the suite as a task of BenchMARL: ``BenchmarlTask("meeting-v0", {})`` (needs benchmarl, no extra)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from benchmarl.environments.pettingzoo.common import PettingZooClass
+from torchrl.envs import PettingZooWrapper
+
+import certigym as cg
+
+
+class BenchmarlTask(PettingZooClass):
+    """A problem by its id; what is not said here is as for all PettingZoo tasks of BenchMARL."""
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
+    ) -> Callable[[], PettingZooWrapper]:
+        """Return a function that makes the environment, with the joint state for central critics."""
+        env = partial(cg.parallel_env, self.name, actions="unit", dtype="float32")
+        return lambda: PettingZooWrapper(env(), return_state=True, seed=seed, device=device)
+
+    def supports_continuous_actions(self) -> bool:
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        return False
+
+    def has_state(self) -> bool:
+        return True
+
+    def has_render(self, env: Any) -> bool:
+        return False
+
+    def max_steps(self, env: Any) -> int:
+        return cg.make_problem(self.name).horizon
