@@ -9,7 +9,6 @@ from typing import Any
 
 from ..envs.agents import Agent
 from ..envs.problem import Problem
-from .cells import CellCounts, RelationRefused
 from .certificates import Synthesis
 from .choosing import (
     GOOD,
@@ -19,7 +18,6 @@ from .choosing import (
     finer_levels,
     first_cells,
     has_linear_cells,
-    is_quick,
     least_above,
     linear_levels,
 )
@@ -27,7 +25,6 @@ from .models import (
     Abstraction,
     Policies,
     Settings,
-    abstraction_of,
     join,
 )
 from .on_cells import Plan, compared, plain, searched, with_record
@@ -40,27 +37,6 @@ MOST_LINEAR_TERMS = 32
 
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
-
-
-def with_linear(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan) -> Synthesis:
-    """Return the best on given cells, linear ones among them where others leave much and time allows for it."""
-    first = compared(problem, cells, kinds, plan)
-    tried = first.stats.get("tried", {first.certificate.settings["relation"]: first.certificate.lower_bound})
-    is_few = problem.n_agents <= MOST_LINEAR_AGENTS and not any(isinstance(agent, Agent) for agent in problem.agents)
-    if not is_few or first.certificate.lower_bound >= GOOD or "linear" in tried:  # type: ignore[operator]
-        return first
-    began = time.perf_counter()
-    try:
-        abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
-    except RelationRefused:
-        return first
-    if not is_quick(problem, abstraction):
-        return first
-    linear = searched(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, {})
-    best = max(first, linear, key=lambda result: result.certificate.lower_bound)
-    best = replace(best, stats={**best.stats, **least_above(first, linear)})
-    record = {**tried, "linear": linear.certificate.lower_bound}  # type: ignore[dict-item]
-    return with_record(best, {"relations_tried": record}, began)
 
 
 def may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .by_levels import by_levels, finer, has_usual_search, may_be_linear, with_linear
+from .by_levels import by_levels, finer, has_usual_search, may_be_linear
 from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, Synthesis, checked_certificate
 from .choosing import (
@@ -187,8 +187,6 @@ def _on_grids(
         return by_levels(problem, kinds, plan)
     if cells is None and {*kinds} == {"auto"} and has_usual_search(plan):
         return finer(problem, kinds, plan)
-    if cells is not None and {*kinds} == {"auto"} and may_be_linear(problem, kinds, plan):
-        return with_linear(problem, cells, kinds, plan)
     if {"auto", "best"} & {*kinds}:
         return compared(problem, cells, kinds, plan)
     return plain(problem, cells, kinds, plan)

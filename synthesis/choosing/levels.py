@@ -311,13 +311,6 @@ def _equal_parts(low: float, high: float, inside: list[float]) -> int | None:
     return parts
 
 
-def is_quick(problem: Problem, abstraction: Abstraction) -> bool:
-    """Return whether a search on linear cells takes no longer than a level may."""
-    undecided = int((~problem.automaton.absorbing).sum())
-    rank = 1 if problem.n_agents == 1 else GUESSED_RANK
-    return seconds_of(abstraction, problem.horizon, undecided, rank) <= MOST_SECONDS
-
-
 def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int) -> float:
     """Return an estimate of the seconds of a level on a core of 2024: two sweeps, and an evaluation.
 
