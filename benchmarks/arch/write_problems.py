@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import grid_rows  # the file beside this one
 import numpy as np
 
 HERE = Path(__file__).parent
@@ -138,12 +139,19 @@ def toml(content: dict[str, Any]) -> str:
     """Return a problem as the text of a file."""
     lines = [f'name = "{content["name"]}"', f"horizon = {content['horizon']}"]
     for agent in content["agents"]:
-        lines += ["", "[[agents]]", *(f"{key} = {json.dumps(value)}" for key, value in agent.items())]
+        lines += ["", "[[agents]]", *(f"{key} = {written(value)}" for key, value in agent.items())]
     lines += ["", "[propositions]"]
     for name, region in content["propositions"].items():
         lines.append(f"{name} = {{ {', '.join(f'{key} = {json.dumps(value)}' for key, value in region.items())} }}")
     task = content["specification"].items()
     return "\n".join([*lines, "", "[specification]", *(f"{key} = {json.dumps(value)}" for key, value in task)]) + "\n"
+
+
+def written(value: Any) -> str:
+    """Return a value as TOML: JSON, but for tables."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {json.dumps(entry)}' for key, entry in value.items())} }}"
+    return json.dumps(value)
 
 
 CAP = "the published .9999 is the cap of the solver, not a difference between methods"
@@ -173,7 +181,8 @@ def rows() -> list[dict[str, Any]]:
     gridded = two_zones("ba-4d", np.sqrt(DEVIATION), full, [17.0, 20.0], 3.4378, [19.3, 20.45, 33.7, 35.9])
     result.append(row(gridded, "on a grid. " + PEAK, 0.6673, "IMPaCT", 7.87, "see its report"))
     result.append(row(seven_states(), CAP + "; noise of rank four; start at 20", 0.9999, reach, 1.33, aws))
-    return [*result, *(row(almost_identity(n), "") for n in (5, 20))]
+    result += [row(almost_identity(n), "") for n in (5, 20)]
+    return [*result, *(row(**{"relation": "auto", **entry}) for entry in grid_rows.entries())]
 
 
 def row(
@@ -183,13 +192,15 @@ def row(
     tool: str = "",
     seconds: float | None = None,
     machine: str = "",
+    relation: str = "path",
+    **more: Any,
 ) -> dict[str, Any]:
-    """Write the file of a problem, and return its row."""
+    """Write the file of a problem, and return its row; ``more`` may be cells, and shares of starts (see arch)."""
     file = content["name"].replace("-", "_") + ".toml"
     (HERE / file).write_text(toml(content), encoding="utf-8")
-    entry = {"row": content["name"], "problem": file, "relation": "path", "published": published, "tool": tool}
-    note = note if published is not None else "; ".join(filter(None, [note, "no published number was found"]))
-    return {**entry, "seconds": seconds, "machine": machine, "note": note}
+    entry = {"row": content["name"], "problem": file, "relation": relation, "published": published, "tool": tool}
+    note = note if published is not None or tool else "; ".join(filter(None, [note, "no published number was found"]))
+    return {**entry, "seconds": seconds, "machine": machine, "note": note, **more}
 
 
 if __name__ == "__main__":
