@@ -12,6 +12,7 @@ from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
+from .start_hull import StartHull
 
 __all__ = [
     "AgentPart",
@@ -22,6 +23,7 @@ __all__ = [
     "EXACT_GAP",
     "PathCertificate",
     "ProductCertificate",
+    "StartHull",
     "Synthesis",
     "UNREADABLE",
     "any_certificate",
