@@ -55,7 +55,7 @@ def oscillator() -> list[str]:
     """Return how often the oscillator reaches its target from one start, as it is run and as it is meant."""
     lines = []
     for name in ("as_run", "as_meant"):
-        problem = load_problem(ROWS / f"van_der_pol_free_{name}.toml")
+        problem: Any = load_problem(ROWS / f"van_der_pol_free_{name}.toml")
         problem = problem.replace(initial_state=[-0.8, -1.8])
         found: Any = synthesize(problem, 40, relation="linear").certificate  # no input: every policy does the same
         share = rollout(problem, found.controller, EPISODES, seed=0).successes / EPISODES
