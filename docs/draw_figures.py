@@ -21,12 +21,6 @@ def _reach_avoid(horizon: int, cells: int, **settings: Any) -> cg.Certificate:
     return cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=horizon), cells=cells, **settings).certificate
 
 
-def certified_rollouts() -> Any:
-    """Three robots through a door (README)."""
-    problem = cg.make_problem("door-formation-v0")
-    return figure_scenes.rollouts_figure(cg.synthesize(problem, cells=24).certificate, episodes=25)
-
-
 def relation() -> Any:
     """A position-velocity agent in its tube."""
     problem = cg.make_problem("reach-avoid-kinematic-v0", horizon=8)
@@ -101,7 +95,7 @@ def suite() -> Any:
 
 
 FIGURES: dict[str, Callable[[], Any]] = {
-    draw.__name__: draw for draw in (certified_rollouts, relation, tree, bounds, value, ranks, automaton, suite)
+    draw.__name__: draw for draw in (relation, tree, bounds, value, ranks, automaton, suite)
 }
 
 

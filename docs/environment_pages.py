@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
-from certigym.envs.agents import AnyAgent, LinearAgent, counted
+from certigym.envs.agents import AnyAgent, LinearAgent, Pair, counted
 from certigym.envs.pictures import edges
 from certigym.envs.pictures.automaton_drawing import svg
 from certigym.envs.suite.ids import MODULES, gymnasium_id
@@ -28,7 +28,11 @@ OPTIONS = (
     ("initial_state", "the problem's", "start of all agents, a point; or a box `initial_low`, `initial_high`"),
     ("disturbance_scale", "1", "factor on the standard deviations of the noise"),
     ("render_mode", "None", '"ansi", "rgb_array" or "human"'),
-    ("observation", '"local"', 'PettingZoo only; "full": the states of the other agents too'),
+    (
+        "observation",
+        '"local"',
+        'PettingZoo only; "full": the states of the other agents too; "relative": where they are from the own place',
+    ),
     (
         "reward",
         '"sparse"',
@@ -260,9 +264,16 @@ def _regions(problem: cg.Problem) -> str:
     for name, proposition in problem.declared.items():
         members = problem.families.get(name)
         label = f"`{name}`" if members is None else f"`{name}`: {_names(list(members))}"
-        owner = problem.propositions[name if members is None else members[0]].agent
-        box = _region(proposition.low, proposition.high, problem.agents[problem.agent_names.index(owner)])
-        lines.append(f"| {label} | `{proposition.agent}` | {box} |")
+        first = problem.propositions[name if members is None else members[0]]
+        if isinstance(proposition, Pair):
+            agents = proposition.agents if isinstance(proposition.agents, str) else " less ".join(proposition.agents)
+            which = f"pairs of `{agents}`" if isinstance(proposition.agents, str) else f"`{agents}`"
+            which += ", next to each other" if proposition.pairs == "neighbours" else ""
+            box = " x ".join(f"[{low:g}, {high:g})" for low, high in zip(proposition.low, proposition.high))
+            lines.append(f"| {label} | {which} | difference in {box} |")
+            continue
+        owner = problem.agents[problem.agent_names.index(first.agent)]
+        lines.append(f"| {label} | `{proposition.agent}` | {_region(proposition.low, proposition.high, owner)} |")
     return "\n".join(lines) + "\n\nA region holds its lower faces, and its upper ones at the edge of the workspace."
 
 

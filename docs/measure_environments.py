@@ -41,17 +41,19 @@ def measured(id: str) -> dict[str, Any]:
         certificate = found.certificate
         CERTIFICATES.mkdir(exist_ok=True)
         cg.save_certificate(certificate, CERTIFICATES / f"{id}.npz")
-        shapes = sorted({part.grid.shape for part in certificate.agents})
+        # A certificate about pairs stands on one without them.
+        base = getattr(certificate, "base", certificate)
+        shapes = sorted({part.grid.shape for part in base.agents})
         result["certificate"] = {
             "lower_bound": certificate.lower_bound,
             "gap": certificate.gap,
             "exact": certificate.exact,
-            "abstract_upper_bound": found.stats["abstract_upper_bound"],
+            "abstract_upper_bound": found.stats.get("abstract_upper_bound"),
             "method": certificate.method,
             "bound": certificate.bound,
             "start": certificate.start,
             "cells": [list(shape) for shape in shapes],
-            "value": "tensor trains" if certificate.terms is None else "tree",
+            "value": "tensor trains" if base.terms is None else "tree",
             "rank": certificate.rank,
             "seconds": round(seconds, 2),
             "mebibytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,

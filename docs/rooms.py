@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"
 ORDER = {
     "envs": "expressions agents logic problem dynamics pictures interfaces suite",
-    "synthesis": "cells relations values models search bounds choosing nominal_paths controllers certificates checking "
-    "shielding permissions",
+    "synthesis": "cells relations values models search bounds choosing nominal_paths pairs controllers certificates "
+    "checking shielding permissions",
     "validation": "statistics simulation verdicts audits shields policies figures reports paper",
 }
 """The rooms of each wing, in the order in which a problem passes through them."""

@@ -18,7 +18,7 @@ TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
-        "envs.agents.neighbours envs.agents.noise "
+        "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products "
         "envs.expressions.affine_inputs envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
@@ -33,14 +33,15 @@ TRUSTED = {
         "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
+        "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "
         "synthesis.certificates.path_certificate "
         "synthesis.certificates.path_file "
-        "synthesis.certificates.product synthesis.values.terms"
+        "synthesis.certificates.product synthesis.certificates.team_certificate synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
         "synthesis.controllers.controller synthesis.controllers.path_controller "
-        "synthesis.controllers.product_controller "
+        "synthesis.controllers.product_controller synthesis.controllers.team_controller "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
@@ -53,8 +54,9 @@ TRUSTED = {
         "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.network_spans "
-        "synthesis.checking.own_intervals synthesis.checking.path_check "
-        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.train_check "
+        "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
+        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
+        "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
     ),
 }

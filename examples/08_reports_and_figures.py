@@ -18,6 +18,7 @@ problem = cg.make_problem("reach-avoid-v0", horizon=4)
 certificate = cg.synthesize(problem, cells=100).certificate
 
 content = cg.report(certificate, "report.html", episodes=5_000)
+assert content.audit is not None
 print("report.html:", content.validation.verdict, content.audit.verdict)
 
 save_figure(value_figure(certificate), "value.png")

@@ -15,7 +15,7 @@ from certigym.envs.problem import groups as independent
 from certigym.envs.problem.groups import independent_groups
 
 NAMES = ("a", "b", "c", "d", "e", "f")
-OWNERS = (0, 0, 1, 1, 2, 2)
+OWNERS = tuple(frozenset([i]) for i in (0, 0, 1, 1, 2, 2))
 FAMILIES = {"first": ("a", "c", "e"), "second": ("b", "d", "f"), "pair": ("a", "d")}
 
 

@@ -66,7 +66,7 @@ PROBLEM = [
     ({"propositions": [1]}, r"`propositions`: expected a mapping"),
     ({"propositions": {"2": GOAL["goal"]}}, r"`propositions`: expected letters, digits"),
     ({"propositions": {"F": GOAL["goal"]}}, r"`propositions.F`: .*a word of the formula language"),
-    ({"propositions": {"goal": {"agent": "left"}}}, r"`propositions.goal`: expected a Proposition or a dict"),
+    ({"propositions": {"goal": {"agent": "left"}}}, r"`propositions.goal`: expected a Proposition, a Pair, or a dict"),
     ({"propositions": {"goal": cg.Proposition("lefd", [0], [1])}}, r"got 'lefd'; did you mean 'left'\?"),
     ({"propositions": {"goal": cg.Proposition("d_*", [0], [1])}}, r"expected a pattern that matches an agent, got 'd_"),
     ({"propositions": {"goal": cg.Proposition("left", [0, 0], [1, 1])}}, r"expected corners of length 1"),

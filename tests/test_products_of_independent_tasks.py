@@ -366,7 +366,7 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
     for command in ("audit", "stress", "validate-field", "report"):
         more = {"report": ["--out", str(page)], "validate-field": ["--random", "3"]}.get(command, [])
         assert main([command, saved, "--episodes", "40", *more]) == 0
-    assert page.read_text(encoding="utf-8").count("<h2>Automaton</h2>") == 1  # all tasks have the same one
+    assert page.read_text(encoding="utf-8").count("The task automaton.") == 1  # all tasks have the same one
     for kind in ("value", "rollouts", "automaton", "rank", "relation", "tree"):
         assert main(["plot", kind, saved, "--out", str(tmp_path / f"{kind}.png")]) == 0
 

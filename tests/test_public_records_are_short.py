@@ -56,6 +56,7 @@ def examples(result: cg.Synthesis) -> dict[str, Callable[[], Any]]:
         "InputTable": lambda: cg.InputTable(grid, np.zeros((20, 5, 500, 1))),
         "LinearAgent": lambda: problem.agents[0],
         "Mismatch": lambda: cg.Mismatch(noise_scale=1.5, noise_family="student-t", dropout=0.1),
+        "Pair": lambda: cg.Pair("agent_*", np.zeros(200), np.ones(200)),
         "Permission": lambda: cg.permit(exact_one(), probability=1e-3),
         "Probe": lambda: probe_of(certificate),
         "Problem": lambda: problem,

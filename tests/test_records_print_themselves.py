@@ -49,6 +49,7 @@ PROBLEMS = {
     "a thousand agents": lambda: cg.make_problem("reach-avoid-n-v0", n_agents=1000),
     "long chain": lambda: cg.make_problem("integrator-chain-v0", dimension=6),
     "independent tasks": lambda: pairs(50),
+    "thirty agents that keep apart": lambda: cg.make_problem("swarm-v0", n_agents=30),
     "kinds": lambda: many_kinds(40),
 }
 
@@ -56,7 +57,7 @@ PROBLEMS = {
 def records(problem: cg.Problem) -> list[Any]:
     """Every record of the rooms of the problem, and of its dynamics."""
     automata = [group.automaton for group in problem.groups] or [problem.automaton]
-    kinds = [
+    kinds: list[Any] = [
         problem,
         problem.agents[0],
         problem.agents[0].workspace,
@@ -65,12 +66,15 @@ def records(problem: cg.Problem) -> list[Any]:
         *automata[:1],
         *problem.groups[:1],
         *list(problem.propositions.values())[:1],
+        *list(problem.propositions.values())[-1:],
+        *problem.labeling.pairs[:1],
     ]
     if not problem.groups:
         dynamics = Dynamics.of(problem)
         worlds = core.initial(dynamics, np.random.default_rng(0), 3)
         single = OneWorld.of(dynamics)
         one = single.begin(core.initial(dynamics, np.random.default_rng(0), 1))
+        kinds += dynamics.pairs[:1]
         kinds += [dynamics, dynamics.blocks[0], worlds, single, one, *([dynamics.reader] if dynamics.reader else [])]
     return kinds
 

@@ -45,8 +45,9 @@ MAY_IMPORT = {
     "synthesis.permissions": f"{ENVS} {CERTIFICATES} synthesis.checking",
     "synthesis.choosing": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
+    "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing synthesis.nominal_paths synthesis.checking",
+    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking",
     "validation.statistics": "",
     "validation.simulation": f"{ENVS} envs.suite",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
@@ -61,7 +62,7 @@ MAY_IMPORT = {
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 
-SEARCH = ("search", "models", "bounds", "choosing", "nominal_paths")
+SEARCH = ("search", "models", "bounds", "choosing", "nominal_paths", "pairs")
 """Rooms that the check must not reach."""
 
 

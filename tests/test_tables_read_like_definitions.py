@@ -63,6 +63,7 @@ def critical(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tup
 
 def problems() -> list[cg.Problem]:
     suite = [cg.make_problem(name) for name in problem_ids()]
+    suite = [problem for problem in suite if not problem.labeling.pairs]  # pairs are not read agent by agent
     return [*suite, planar_pair(), two_agents("G (b -> X d)", "finite-trace")]
 
 
@@ -89,6 +90,7 @@ def test_there_are_no_tables_where_they_would_not_do(monkeypatch: pytest.MonkeyP
     assert Dynamics.of(two_agents("true", "co-safe")).reader is None  # accepted before the first letter
     monkeypatch.setattr(reading, "MOST_ENTRIES", 50)
     assert Dynamics.of(two_agents()).reader is None
+    assert Dynamics.of(cg.make_problem("swarm-v0")).reader is None  # propositions about pairs
 
 
 @pytest.mark.slow

@@ -181,6 +181,7 @@ def test_reports_of_one_agent_and_of_a_box_of_starts(tmp_path: Path) -> None:
         specification=cg.Specification("F g", "co-safe"),
     )
     content = cg.report(cg.synthesize(one, 40), tmp_path / "r.html", 500)
+    assert content.field is not None
     assert content.axes == (0,) and content.field.shape == (40,) and not content.refuted
     assert "middle of the initial box" in (tmp_path / "r.html").read_text()
 

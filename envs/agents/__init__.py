@@ -17,6 +17,7 @@ from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .neighbours import neighbour, place_of, states_of_others, tied
+from .pair import REFUSAL, Pair, PairRegion
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .saving import write_bytes, write_json, write_text
@@ -30,7 +31,10 @@ __all__ = [
     "Law",
     "LinearAgent",
     "MOST_AGENTS",
+    "Pair",
+    "PairRegion",
     "Proposition",
+    "REFUSAL",
     "Uniform",
     "UnknownArgument",
     "box_text",

@@ -1,12 +1,14 @@
 """Which propositions hold where: simulator, first letter and synthesizer all use the one decision of membership here.
 
-A proposition is a box in the output space of one agent. A *class* of an agent is the set of its propositions that hold
-at a point; a *letter* is one class per agent. Rules:
+A proposition is a box in the output space of one agent, or for the difference of two agents' outputs (`Pair`). A
+*class* of an agent is the set of its own propositions that hold at a point; a *letter* is one class per agent, and the
+pairs that hold. Rules:
 
 - the workspace is closed: `low <= x <= high`;
 - a region is half-open: `low <= y < high`, so that neighbours share no point;
 - with `C = I`, a region that reaches the upper edge of the workspace is closed there (its upper bound becomes
-  infinite: leaving the workspace is decided separately, and first).
+  infinite: leaving the workspace is decided separately, and first);
+- the box of a pair is half-open: `low <= y_a - y_b < high`, the difference as floating point computes it.
 
 Reference: docs/theory/setting.md, "Letters and words".
 """
@@ -15,7 +17,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +26,7 @@ import numpy as np
 from .any_agent import AnyAgent
 from .box import Box
 from .checks import read_only, shown
+from .pair import REFUSAL, Pair, PairRegion, pair_region
 from .printing import box_text, counted, names_text, tree_text
 
 
@@ -87,17 +90,19 @@ def contains(y: Any, low: Any, high: Any) -> Any:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Labeling:
-    """The labelling of one problem: its propositions, agent by agent, and their regions.
+    """The labelling of one problem: its propositions, agent by agent, and their regions; then those about pairs.
 
     Attributes
     ----------
     agents : tuple of AnyAgent
     names : tuple of str
-        Propositions, agent by agent.
+        Propositions, agent by agent; those about pairs come last.
     agent_propositions : tuple of np.ndarray of int
         Per agent: positions of its propositions in `names`.
     low, high : tuple of np.ndarray, shape (p_i, P_i)
         Per agent: corners of its regions; the upper ones are infinite where a region is closed at the workspace edge.
+    pairs : tuple of PairRegion
+        Propositions about two agents, in the order of the last names.
     """
 
     agents: tuple[AnyAgent, ...]
@@ -105,13 +110,16 @@ class Labeling:
     agent_propositions: tuple[np.ndarray, ...]
     low: tuple[np.ndarray, ...]
     high: tuple[np.ndarray, ...]
+    pairs: tuple[PairRegion, ...] = ()
 
     @classmethod
-    def of(cls, agents: Sequence[AnyAgent], propositions: Mapping[str, Proposition]) -> Labeling:
+    def of(cls, agents: Sequence[AnyAgent], propositions: Mapping[str, Proposition | Pair]) -> Labeling:
         """Return the labelling for propositions without `*`, ordered agent by agent, then as declared."""
         names_of: dict[str, list[str]] = {agent.name: [] for agent in agents}
         by_name = {agent.name: agent for agent in agents}
-        for name, proposition in propositions.items():
+        of_pairs = {name: value for name, value in propositions.items() if isinstance(value, Pair)}
+        of_agents = {name: value for name, value in propositions.items() if isinstance(value, Proposition)}
+        for name, proposition in of_agents.items():
             _check_region(name, proposition, by_name)
             names_of[proposition.agent].append(name)
         names: list[str] = []
@@ -122,14 +130,30 @@ class Labeling:
             names.extend(agent_names)
             # The shape is spelled out for agents without propositions.
             shape = (len(agent_names), agent.n_outputs)
-            low = np.array([propositions[name].low for name in agent_names]).reshape(shape).T
-            high = np.array([propositions[name].high for name in agent_names]).reshape(shape).T
+            low = np.array([of_agents[name].low for name in agent_names]).reshape(shape).T
+            high = np.array([of_agents[name].high for name in agent_names]).reshape(shape).T
             # With y = x a region that reaches the upper edge of the workspace is closed there.
             if agent.has_identity_output:
                 high = np.where(high >= agent.state_high[:, None], np.inf, high)
             lows.append(read_only(low))
             highs.append(read_only(high))
-        return cls(tuple(agents), tuple(names), tuple(positions), tuple(lows), tuple(highs))
+        pairs = tuple(pair_region(name, pair, agents) for name, pair in of_pairs.items())
+        return cls(tuple(agents), (*names, *of_pairs), tuple(positions), tuple(lows), tuple(highs), pairs)
+
+    @property
+    def first_pair(self) -> int:
+        """Position in `names` of the first proposition about a pair: the number of those about single agents."""
+        return len(self.names) - len(self.pairs)
+
+    @cached_property
+    def owners(self) -> tuple[frozenset[int], ...]:
+        """Per proposition: the agents that it is about, one or two."""
+        single = [frozenset([i]) for i, own in enumerate(self.agent_propositions) for _ in own]
+        return (*single, *(frozenset([pair.first, pair.second]) for pair in self.pairs))
+
+    def without_pairs(self) -> Labeling:
+        """Return the labelling of the propositions of single agents alone."""
+        return replace(self, names=self.names[: self.first_pair], pairs=())
 
     def __repr__(self) -> str:
         numbers = Counter(len(positions) for positions in self.agent_propositions)
@@ -163,6 +187,10 @@ class Labeling:
     def letter(self, states: Sequence[Any]) -> np.ndarray:
         """Return which propositions hold at one joint state, a sequence of vectors (d_i,): bool (P,)."""
         classes = [self.class_at(i, np.asarray(x, dtype=float)) for i, x in enumerate(states)]
+        if self.pairs:
+            outputs = [agent.outputs(np.asarray(x, dtype=float)) for agent, x in zip(self.agents, states)]
+            near = [contains(p.difference(outputs[p.first], outputs[p.second]), p.low, p.high) for p in self.pairs]
+            classes.append(np.array(near, dtype=bool))
         return np.concatenate(classes) if classes else np.zeros(0, dtype=bool)
 
     @cached_property
@@ -170,7 +198,14 @@ class Labeling:
         """Per agent: the classes that occur in its workspace, bool (n_classes_i, P_i), rows in lexicographic order.
 
         Exact for `C = I`; a superset otherwise.
+
+        Raises
+        ------
+        ValueError
+            If there are propositions about pairs: whoever reasons agent by agent would pass them over.
         """
+        if self.pairs:
+            raise ValueError(REFUSAL)
         # Agents with equal regions, outputs and workspaces have equal classes: compute them once.
         computed: dict[tuple[bytes, ...], np.ndarray] = {}
         result = []
@@ -194,6 +229,8 @@ class Labeling:
         low, high : array_like, shape (S, d)
             Boxes in the state space; the part beyond the workspace is ignored.
         """
+        if self.pairs:
+            raise ValueError(REFUSAL)
         low, high = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
         candidates, possible = self._reachable(agent, low, high)
         # Number the candidates as in `classes`; those that no box meets may be missing there.

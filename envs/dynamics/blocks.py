@@ -131,6 +131,58 @@ class Block:
         return float(self.input_low.max()), float(self.input_high.min())
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class PairBlock:
+    """Propositions about pairs whose first agents are in one block, whose second are in one, and whose outputs agree.
+
+    Attributes
+    ----------
+    blocks : pair of int
+        Numbers of the two blocks.
+    places : pair of np.ndarray of int, shape (k,)
+        Per proposition: where its agents stand in these blocks.
+    outputs : pair of np.ndarray of int, shape (p,)
+        Outputs that are compared.
+    propositions : np.ndarray of int, shape (k,)
+    low, high : np.ndarray, shape (p, k, 1)
+    """
+
+    blocks: tuple[int, int]
+    places: tuple[np.ndarray, np.ndarray]
+    outputs: tuple[np.ndarray, np.ndarray]
+    propositions: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"PairBlock({counted(len(self.propositions), 'pair')} of blocks {self.blocks[0]} and {self.blocks[1]})"
+
+
+def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[PairBlock, ...]:
+    """Return the propositions about pairs of a problem, stacked; `position` is block and place of each agent."""
+    labeling, alike = problem.labeling, dict[object, list[int]]()
+    for k, pair in enumerate(labeling.pairs):
+        key = (position[pair.first][0], position[pair.second][0], pair.outputs)
+        alike.setdefault(key, []).append(k)
+    result = []
+    for numbers in alike.values():
+        pairs = [labeling.pairs[k] for k in numbers]
+        first, second = (
+            np.array([position[i] for i in agents]) for agents in zip(*((p.first, p.second) for p in pairs))
+        )
+        result.append(
+            PairBlock(
+                blocks=(int(first[0, 0]), int(second[0, 0])),
+                places=(read_only(first[:, 1].copy()), read_only(second[:, 1].copy())),
+                outputs=(np.array(pairs[0].outputs[0]), np.array(pairs[0].outputs[1])),
+                propositions=read_only(labeling.first_pair + np.array(numbers)),
+                low=read_only(np.stack([pair.low for pair in pairs], axis=1)[..., None]),
+                high=read_only(np.stack([pair.high for pair in pairs], axis=1)[..., None]),
+            )
+        )
+    return tuple(result)
+
+
 def block_of(problem: Problem, group: list[int]) -> Block:
     """Return the block of some agents of a problem, named by their positions; all must have equal sizes."""
     agents = [problem.agents[i] for i in group]

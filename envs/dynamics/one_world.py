@@ -236,12 +236,19 @@ class OneWorld:
         """Return the letter of the states, and whether an agent is outside its workspace."""
         # Propositions are the bits of an integer, which is quick to build and to look up.
         letter, outside = 0, False
+        outputs = []
         for a, x in zip(self.agents, states):
             outside = outside or not inside(x, a.state_low, a.state_high)
             y = a.outputs(x)
+            outputs.append(y)
             for bit, low, high in a.regions:
                 if contains(y, low, high):
                     letter |= bit
+        labeling = self.dynamics.problem.labeling
+        for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
+            between = pair.difference(outputs[pair.first], outputs[pair.second])
+            if contains(between, pair.low, pair.high):
+                letter |= 1 << p
         return letter, outside
 
     def _next(self, q: int, letter: int) -> int:

@@ -21,7 +21,7 @@ Reference: docs/theory/setting.md, "Satisfaction".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -30,7 +30,7 @@ import numpy as np
 
 from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
 from ..problem import Problem
-from .blocks import Block, WrittenMotion, block_of
+from .blocks import Block, PairBlock, WrittenMotion, block_of, pair_blocks
 from .disturbances import Behaviour, checked_behaviour, named_disturbances
 from .rules import decided, moved, noisy
 from .tables import Reader, reader
@@ -91,8 +91,15 @@ class Dynamics:
         return cls(problem, blocks, places, automaton.finished, checked_behaviour(disturbance))
 
     @cached_property
+    def pairs(self) -> tuple[PairBlock, ...]:
+        """The propositions about pairs of agents, stacked."""
+        return pair_blocks(self.problem, self.position)
+
+    @cached_property
     def reader(self) -> Reader | None:
         """Tables that judge worlds; None if they would be too large, or do not apply (see `tables.reader`)."""
+        if self.pairs:  # tables read agent by agent
+            return None
         return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
 
 
@@ -295,13 +302,27 @@ def successor(
 def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block."""
     result = np.zeros((len(dynamics.problem.propositions), states[0].shape[-1]), dtype=bool)
-    for block, x in zip(dynamics.blocks, states):
+    outputs: dict[int, np.ndarray] = {}
+    for b, (block, x) in enumerate(zip(dynamics.blocks, states)):
+        if block.propositions.size or dynamics.pairs:
+            with np.errstate(over="ignore", invalid="ignore"):
+                outputs[b] = block.outputs(x)
         if block.propositions.size:
             # One row per proposition: the outputs of the agent that owns it.
-            with np.errstate(over="ignore", invalid="ignore"):
-                y = block.outputs(x)
-            result[block.propositions] = contains(y.take(block.owners, axis=1), block.region_low, block.region_high)
+            y = outputs[b].take(block.owners, axis=1)
+            result[block.propositions] = contains(y, block.region_low, block.region_high)
+    for pairs in dynamics.pairs:
+        result[pairs.propositions] = contains(difference(pairs, outputs), pairs.low, pairs.high)
     return result
+
+
+def difference(pairs: PairBlock, outputs: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return the differences (p, k, M) of the outputs that pairs compare, from the outputs (p', n, M) per block."""
+    first, second = (
+        outputs[b][axes[:, None], places[None]] for b, axes, places in zip(pairs.blocks, pairs.outputs, pairs.places)
+    )
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity less infinity is near nothing
+        return np.asarray(first - second)
 
 
 def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:

@@ -5,6 +5,8 @@ fraction of time left. Spaces are bounded, because the projection stays in them;
 
 - "local": the state of the agent itself;
 - "full": the state of the agent itself, then the states of the other agents in order;
+- "relative": the state of the agent itself, then the states of the other agents in order, each less its own (as many
+  components as both have);
 - joint (the centralised environment, and `state()`): the states of all agents in order.
 
 Actions are inputs as the dynamics take them ("input": the input box), or scaled to [-1, 1] ("unit", float32). Either
@@ -24,7 +26,7 @@ from ..agents import AnyAgent, shown
 from ..dynamics import Dynamics, Worlds, joint
 from ..problem import Problem
 
-SCOPES = ("local", "full")
+SCOPES = ("local", "full", "relative")
 PRECISIONS = ("float64", "float32")
 ACTIONS = ("input", "unit")
 INFOS = ("numbers", "words")
@@ -58,6 +60,19 @@ def observation_space(problem: Problem, agents: Sequence[AnyAgent], dtype: str) 
     zeros = np.zeros(problem.automaton.n_states + 1)
     low = np.concatenate([*(agent.state_low for agent in agents), zeros])
     high = np.concatenate([*(agent.state_high for agent in agents), zeros + 1.0])
+    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
+
+
+def relative_space(problem: Problem, agent: AnyAgent, dtype: str) -> spaces.Box:
+    """Return the space of observations of an agent that sees the others from its own place."""
+    zeros = np.zeros(problem.automaton.n_states + 1)
+    lows, highs = [agent.state_low], [agent.state_high]
+    for other in problem.agents:
+        if other is not agent:
+            d = min(agent.n_states, other.n_states)
+            lows.append(other.state_low[:d] - agent.state_high[:d])
+            highs.append(other.state_high[:d] - agent.state_low[:d])
+    low, high = np.concatenate([*lows, zeros]), np.concatenate([*highs, zeros + 1.0])
     return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=np.dtype(dtype).type)
 
 

@@ -36,6 +36,7 @@ from .observation import (
     input_of,
     observation_space,
     projected,
+    relative_space,
     shared,
 )
 
@@ -51,7 +52,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
     problem : Problem
     render_mode : None, "ansi", "rgb_array" or "human"
         A line of text, or a picture (see `rendering`).
-    observation : "local" or "full"
+    observation : "local", "full" or "relative"
     reward : "sparse", "shaped" or "progress"
     discount : float
         Discount factor of the learner, for the shaped reward.
@@ -110,6 +111,8 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         # An agent sees itself first, and with the scope "full" the other agents in order.
         seen = {a.name: [a] + [b for b in members if b is not a and self._scope == "full"] for a in members}
         self._observation_spaces = {name: observation_space(problem, agents, dtype) for name, agents in seen.items()}
+        if self._scope == "relative":
+            self._observation_spaces = {agent.name: relative_space(problem, agent, dtype) for agent in members}
         self._action_spaces = {agent.name: action_space([agent], actions) for agent in members}
         self.state_space = observation_space(problem, members, dtype)
 
@@ -200,9 +203,13 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             return {name: np.array(x + tail, dtype=dtype) for name, x in zip(self.possible_agents, states)}
         result = {}
         for i, name in enumerate(self.possible_agents):
-            others = [number for k, x in enumerate(states) if k != i for number in x]
+            others = [number for k, x in enumerate(states) if k != i for number in self._seen(states[i], x)]
             result[name] = np.array(states[i] + others + tail, dtype=dtype)
         return result
+
+    def _seen(self, own: list[float], other: list[float]) -> list[float]:
+        """Return what an agent sees of another one: its state, or where it is from the agent's own place."""
+        return other if self._scope == "full" else [b - a for a, b in zip(own, other)]
 
     def _infos(self) -> Infos:
         common = self._episode.info()

@@ -149,7 +149,7 @@ class Potential:
         return best
 
     def _gaps(self, worlds: Worlds, joined: Callable[..., np.ndarray] = np.max) -> np.ndarray:
-        """Return how far the owner of each proposition is from its region, in workspace widths: (P, M) in [0, 1]."""
+        """Return how far the owners of each proposition are from its region, in workspace widths: (P, M) in [0, 1]."""
         result = np.zeros((len(self.dynamics.problem.propositions), worlds.n_worlds))
         for block, x in zip(self.dynamics.blocks, worlds.states):
             if block.propositions.size:
@@ -159,7 +159,26 @@ class Potential:
                     width = block.output_width[:, block.owners]
                     gap = np.maximum(np.maximum(block.region_low - y, y - block.region_high), 0.0) / width
                 result[block.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
+        self._gaps_of_pairs(worlds, joined, result)
         return result
+
+    def _gaps_of_pairs(self, worlds: Worlds, joined: Callable[..., np.ndarray], result: np.ndarray) -> None:
+        """Write the same of pairs of agents: how far their difference is from its box, in widths of both workspaces."""
+        blocks = self.dynamics.blocks
+        if not self.dynamics.pairs:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            outputs = {b: block.outputs(x) for b, (block, x) in enumerate(zip(blocks, worlds.states))}
+            widths = {b: block.output_width for b, block in enumerate(blocks)}
+            for pairs in self.dynamics.pairs:
+                first, second = (
+                    widths[b][axes[:, None], places[None]]
+                    for b, axes, places in zip(pairs.blocks, pairs.outputs, pairs.places)
+                )
+                width = first + second  # how far a difference can be from another
+                d = core.difference(pairs, outputs)
+                gap = np.maximum(np.maximum(pairs.low - d, d - pairs.high), 0.0) / width
+                result[pairs.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
 
 
 def _letters(manager: Any, root: int) -> Iterator[tuple[frozenset[int], int]]:

@@ -62,8 +62,8 @@ def edges(problem: Problem) -> list[Edge]:
 
 def _possible(problem: Problem, manager: DecisionDiagrams) -> int:
     """Return the function that holds for the letters which every agent can have somewhere in its workspace."""
-    agents = []
-    for positions, classes in zip(problem.labeling.agent_propositions, problem.labeling.classes):
+    agents, labeling = [], problem.labeling.without_pairs()  # pairs may hold or not, wherever their agents are
+    for positions, classes in zip(labeling.agent_propositions, labeling.classes):
         cubes = [
             manager.conjoin_all(manager.literal(int(p), bool(value)) for p, value in zip(positions, row))
             for row in classes

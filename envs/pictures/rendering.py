@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import shown
+from ..agents import Pair, shown
 from ..problem import Problem
 from .label_places import Cell, Labels, beside
 from .scene import Panel, panels
@@ -45,6 +45,7 @@ _REGION_COLORS = (
     (236, 214, 200),
     (222, 226, 205),
 )
+_RING = (190, 40, 40)
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
 _VALUE = (61, 122, 186)
 _TRAIL = 6
@@ -132,6 +133,7 @@ class Picture:
         draw = self._draw(image)
         for panel, cell, names in zip(self._panels, self._frames, self._names):
             self._curves(draw, panel, cell, track, Labels(cell, names))
+            self._rings(draw, panel, cell, track[-1], letter)
         self._status(draw, len(track) - 1, q, letter, verdict)
         if value is not None:
             self._meter(draw, value)
@@ -234,6 +236,18 @@ class Picture:
         for k, q in enumerate(self._listed()):
             self._state(draw, k, q, False)
         draw.text((x, 346), "holds", fill=_PALE, font=self._small)
+
+    def _rings(self, draw: Any, panel: Panel, cell: Cell, state: np.ndarray, letter: Sequence[str]) -> None:
+        """Draw a ring around each of two agents about whom a proposition holds, and a line between them."""
+        curves = {curve.name: curve for curve in panel.curves}
+        for name in letter:
+            about = self._problem.propositions[name]
+            if not isinstance(about, Pair) or not panel.is_map or not all(agent in curves for agent in about.agents):
+                continue
+            ends = [self._points(panel, cell, (curves[agent].rows @ state)[None])[0] for agent in about.agents]
+            draw.line(ends, fill=_RING, width=1)
+            for x, y in ends:
+                draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=_RING, width=2)
 
     def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
         """Draw what the column at the right shows at this time."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..agents import AnyAgent, Box, LinearAgent
+from ..agents import AnyAgent, Box, LinearAgent, Proposition
 from ..problem import Problem
 
 
@@ -109,7 +109,8 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
-    named = [(families.get(n, n), p) for n, p in problem.propositions.items() if p.agent == agent.name]
+    of_agents = {n: p for n, p in problem.propositions.items() if isinstance(p, Proposition)}
+    named = [(families.get(n, n), p) for n, p in of_agents.items() if p.agent == agent.name]
     if not isinstance(agent, LinearAgent) and not all(agent.output_axis(k) for k in range(agent.n_outputs)):
         return _bent(problem, i, number)
     # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.

@@ -2,6 +2,10 @@
 
 `safe` declared on the agent pattern `drone_*` becomes one proposition per agent whose name matches: `safe_0`,
 `safe_1`, ..., named by what the `*` stands for. Formulas refer to them as `all(safe)` and `any(safe)`.
+
+`near` declared on pairs of `drone_*` becomes one proposition per pair: `near_0_1`, `near_0_2`, ..., the agents in the
+order of the problem. With `pairs = "neighbours"` only those next to each other in that order are paired. Declared on
+`["leader", "drone_*"]` it becomes one proposition per agent that matches: `near_0`, `near_1`, ...
 """
 
 from __future__ import annotations
@@ -10,12 +14,22 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ..agents import Proposition, checked_name, shown
+from ..agents import Pair, Proposition, checked_name, shown
 from ..logic import RESERVED
 
+AnyProposition = Proposition | Pair
 
-def checked_propositions(propositions: Any) -> dict[str, Proposition]:
-    """Return a mapping from valid names to propositions; a value may be a dict of the arguments of `Proposition`.
+KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs"))
+"""Keys of a proposition of one agent, of one about pairs, and those that the latter may have besides."""
+
+
+def about_pairs(value: Any) -> bool:
+    """Return whether a table of a proposition is about pairs."""
+    return isinstance(value, Mapping) and "agents" in value
+
+
+def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
+    """Return a mapping from valid names to propositions; a value may be a dict of the arguments of one.
 
     Raises
     ------
@@ -29,20 +43,24 @@ def checked_propositions(propositions: Any) -> dict[str, Proposition]:
         checked_name(name, "propositions")
         if name in RESERVED:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
-        # A dict of the three arguments stands for a proposition, as in problem files.
-        if isinstance(value, Mapping) and set(value) == {"agent", "low", "high"}:
+        # A dict of the arguments stands for a proposition, as in problem files.
+        of_agent, of_pair, besides = ({*keys} for keys in KEYS)
+        if isinstance(value, Mapping) and set(value) == of_agent:
             value = Proposition(**value)
-        if not isinstance(value, Proposition):
+        elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:
+            value = Pair(**value)
+        if not isinstance(value, AnyProposition):
             raise ValueError(
-                f"`propositions.{name}`: expected a Proposition or a dict with agent, low and high, got {shown(value)}"
+                f"`propositions.{name}`: expected a Proposition, a Pair, or a dict with agent (or agents), low and "
+                f"high, got {shown(value)}"
             )
         checked[name] = value
     return checked
 
 
 def expand(
-    propositions: Mapping[str, Proposition], agents: Sequence[str]
-) -> tuple[dict[str, Proposition], dict[str, tuple[str, ...]]]:
+    propositions: Mapping[str, AnyProposition], agents: Sequence[str]
+) -> tuple[dict[str, AnyProposition], dict[str, tuple[str, ...]]]:
     """Return the propositions with families expanded, and the members of each family in agent order.
 
     Raises
@@ -51,10 +69,15 @@ def expand(
         If an agent is unknown, a pattern matches no agent, or two members have the same name.
     """
     declared_agents = frozenset(agents)
-    members: dict[str, Proposition] = {}
+    members: dict[str, AnyProposition] = {}
     families: dict[str, tuple[str, ...]] = {}
     for name, proposition in propositions.items():
-        if "*" in proposition.agent:
+        matched: Mapping[str, AnyProposition]
+        if isinstance(proposition, Pair):
+            matched = _pairs(name, proposition, agents, declared_agents)
+            if isinstance(proposition.agents, str) or "*" in "".join(proposition.agents):
+                families[name] = tuple(matched)
+        elif "*" in proposition.agent:
             matched = _matches(name, proposition, agents)
             families[name] = tuple(matched)
         else:
@@ -71,21 +94,54 @@ def expand(
     return members, families
 
 
+def _pairs(name: str, pair: Pair, agents: Sequence[str], declared: frozenset[str]) -> dict[str, Pair]:
+    """Return the members of a proposition about pairs, by name: the pair itself if it names two agents."""
+    if isinstance(pair.agents, str):
+        named = list(_named(name, pair.agents, agents).items())
+        # Each with each later one, or each with the next one; both in the order of the problem.
+        reach = 1 if pair.pairs == "neighbours" else len(named)
+        couples = [(a, b) for k, a in enumerate(named) for b in named[k + 1 : k + 1 + reach]]
+        if not couples:
+            raise ValueError(
+                f"`propositions.{name}`: expected a pattern that matches at least two agents, got {shown(pair.agents)}"
+            )
+        return {f"{name}_{i}_{j}": pair.of(first, second) for (first, i), (second, j) in couples}
+    starred = [k for k, agent in enumerate(pair.agents) if "*" in agent]
+    if not starred:
+        for agent in pair.agents:
+            _check_agent(name, agent, declared)
+        return {name: pair}
+    pattern, other = pair.agents[starred[0]], pair.agents[1 - starred[0]]
+    _check_agent(name, other, declared)
+    members = {}
+    for agent, middle in _named(name, pattern, agents).items():
+        if agent != other:
+            members[f"{name}_{middle}"] = pair.of(*((agent, other) if starred[0] == 0 else (other, agent)))
+    if not members:
+        raise ValueError(f"`propositions.{name}`: expected a pattern that matches another agent than {other!r}")
+    return members
+
+
 def _matches(name: str, family: Proposition, agents: Sequence[str]) -> dict[str, Proposition]:
     """Return the members of a family by name, one for each agent whose name matches the pattern."""
-    prefix, suffix = family.agent.split("*")
-    members = {}
+    named = _named(name, family.agent, agents)
+    return {f"{name}_{middle}": Proposition(agent, family.low, family.high) for agent, middle in named.items()}
+
+
+def _named(name: str, pattern: str, agents: Sequence[str]) -> dict[str, str]:
+    """Return the agents that a pattern matches, in order, each with what the `*` stands for."""
+    prefix, suffix = pattern.split("*")
+    named = {}
     for agent in agents:
         # The length test keeps prefix and suffix from overlapping, and the `*` from standing for nothing.
         if agent.startswith(prefix) and agent.endswith(suffix) and len(agent) > len(prefix) + len(suffix):
-            middle = agent[len(prefix) : len(agent) - len(suffix)]
-            members[f"{name}_{middle}"] = Proposition(agent, family.low, family.high)
-    if not members:
+            named[agent] = agent[len(prefix) : len(agent) - len(suffix)]
+    if not named:
         raise ValueError(
-            f"`propositions.{name}`: expected a pattern that matches an agent, got {shown(family.agent)}; "
+            f"`propositions.{name}`: expected a pattern that matches an agent, got {shown(pattern)}; "
             f"the agents are {', '.join(agents[:8])}"
         )
-    return members
+    return named
 
 
 def _check_agent(name: str, agent: str, declared_agents: frozenset[str]) -> None:

@@ -57,7 +57,7 @@ def independent_groups(
     semantics: str,
     names: Sequence[str],
     families: Mapping[str, Sequence[str]],
-    owners: Sequence[int],
+    owners: Sequence[frozenset[int]],
     n_agents: int,
 ) -> tuple[Group, ...]:
     """Return the groups of agents with independent tasks; none if the task is one, or its automaton is small anyway.
@@ -70,8 +70,8 @@ def independent_groups(
         Propositions.
     families : mapping
         Members of each family.
-    owners : sequence of int
-        Agent of each proposition.
+    owners : sequence of frozenset of int
+        Agents of each proposition: those of a pair have to stay in one group.
     n_agents : int
 
     Raises
@@ -107,17 +107,20 @@ def _translated_groups(
     semantics: str,
     names: Sequence[str],
     families: Mapping[str, Sequence[str]],
-    owner: Mapping[str, int],
+    owner: Mapping[str, frozenset[int]],
 ) -> list[Group]:
     """Return the groups with their automata, by their first agents."""
-    names_of: dict[int, list[str]] = {}
+    # A pair of agents of two groups is in none of the conjuncts: no group reads it.
+    group_of = {i: agents for agents in gathered for i in agents}
+    names_of: dict[tuple[int, ...], list[str]] = {}
     for name in names:
-        names_of.setdefault(owner[name], []).append(name)
+        if len(of_name := {group_of[i] for i in owner[name]}) == 1:
+            names_of.setdefault(of_name.pop(), []).append(name)
     groups, translated = [], dict[str, Automaton]()
     for agents, conjuncts in sorted(gathered.items()):
         joined = conjuncts[0] if len(conjuncts) == 1 else Formula("&", tuple(conjuncts))
         joined = _renamed(joined, {name: name for name in names}, families)
-        group_names = [name for i in agents for name in names_of.get(i, ())]
+        group_names = names_of.get(agents, [])
         automaton = _automaton(joined, semantics, group_names, translated)
         groups.append(Group(agents, joined, replace(automaton, semantics="finite-trace")))
     return groups
@@ -147,14 +150,16 @@ def _conjuncts(formula: Formula, families: Mapping[str, Sequence[str]], positive
     return [formula if positive else Formula("!", (formula,))]
 
 
-def _agents_of(formula: Formula, families: Mapping[str, Sequence[str]], owner: Mapping[str, int]) -> frozenset[int]:
+def _agents_of(
+    formula: Formula, families: Mapping[str, Sequence[str]], owner: Mapping[str, frozenset[int]]
+) -> frozenset[int]:
     """Return the agents whose propositions appear in a formula."""
     agents: set[int] = set()
     for subformula in formula.subformulas():
         if subformula.operator == "atom" and subformula.name in owner:
-            agents.add(owner[subformula.name])
+            agents.update(owner[subformula.name])
         elif subformula.operator in ("all", "any"):
-            agents.update(owner[name] for name in families.get(subformula.name, ()))
+            agents.update(i for name in families.get(subformula.name, ()) for i in owner[name])
     return frozenset(agents)
 
 

@@ -8,6 +8,9 @@ Layout of a file:
                                       # `copies = 20` makes name_0 ... name_19
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
+    near = { agents = ["left", "right"], low = [-1.0], high = [1.0] }   # of y_left - y_right; or agents = "drone_*"
+                                      # for all pairs, with pairs = "neighbours" for those next to each other;
+                                      # outputs = [[0], [1]] says which outputs are compared
     [specification]
     formula = "F goal"                # with semantics = "co-safe" or "finite-trace"
     # or: hoa = "HOA text, or the path of a file that holds it"
@@ -23,9 +26,9 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Proposition, checked_count, shown
+from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Pair, Proposition, checked_count, shown
 from ..logic import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
-from .families import checked_propositions, expand
+from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand
 from .record import Problem
 from .specification import Specification
 
@@ -146,19 +149,24 @@ def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
     return required, [*(argument.name for argument in arguments if argument.name not in required), "copies"]
 
 
-def _propositions(table: Any) -> dict[str, Proposition]:
+def _propositions(table: Any) -> dict[str, AnyProposition]:
     if not isinstance(table, Mapping):
         raise ValueError(f"[propositions]: expected a table, got {shown(table)}")
+    of_agent, of_pair, besides = KEYS
     result = {}
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"
-        _check_keys(value, where, ("agent", "low", "high"))
+        if about_pairs(value):
+            _check_keys(value, where, of_pair, besides)
+            result[name] = _prefixed(where, lambda value=value: Pair(**value))
+            continue
+        _check_keys(value, where, of_agent)
         result[name] = _prefixed(where, lambda value=value: Proposition(**value))
     return checked_propositions(result)
 
 
 def _specification(
-    table: Any, propositions: Mapping[str, Proposition], agents: Sequence[AnyAgent], folder: Path | None
+    table: Any, propositions: Mapping[str, AnyProposition], agents: Sequence[AnyAgent], folder: Path | None
 ) -> Specification:
     """Return the specification of the table: a formula, HOA text, an automaton as plain values, or one by hand."""
     where = "[specification]"

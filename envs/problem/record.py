@@ -21,7 +21,6 @@ import numpy as np
 from ..agents import (
     AnyAgent,
     Labeling,
-    Proposition,
     checked_count,
     counted,
     float_array,
@@ -33,7 +32,7 @@ from ..agents import (
     tied,
 )
 from ..logic import Automaton, over_propositions, translate, within
-from .families import checked_propositions, expand
+from .families import AnyProposition, checked_propositions, expand
 from .groups import Group, independent_groups
 from .specification import Specification
 from .summary import summary_html, summary_text
@@ -56,17 +55,18 @@ class Problem:
         Number of control steps T, at least 1.
     agents : sequence of LinearAgent or Agent
         Each with a start.
-    propositions : mapping from str to Proposition, or to a dict of its arguments
-        Every proposition belongs to one agent. An agent name with one `*` makes a family: one member per agent that
-        matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...).
+    propositions : mapping from str to Proposition or Pair, or to a dict of its arguments
+        A proposition belongs to one agent, or to a pair. An agent name with one `*` makes a family: one member per
+        agent that matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...), or per
+        pair (`near` on pairs of `drone_*` gives `near_0_1`, `near_0_2`, ...).
     specification : Specification
 
     Attributes
     ----------
-    declared : mapping from str to Proposition
+    declared : mapping from str to Proposition or Pair
         The propositions as they were passed in.
-    propositions : mapping from str to Proposition
-        The propositions with families expanded, ordered agent by agent.
+    propositions : mapping from str to Proposition or Pair
+        The propositions with families expanded, ordered agent by agent; those about pairs come last.
     families : mapping from str to tuple of str
         Members of each family, in agent order.
     labeling : Labeling
@@ -81,7 +81,7 @@ class Problem:
 
     Examples
     --------
-    >>> from certigym import LinearAgent
+    >>> from certigym import LinearAgent, Proposition
     >>> agent = LinearAgent(
     ...     name="left", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.25]],
     ...     state_low=[-20], state_high=[5], input_low=[-5], input_high=[5], initial_state=[-10],
@@ -98,8 +98,8 @@ class Problem:
     name: str
     horizon: int
     agents: tuple[AnyAgent, ...]
-    declared: Mapping[str, Proposition]
-    propositions: Mapping[str, Proposition]
+    declared: Mapping[str, AnyProposition]
+    propositions: Mapping[str, AnyProposition]
     families: Mapping[str, tuple[str, ...]]
     specification: Specification
     labeling: Labeling
@@ -112,7 +112,7 @@ class Problem:
         name: str,
         horizon: int,
         agents: Sequence[AnyAgent],
-        propositions: Mapping[str, Proposition | Mapping[str, Any]],
+        propositions: Mapping[str, AnyProposition | Mapping[str, Any]],
         specification: Specification,
     ) -> None:
         title = _checked_title(name)
@@ -201,6 +201,8 @@ class Problem:
         """Return the problem of one group of agents."""
         names = self.labeling.names
         group_names = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
+        for name, pair in zip(names[self.labeling.first_pair :], self.labeling.pairs):
+            group_names += [name] if {pair.first, pair.second} <= {*group.agents} else []
         members = [self.agent_names[i] for i in group.agents]
         listed = ", ".join(members[:3]) + (", ..." if len(members) > 3 else "")
         # The automaton of a co-safe group is judged at the horizon, which no formula says: hand it on as it is.
@@ -251,14 +253,20 @@ class Problem:
         """Automaton state after the letter of the start; None if several letters are possible or a start is outside."""
         # Put the letter together agent by agent; each start box must have a single class.
         letter = np.zeros(len(self.propositions), dtype=bool)
+        labeling = self.labeling.without_pairs()
         for i, agent in enumerate(self.agents):
             start = agent.initial
             if not all(inside(corner, agent.state_low, agent.state_high) for corner in (start.low, start.high)):
                 return None
-            possible = self.labeling.box_classes(i, start.low, start.high)[0]
+            possible = labeling.box_classes(i, start.low, start.high)[0]
             if possible.sum() != 1:
                 return None
-            letter[self.labeling.agent_propositions[i]] = self.labeling.classes[i][int(np.argmax(possible))]
+            letter[labeling.agent_propositions[i]] = labeling.classes[i][int(np.argmax(possible))]
+        # Pairs are read at points; where a start is drawn from a box, they may hold or not.
+        if self.labeling.pairs:
+            if any((agent.initial.low != agent.initial.high).any() for agent in self.agents):
+                return None
+            letter = self.labeling.letter([agent.initial.low for agent in self.agents])
         return int(self.automaton.next_state(np.asarray(self.automaton.initial), letter))
 
     def replace(
@@ -413,10 +421,8 @@ def _groups(
     """Return the groups of agents with independent tasks; a task given as an automaton is not taken apart."""
     if specification.formula is None:
         return ()
-    counts = [len(positions) for positions in labeling.agent_propositions]
-    owners = np.repeat(np.arange(len(labeling.agents)), counts)
     return independent_groups(
-        specification.formula, specification.semantics, labeling.names, families, owners.tolist(), len(labeling.agents)
+        specification.formula, specification.semantics, labeling.names, families, labeling.owners, len(labeling.agents)
     )
 
 

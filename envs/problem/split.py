@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import AnyAgent, LinearAgent, Proposition
+from ..agents import REFUSAL, AnyAgent, LinearAgent, Proposition
 from ..logic import Formula, parse_formula, with_sides
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -59,7 +59,9 @@ def split_axes(problem: Problem) -> Problem:
     >>> planar.agent_names, planar.specification.formula
     (('robot_0_x0', 'robot_0_x1'), 'F (p1_x0 & p1_x1 & !(p2_x0 & p2_x1) U (p3_x0 & p3_x1))')
     """
-    blocks = [_blocks(agent) for agent in checked_problem(problem).agents]
+    if checked_problem(problem).labeling.pairs:
+        raise ValueError(REFUSAL)
+    blocks = [_blocks(agent) for agent in problem.agents]
     if all(len(agent_blocks) == 1 for agent_blocks in blocks):
         return problem
     # Agents of several blocks are replaced by one agent per block.
@@ -78,6 +80,7 @@ def split_axes(problem: Problem) -> Problem:
     side_names: dict[str, tuple[str, ...]] = {}
     taken = set(problem.propositions)
     for name, proposition in problem.propositions.items():
+        assert isinstance(proposition, Proposition)  # pairs were refused
         sides = _sides(*pieces[proposition.agent], proposition)
         names = [name] if len(sides) == 1 else [_fresh(f"{name}_{_axes(block)}", taken) for block, _ in sides]
         side_names[name] = tuple(names)

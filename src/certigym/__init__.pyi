@@ -2,6 +2,7 @@
 
 from .envs.agents import Agent as Agent
 from .envs.agents import LinearAgent as LinearAgent
+from .envs.agents import Pair as Pair
 from .envs.agents import Proposition as Proposition
 from .envs.logic import Automaton as Automaton
 from .envs.logic import FormulaError as FormulaError
@@ -82,6 +83,7 @@ __all__ = [
     "InputTable",
     "LinearAgent",
     "Mismatch",
+    "Pair",
     "Permission",
     "Probe",
     "Problem",

@@ -1,30 +1,42 @@
 """The certified claim, everything it rests on, and its file."""
 
 from .certificate import Certificate, checked_certificate
-from .certificate_file import UNREADABLE, certificate_bytes, certificate_in, load_certificate, save_certificate
+from .certificate_file import (
+    UNREADABLE,
+    AnyCertificate,
+    certificate_bytes,
+    certificate_in,
+    load_certificate,
+    save_certificate,
+)
 from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .checked_laws import law_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import any_certificate, as_certificate, of_one_task
+from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .start_hull import StartHull
+from .team_certificate import TeamCertificate
 
 __all__ = [
     "AgentPart",
     "AgentPath",
+    "AnyCertificate",
     "BrokenTrainError",
     "Certificate",
     "Claim",
     "EXACT_GAP",
+    "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
     "StartHull",
     "Synthesis",
+    "TeamCertificate",
     "UNREADABLE",
     "any_certificate",
     "as_certificate",

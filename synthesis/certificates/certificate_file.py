@@ -27,11 +27,16 @@ from ...envs.problem import problem_from_dict
 from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
+from .pairs_certificate import PairsCertificate
+from .pairs_file import pairs_header, pairs_in, team_header, team_in
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .path_file import path_header, path_in
 from .product import ProductCertificate, product_certificate
 from .result import Synthesis
+from .team_certificate import TeamCertificate
+
+AnyCertificate = Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate
 
 FORMAT = "certigym-certificate"
 """What the header of every file says."""
@@ -61,9 +66,7 @@ UNREADABLE = (
 """What unpacking, parsing and checking may raise when a file was damaged or made up."""
 
 
-def save_certificate(
-    certificate: Synthesis | Certificate | ProductCertificate | PathCertificate, path: str | Path
-) -> None:
+def save_certificate(certificate: Synthesis | AnyCertificate, path: str | Path) -> None:
     """Write a certificate, or that of a synthesis, to ``path`` (``.npz``), or raise ValueError if it is neither."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
@@ -88,9 +91,15 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: Certificate | PathCertificate) -> bytes:
+def _packed(certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
+    if isinstance(certificate, PairsCertificate):
+        more = pairs_header(certificate, _packed(certificate.base), pool.put)
+        return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
+    if isinstance(certificate, TeamCertificate):
+        more = team_header(certificate, _packed(certificate.base), pool.put)
+        return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, PathCertificate):
         return _archived({"format": FORMAT, "version": VERSION, **path_header(certificate, pool.put)}, pool)
     checked_certificate(certificate)
@@ -149,6 +158,10 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return _product(header, arrays, max_bytes)  # type: ignore[return-value]
         if "path" in header:
             return path_in(header, arrays)  # type: ignore[return-value]
+        if "without_pairs" in header:
+            return pairs_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
+        if "team" in header:
+            return team_in(header, arrays, lambda raw: _single(raw, max_bytes))  # type: ignore[return-value]
         return CertificateReader(header, arrays).certificate()
     except UNREADABLE as error:
         message = str(error) or type(error).__name__
@@ -166,6 +179,12 @@ def certificate_in(raw: bytes, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate of one task in the bytes of a file; raise one of ``UNREADABLE`` if there is none."""
     header, arrays = _unarchived(raw, max_bytes)
     return CertificateReader(header, arrays).certificate()
+
+
+def _single(raw: bytes, max_bytes: int) -> Certificate | PathCertificate:
+    """Return the certificate of one task, on grids or along a path, in the bytes of a file."""
+    header, arrays = _unarchived(raw, max_bytes)
+    return path_in(header, arrays) if "path" in header else CertificateReader(header, arrays).certificate()
 
 
 def _unarchived(raw: bytes, max_bytes: int) -> tuple[dict[str, Any], dict[str, NDArray]]:
@@ -194,7 +213,7 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
     for name, array in arrays.items():
         part_header, part_arrays = _unarchived(array.astype(np.uint8).tobytes(), bytes_left)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
-        if "parts" in part_header:
+        if "parts" in part_header or "without_pairs" in part_header or "team" in part_header:
             raise ValueError("a part of it has parts again")
         read = path_in if "path" in part_header else _read
         certificates[name] = read(part_header, part_arrays)  # type: ignore[assignment]

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from .certificate import Certificate
-from .certificate_file import load_certificate
+from .certificate_file import AnyCertificate, load_certificate
+from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
 from .result import Synthesis
+from .team_certificate import TeamCertificate
 
 
 def as_certificate(value: Any) -> Certificate | ProductCertificate:
@@ -26,6 +28,11 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
         If `value` is none of these, if the file holds no certificate, or if it is one along a path.
     """
     certificate = any_certificate(value)
+    if isinstance(certificate, PairsCertificate | TeamCertificate):
+        raise ValueError(
+            "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other states; "
+            "it can be checked, validated, simulated, compared and reported"
+        )
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
     if any(isinstance(part, PathCertificate) for part in parts):
         raise ValueError(
@@ -36,12 +43,12 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
 
 
 def any_certificate(value: Any) -> Any:
-    """Return the certificate of any kind that a value stands for: on grids, of independent tasks, or along a path."""
+    """Return the certificate of any kind that a value stands for, on grids or not."""
     if isinstance(value, Synthesis):
         return value.certificate
     if isinstance(value, str | Path):
         return load_certificate(value)
-    if not isinstance(value, Certificate | ProductCertificate | PathCertificate):
+    if not isinstance(value, AnyCertificate):
         raise ValueError(
             f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "
             "one with `synthesize`, `certify` or `load_certificate`"

@@ -19,6 +19,7 @@ United terms are regrown by a rule that is sound for any choice: ``a x b + a' x 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,8 +33,10 @@ from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
+    PairsCertificate,
     PathCertificate,
     ProductCertificate,
+    TeamCertificate,
     any_certificate,
     grid_noise,
     significant_down,
@@ -45,9 +48,11 @@ from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .linear_check import places_of
 from .network_spans import wrong_networks
+from .pairs_check import wrong_pairs
 from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
+from .team_check import wrong_team
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
@@ -115,7 +120,15 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
-    one = _check_path if isinstance(certificate, PathCertificate) else _check_one
+    kinds: dict[type, Callable[[Any, Problem], CheckReport]] = {
+        PathCertificate: _check_path,
+        PairsCertificate: _check_pairs,
+        TeamCertificate: _check_team,
+    }
+    one = kinds.get(type(certificate), _check_one)
+    if problem.labeling.pairs and one in (_check_one, _check_path):
+        failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -123,6 +136,40 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+
+
+def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport:
+    """Verify a certificate by subtraction: its base like any other, and then what pairs may spoil."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    near, base = 1.0, CheckReport(False, 0.0, float("nan"), ())
+    if not failures:
+        base = check(certificate.base)
+        failures += [f"without pairs: {failure}" for failure in base.failures]
+    if not failures:
+        failures, near = wrong_pairs(certificate, problem)
+    if not failures and not near <= certificate.near:
+        failures.append(
+            f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}"
+        )
+    recomputed = float("nan") if failures else max(0.0, base.recomputed - near)
+    # Runs in which a pair was not as usual may be satisfied, too.
+    known = not failures and certificate.gap is not None and base.above is not None
+    above = min(1.0, (base.above + near) * (1.0 + 8.0 * UNIT)) if known and base.above is not None else None
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
+
+
+def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of a joint agent: that of its one agent like any other, and that this is the team."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    failures = failures or wrong_team(problem, certificate.base.problem)
+    if failures:
+        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
+    report = check(certificate.base)
+    return CheckReport(report.valid, certificate.lower_bound, report.recomputed, report.failures)
 
 
 def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:

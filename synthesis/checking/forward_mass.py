@@ -114,9 +114,9 @@ def _step(certificate: Certificate, kernels: list[list[FloatArray]], mass: Mass,
             used, place = np.unique(own[:, i], return_inverse=True)
             rows, points = mass.factors[i][used], part.points(t, int(q))
             left *= rows[:, points >= 0].sum(axis=1)[place]
-            moved = _moved(rows, points, axes)
+            pushed = moved(rows, points, axes)
             names, which = np.unique(certificate.guard_mask[guards, i], return_inverse=True)
-            masked = (moved[:, None] * part.masks[names]).reshape(-1, part.grid.n_cells)
+            masked = (pushed[:, None] * part.masks[names]).reshape(-1, part.grid.n_cells)
             columns.append(first[i] + place[:, None] * len(names) + which[None])
             factors[i].append(masked)
             first[i] += len(masked)
@@ -129,7 +129,7 @@ def _step(certificate: Certificate, kernels: list[list[FloatArray]], mass: Mass,
     return Mass(whole, rows, targets, mass.accepted, mass.dropped, stranded)
 
 
-def _moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArray]) -> FloatArray:
+def moved(rows: FloatArray, points: NDArray[np.integer], tables: list[FloatArray]) -> FloatArray:
     """Factors (n, S) one step later: gathered at lattice points (S,), -1 for none, and spread by the noise."""
     shape = tuple(len(table) for table in tables)
     cells = np.flatnonzero(points >= 0)

@@ -2,7 +2,7 @@
 
 from .cell_choice import Budget, refine
 from .given_start import policies_from
-from .levels import GOOD, SOLVED, Run, finer_levels, first_cells, linear_levels
+from .levels import GOOD, SOLVED, Run, finer_levels, first_cells, is_quick, linear_levels
 from .relation_choice import MOST_LINEAR_AGENTS, Tries, groups_of, has_linear_cells, least_above
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "first_cells",
     "groups_of",
     "has_linear_cells",
+    "is_quick",
     "least_above",
     "linear_levels",
     "policies_from",

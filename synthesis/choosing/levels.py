@@ -81,11 +81,12 @@ READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 SURELY = 0.7
 """Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
-MOST_SECONDS_WRITTEN = 50.0
-"""The same for linear cells of agents with expressions: there are fewer levels before."""
-
 MOST_SECONDS = 40.0
 """Estimate up to which a level is begun: all levels together then take about a minute at most."""
+
+MOST_SECONDS_WRITTEN = 60.0
+"""Estimate up to which levels of linear cells of agents with expressions are begun, all of them together: by how much a
+level takes longer than the last depends on the states of an agent and on where regions lie."""
 
 CHEAP_SECONDS = 0.5
 """Estimate below which a level is begun whatever the last one gained."""
@@ -164,6 +165,7 @@ class _Levels:
         self.record: Record = []
         self.before: tuple[Abstraction, Policies] | None = None
         self.rank = 1 if problem.n_agents == 1 else GUESSED_WRITTEN if self.is_written else GUESSED_RANK
+        self.spent = 0.0
         self.undecided = int((~problem.automaton.absorbing).sum())
 
     def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
@@ -205,6 +207,7 @@ class _Levels:
                 return
             is_first, bound = self.before is None, self.bound
             carried = None if self.before is None else carried_over(self.before[0], abstraction, self.before[1])
+            self.spent += seconds
             result = self.run(abstraction, carried)
             self.begin(abstraction, result)
             # Where a level gained little, further ones are made only if they cost next to nothing.
@@ -245,7 +248,7 @@ class _Levels:
         # Time grows with the cells at least, so that most levels that take too long need not be built to know it.
         d = min(agent.n_states for agent in self.problem.agents)
         least = 0.0 if self.before is None else SURELY * self.seconds(self.before[0])
-        most = MOST_SECONDS_WRITTEN if self.is_written else MOST_SECONDS
+        most = MOST_SECONDS_WRITTEN - self.spent if self.is_written else MOST_SECONDS
         for finer in FINER if self.before is not None else (1.0,):
             if least * finer**d > most:
                 continue
@@ -306,6 +309,13 @@ def _equal_parts(low: float, high: float, inside: list[float]) -> int | None:
         if parts > MOST_PARTS:
             return None
     return parts
+
+
+def is_quick(problem: Problem, abstraction: Abstraction) -> bool:
+    """Return whether a search on linear cells takes no longer than a level may."""
+    undecided = int((~problem.automaton.absorbing).sum())
+    rank = 1 if problem.n_agents == 1 else GUESSED_RANK
+    return seconds_of(abstraction, problem.horizon, undecided, rank) <= MOST_SECONDS
 
 
 def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int) -> float:

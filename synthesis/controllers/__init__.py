@@ -5,6 +5,7 @@ from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
 from .path_controller import PathController, nominal_states
 from .product_controller import ProductController
+from .team_controller import TeamController
 
 __all__ = [
     "AgentController",
@@ -15,6 +16,7 @@ __all__ = [
     "PathController",
     "Policy",
     "ProductController",
+    "TeamController",
     "decentralised",
     "nominal_states",
     "vectorized",

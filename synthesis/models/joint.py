@@ -41,6 +41,9 @@ class JointModel:
         Control steps T.
     device : str
         Where sweeps over the value tree compute (see ``devices``); all arrays of this record are numpy's.
+    finds_alike : bool
+        Whether sweeps look for factors that are equal without being the same: it keeps trees of tasks small that look
+        at the end alone, and leaves the bits of all others to what they were if it is not asked for.
     """
 
     models: tuple[AgentModel, ...]
@@ -52,6 +55,7 @@ class JointModel:
     absorbing: NDArray[np.bool_]
     horizon: int
     device: str = HOST
+    finds_alike: bool = False
 
     def __repr__(self) -> str:
         rows: list[tuple[str, object]] = [

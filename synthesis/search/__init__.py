@@ -4,7 +4,7 @@ from .ascent import Stage, Sweep, forward, start_value, sweep
 from .best_response import best_choices
 from .limits import Limits
 from .policy_search import FINAL, MANY_TERMS, Found, find_policies
-from .relaxation import Relaxation, favourable_successors, relax, relaxed_policies, upper_bound
+from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
 from .search_settings import Search, sweep_bar
 from .stationary import stationary_best
 from .train_ascent import TrainSweep
@@ -31,6 +31,7 @@ __all__ = [
     "forward",
     "gather",
     "relax",
+    "relax_one",
     "relaxed_policies",
     "start_value",
     "stationary_best",

@@ -30,7 +30,7 @@ from .best_response import best_choices
 from .ladder import Arrivals
 from .limits import Limits
 from .occupancy import push
-from .tree import Candidates, Loss, assemble, candidates, read, terminal_terms
+from .tree import Candidates, Loss, assemble, candidates, read, shared, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
 """Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
@@ -162,7 +162,7 @@ def sweep(
         # Taken off the list to free memory: early times have many terms, late ones much mass.
         occupancy = occupancies.pop()
         arrivals = _arrivals(joint, occupancy, policies, t) if climb else None
-        options = candidates(joint.guards, joint.masks, joint.models, terms, loss, arrivals, rough=improve)
+        options = candidates(joint.guards, joint.masks, joint.models, terms, loss, arrivals, improve, joint.finds_alike)
         parts, kept = [], []
         for q in range(joint.n_states):
             # Where nothing is left to decide the value is 1 or 0.
@@ -185,7 +185,7 @@ def sweep(
             parts.append(stage.part(keep))
             kept.append(options.row[q][keep])
             del stage  # its tables would otherwise be held while those of the next time are made
-        terms = assemble(parts, joint.n_cells)
+        terms = assemble(shared(parts) if joint.finds_alike else parts, joint.n_cells)
         rank = max(rank, terms.rank)
         skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
         del options

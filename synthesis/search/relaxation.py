@@ -102,16 +102,40 @@ def relaxed_policies(relaxations: tuple[Relaxation, ...]) -> Policies:
     return tuple(relaxation.policy for relaxation in relaxations)
 
 
-def _solve(joint: JointModel, model: AgentModel, follows: NDArray[np.bool_]) -> Relaxation:
+def relax_one(
+    joint: JointModel,
+    model: AgentModel,
+    follows: NDArray[np.bool_],
+    thinned: FloatArray,
+    incumbent: NDArray[np.int32] | None = None,
+) -> Relaxation:
+    """Return the best policy of one agent whose team follows, and who is taken away at random on its way.
+
+    A heuristic for teams that must not collide: nothing is bounded by its values. ``thinned`` (T + 1, S) is the chance
+    to stay at each time in each cell, and ``incumbent`` (T, Q, S) the policy that stays where nothing is better
+    (default: resting).
+    """
+    return _solve(joint, model, follows, thinned, incumbent)
+
+
+def _solve(
+    joint: JointModel,
+    model: AgentModel,
+    follows: NDArray[np.bool_],
+    thinned: FloatArray | None = None,
+    incumbent: NDArray[np.int32] | None = None,
+) -> Relaxation:
     """Solve the dynamic program of one agent; ``follows[q, c, p]`` says whether class c can lead from q to p."""
     n_q = joint.n_states
     value = np.repeat(joint.accepting.astype(float)[:, None], model.n_cells, axis=1)
     settled = value.copy()
-    policy = np.tile(model.choices.resting_choice, (joint.horizon, n_q, 1))
+    resting = np.tile(model.choices.resting_choice, (joint.horizon, n_q, 1))
+    policy = resting if incumbent is None else incumbent.copy()
     weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
         # The favourable label is chosen before smoothing: inside the expectation.
-        smoothed = model.kernel.smooth(_arriving(value, classes))
+        arriving = _arriving(value, classes)
+        smoothed = model.kernel.smooth(arriving if thinned is None else arriving * thinned[t + 1])
         for q in range(n_q):
             if joint.absorbing[q]:
                 value[q] = settled[q]

@@ -88,6 +88,7 @@ def candidates(
     loss: Loss | None = None,
     arrivals: Arrivals | None = None,
     rough: bool = False,
+    finds_alike: bool = False,
 ) -> Candidates:
     """Return all products of a guard with a term of its target state, masked, united where possible, and smoothed.
 
@@ -95,7 +96,8 @@ def candidates(
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
     agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
     below (``ladders``). With ``rough`` the bends of linear agents are left out: what comes out is no lower bound, but
-    right enough for choosing policies.
+    right enough for choosing policies. With ``finds_alike`` terms are united whose factors are equal without being the
+    same.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -119,7 +121,10 @@ def candidates(
 
     # Unite before smoothing: sums of factors are smoothed as one.
     guard, child, rows = guard[alive], child[alive], rows[alive]
-    remaining, rows, merges = merge_rows(factors, rows, guards.source[guard].astype(np.int64))
+    groups = guards.source[guard].astype(np.int64)
+    remaining, rows, merges = merge_rows(factors, rows, groups)
+    if finds_alike:
+        remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
         factors = [to_host(factor) for factor in factors]
         merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals))
@@ -133,6 +138,34 @@ def candidates(
         )
     table = _Rows(guard, child, rows, remaining, merges)
     return _per_state(smoothed, n_states, guards.source[guard], table)
+
+
+def _united_alike(
+    factors: list[NDArray], rows: IndexArray, groups: IndexArray, remaining: IndexArray, merges: Merges
+) -> tuple[IndexArray, Merges]:
+    """Unite further terms whose factors are equal without being the same; return the rows left and all merges.
+
+    The parts of a factor on a set of cells and on all others add up to the factor itself: a task that only looks at the
+    end has one term at all times. ``rows`` is changed in place, ``factors`` extended.
+    """
+    if not 1 < len(remaining) <= FEW_TERMS or any(own.dtype != np.float64 for own in map(to_host, factors[:1])):
+        return remaining, merges
+    while len(remaining) > 1:
+        # Give equal factors the number of the first of them.
+        alike = rows[remaining].copy()
+        for i, own in enumerate(factors):
+            first: dict[bytes, int] = {}
+            numbers = {int(k): first.setdefault(to_host(own[k]).tobytes(), int(k)) for k in np.unique(alike[:, i])}
+            alike[:, i] = [numbers[int(k)] for k in alike[:, i]]
+        if np.array_equal(alike, rows[remaining]):
+            break
+        kept, alike, more = merge_rows(factors, alike, groups[remaining])
+        rows[remaining[kept]] = alike[kept]
+        merges = merges.followed_by(Merges(remaining[more.into], remaining[more.absorbed], more.agent))
+        if len(kept) == len(remaining):
+            break
+        remaining = remaining[kept]
+    return remaining, merges
 
 
 @dataclass(frozen=True)
@@ -213,6 +246,27 @@ def read(choices: Choices, smoothed: NDArray, policy: StepPolicy, rough: bool = 
     return gather(smoothed, choices.points(policy))
 
 
+FEW_TERMS = 64
+"""Terms up to which equal factors are looked for: trees that could stay small are small when they start to grow."""
+
+FEW_FACTORS = 32
+"""Factors of an agent in one automaton state up to which equal ones of other states are looked for: trees that are
+alike in all states start small, and once their factors are shared they unite and stay small."""
+
+
+def shared(parts: Sequence[tuple[Sequence[NDArray], IndexArray]]) -> list[tuple[Sequence[NDArray], IndexArray]]:
+    """Return the parts, those states whose factors and rows are equal to others' made to hold the very same arrays."""
+    known: dict[object, tuple[Sequence[NDArray], IndexArray]] = {}
+    result = []
+    for factors, rows in parts:
+        if not len(rows) or not all(isinstance(own, np.ndarray) and len(own) <= FEW_FACTORS for own in factors):
+            result.append((factors, rows))
+            continue
+        key = (rows.tobytes(), *(own.tobytes() for own in factors))
+        result.append(known.setdefault(key, (factors, rows)))
+    return result
+
+
 def assemble(
     parts: Sequence[tuple[Sequence[NDArray], IndexArray]], n_cells: Sequence[int], dtype: type = float
 ) -> Terms:
@@ -220,9 +274,14 @@ def assemble(
     n_agents, like = len(n_cells), parts[0][0]
     offsets = np.zeros(n_agents, dtype=np.int64)
     stacks: list[list[NDArray]] = [[] for _ in range(n_agents)]
-    index = []
+    index: list[IndexArray] = []
+    numbered: dict[int, IndexArray] = {}
     for factors, rows in parts:
+        if len(rows) and id(rows) in numbered:  # a state like one before it: the same terms
+            index.append(numbered[id(rows)])
+            continue
         index.append(rows + offsets if len(rows) else np.zeros((0, n_agents), dtype=np.int64))
+        numbered[id(rows)] = index[-1]
         if len(rows):
             for i in range(n_agents):
                 stacks[i].append(factors[i])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import Proposition
 from ...envs.pictures import Panel
 from ...envs.problem import Problem
 from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
@@ -28,7 +29,7 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
     low, high = float(agent.state_low[axis]), float(agent.state_high[axis])
     intervals_of_regions = {}
     for name, region in problem.propositions.items():
-        if region.agent != agent.name:
+        if not isinstance(region, Proposition) or region.agent != agent.name:
             continue
         # An output that is the coordinate itself restricts it; other outputs are no intervals of one coordinate.
         for output, (a, b) in enumerate(zip(region.low, region.high, strict=True)):

@@ -9,7 +9,7 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, as_certificate, of_one_task, shown_bound
+from ...synthesis.certificates import Certificate, any_certificate, of_one_task, shown_bound
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure
@@ -59,7 +59,7 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
     """
     if episodes < 1:
         raise ValueError(f"`episodes`: expected at least 1, got {episodes}")
-    certificate = as_certificate(certificate)
+    certificate = any_certificate(certificate)
     problem = certificate.problem
     states, success = paths(Loop(problem, certificate.controller, seed, episodes), episodes)
     all_panels = panels(problem)

@@ -23,14 +23,7 @@ import numpy as np
 from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.certificates import (
-    Certificate,
-    PathCertificate,
-    ProductCertificate,
-    Synthesis,
-    any_certificate,
-    shown_bound,
-)
+from ...synthesis.certificates import AnyCertificate, Synthesis, any_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
 from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
@@ -289,7 +282,7 @@ def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]
             for member, seed in zip(members, seeds, strict=True)
         ]
     # A certificate brings its bound along, which holds for its problem only.
-    if isinstance(policy, Synthesis | Certificate | ProductCertificate | PathCertificate):
+    if isinstance(policy, Synthesis | AnyCertificate):
         certificate = any_certificate(policy)
         if certificate.fingerprint != problem.fingerprint:
             raise ValueError(

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
-from ...synthesis.certificates import Certificate, ProductCertificate, shown_bound
+from ...synthesis.certificates import (
+    Certificate,
+    PairsCertificate,
+    ProductCertificate,
+    TeamCertificate,
+    shown_bound,
+)
 from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
 from ..verdicts import FieldReport, ValidationReport
@@ -21,15 +27,16 @@ class ReportContent:
 
     Parameters
     ----------
-    certificate : Certificate or ProductCertificate
+    certificate : Certificate, ProductCertificate, PairsCertificate or TeamCertificate
+        Those about pairs speak of one start: they have neither audit nor map nor bounds by steps, which are None.
     validation : ValidationReport
-    audit : AuditReport
+    audit : AuditReport or None
     checked : CheckReport
-    field : FieldReport
+    field : FieldReport or None
         Tests at the points of the slice ``axes``.
     axes : tuple of int
         Joint coordinates of the slice.
-    bounds : (T,) array
+    bounds : (T,) array or None
         Lower bounds from the start (or the middle of its box) if only the last 1 .. T steps of the policies are played.
     states : (T + 1, M, D) array
         Rollouts to draw; NaN after their decision.
@@ -37,13 +44,13 @@ class ReportContent:
         Which of these rollouts satisfied the task.
     """
 
-    certificate: Certificate | ProductCertificate
+    certificate: Certificate | ProductCertificate | PairsCertificate | TeamCertificate
     validation: ValidationReport
-    audit: AuditReport
+    audit: AuditReport | None
     checked: CheckReport
-    field: FieldReport
+    field: FieldReport | None
     axes: tuple[int, ...]
-    bounds: NDArray[Any]
+    bounds: NDArray[Any] | None
     states: NDArray[Any]
     success: NDArray[np.bool_]
 
@@ -54,25 +61,28 @@ class ReportContent:
             ("simulated", f"{validation.successes} of {validation.episodes} episodes satisfied the task"),
             ("verdict", validation.verdict),
             ("check", "valid" if self.checked else "failed"),
-            ("audit", self.audit.verdict),
-            ("map", f"{self.field.verdict}, {len(self.field.states)} starts"),
         ]
+        if self.audit is not None and self.field is not None:
+            rows.append(("audit", self.audit.verdict))
+            rows.append(("map", f"{self.field.verdict}, {len(self.field.states)} starts"))
         return tree_text(f"ReportContent: {problem.name}, horizon {problem.horizon}", rows)
 
     @property
     def refuted(self) -> bool:
         """Whether a test or the check contradicts the certificate."""
-        return self.validation.refuted or self.audit.refuted or self.field.verdict == "refuted" or not self.checked
+        is_refuted = self.audit is not None and self.audit.refuted
+        is_refuted = is_refuted or (self.field is not None and self.field.verdict == "refuted")
+        return self.validation.refuted or is_refuted or not self.checked
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the rollouts that are drawn as JSON values."""
         return {
             "refuted": self.refuted,
             "validation": self.validation.to_dict(),
-            "audit": self.audit.to_dict(),
+            "audit": None if self.audit is None else self.audit.to_dict(),
             "check": {"valid": self.checked.valid, "failures": list(self.checked.failures)},
-            "field": {"axes": list(self.axes), **self.field.to_dict()},
-            "bound_by_steps": self.bounds.tolist(),
+            "field": None if self.field is None else {"axes": list(self.axes), **self.field.to_dict()},
+            "bound_by_steps": None if self.bounds is None else self.bounds.tolist(),
             "problem": self.certificate.problem.to_dict(),
             "fingerprint": self.certificate.fingerprint,
         }

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import write_text
-from ...synthesis.certificates import Certificate, ProductCertificate, as_certificate
+from ...synthesis.certificates import (
+    Certificate,
+    PairsCertificate,
+    ProductCertificate,
+    TeamCertificate,
+    any_certificate,
+    as_certificate,
+)
 from ...synthesis.checking import check, claimed_values
 from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
@@ -70,8 +77,15 @@ def report(
 
 def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) -> ReportContent:
     """Run check, validation, audit and the tests of a map, and return what a report shows."""
-    claim = as_certificate(certificate)
+    claim = any_certificate(certificate)
     problem = claim.problem
+    if isinstance(claim, PairsCertificate | TeamCertificate):
+        # What speaks of one start alone has no audit and no map.
+        states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
+        nothing: dict[str, Any] = {"audit": None, "field": None, "axes": (), "bounds": None}
+        tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": check(claim)}
+        return ReportContent(certificate=claim, states=states, success=success, **tests, **nothing)
+    claim = as_certificate(claim)
     shown = slice_axes(problem, axes)
     shape = (LINE_POINTS,) if len(shown) == 1 else (MAP_POINTS, MAP_POINTS)
     grid = slice_starts(problem, shown, shape)

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 from ...envs.agents import counted
 from ...envs.pictures import coordinate_name, edges, panels
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate, rounded_down, shown_bound
+from ...synthesis.certificates import (
+    Certificate,
+    PairsCertificate,
+    ProductCertificate,
+    TeamCertificate,
+    rounded_down,
+    shown_bound,
+    significant_up,
+)
 from ..verdicts import MEANINGS, tried_lines
 from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
 from .page_style import PLAYER, STYLE
@@ -33,6 +41,8 @@ MOST_PANELS_DRAWN = 6
 
 FINDINGS_SHOWN = 12
 """Findings of an audit that the page shows."""
+
+AnyClaim = Certificate | ProductCertificate | PairsCertificate | TeamCertificate
 
 LONGEST_TASK = 600
 """Characters of a formula that the head of the page shows; the data at its end have all of it."""
@@ -95,16 +105,17 @@ def _answer(content: ReportContent) -> str:
         f"<h2>Claim and verdict</h2><p class=big>{escape(shown_bound(v.lower_bound, v.gap))}</p>"
         f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
     )
-    w = content.audit
+    w, field = content.audit, content.field
     tests = [
         (_mark(v.verdict), f"<b>Rollouts</b>: {_verdict(v.verdict)} {escape(MEANINGS.get(v.verdict, ''))}"),
         ("yes" if content.checked else "no", f"<b>Separate check</b>: {escape(_checked(content))}"),
-        (_mark(w.verdict), f"<b>Every step</b>: {escape(w.verdict)}, {w.tests} tests"),
-        (
-            _mark(content.field.verdict),
-            f"<b>Other starts</b>: {escape(content.field.verdict)}, {len(content.field.states)} of them",
-        ),
     ]
+    # What speaks of pairs of agents speaks of one start: it has neither audit nor map.
+    if w is not None and field is not None:
+        tests.append((_mark(w.verdict), f"<b>Every step</b>: {escape(w.verdict)}, {w.tests} tests"))
+        tests.append(
+            (_mark(field.verdict), f"<b>Other starts</b>: {escape(field.verdict)}, {len(field.states)} of them")
+        )
     items = "".join(f"<li class={mark}>{words}</li>" for mark, words in tests)
     rates = (
         f"{v.successes} of {counted(v.episodes, 'episode')} satisfied the task: {v.estimate:.6f}, "
@@ -160,8 +171,10 @@ def _rollouts(content: ReportContent) -> str:
 
 
 def _starts(content: ReportContent) -> str:
-    """Return the section of the tests at many starts: two maps, or one line."""
+    """Return the section of the tests at many starts: two maps, or one line; nothing if there were none."""
     field, problem = content.field, content.certificate.problem
+    if field is None:
+        return ""
     names = " and ".join(coordinate_name(problem, k) for k in content.axes)
     w, refuted, below = field.weakest, int(field.refuted.sum()), bool((field.margins < 0).any())
     note = (
@@ -187,8 +200,10 @@ def _starts(content: ReportContent) -> str:
 
 
 def _steps(content: ReportContent) -> str:
-    """Return the section about time: the bound against the number of steps, and the tests step by step."""
+    """Return the section about time: the bound against the number of steps, and the tests step by step, if any."""
     v, audit = content.validation, content.audit
+    if audit is None or content.bounds is None:
+        return ""
     # The curve is about one start; rollouts from a box of starts estimate a mean, which is not on it.
     estimate = (v.estimate, v.ci_low, v.ci_high) if content.certificate.start == "point" else None
     where = "the start" if estimate else "the middle of the initial box"
@@ -210,9 +225,9 @@ def _steps(content: ReportContent) -> str:
     return _section("Step by step", f"<div class=row>{curve}{tested}</div>")
 
 
-def _tasks(certificate: Certificate | ProductCertificate) -> list[Problem]:
+def _tasks(certificate: AnyClaim) -> list[Problem]:
     """Return the problem, or of independent tasks those that differ in more than names."""
-    if isinstance(certificate, Certificate):
+    if not isinstance(certificate, ProductCertificate):
         return [certificate.problem]
     return [certificate.parts[group[0]].problem for group in certificate.alike][:MOST_AUTOMATA]
 
@@ -228,7 +243,7 @@ def _drawing(problem: Problem) -> str:
     return _figure("", automaton_picture(automaton, edges(problem)), note)
 
 
-def _task(certificate: Certificate | ProductCertificate) -> str:
+def _task(certificate: AnyClaim) -> str:
     """Return the section of the letters that take each transition."""
     return _section("When the automaton moves", "".join(_automaton(task) for task in _tasks(certificate)))
 
@@ -249,12 +264,20 @@ def _automaton(problem: Problem) -> str:
     return f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
 
 
+def _about_pairs(certificate: AnyClaim) -> dict[str, str]:
+    """Return what is said of pairs of agents, where the certificate is about such."""
+    if isinstance(certificate, PairsCertificate):
+        return {"pairs": f"not as they should be with probability {significant_up(certificate.near, 3)} at most"}
+    return {"information": "every agent sees the states of all"} if isinstance(certificate, TeamCertificate) else {}
+
+
 def _trust(content: ReportContent) -> str:
     """Return the section of everything that a repetition needs."""
     certificate, v, details = content.certificate, content.validation, content.validation.details
     text = json.dumps(certificate.settings, indent=1, sort_keys=True, default=str)
     facts = {
         "method": f"{v.method} ({certificate.bound} bound, rank {v.rank})",
+        **_about_pairs(certificate),
         **({"tried": "; ".join(tried)} if (tried := tried_lines(v.details)) else {}),
         "separate check": _checked(content),
         "fingerprint": certificate.fingerprint,

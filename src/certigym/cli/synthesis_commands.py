@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.agents import Agent, AnyAgent, LinearAgent, counted
+from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, counted
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
@@ -38,7 +38,7 @@ def describe(options: Namespace) -> int:
         lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
     regions = list(problem.propositions.items())
     lines += [
-        f"proposition {name}: agent {region.agent} in [{_vector(region.low)}, {_vector(region.high)})"
+        f"proposition {name}: {_subject(region)} in [{_vector(region.low)}, {_vector(region.high)})"
         for name, region in regions[:MOST_REGIONS_SHOWN]
     ]
     if len(regions) > MOST_REGIONS_SHOWN:
@@ -198,6 +198,13 @@ def _automaton_line(problem: Problem) -> str:
 def _task(problem: Problem) -> str:
     """Return the formula, if there is one."""
     return problem.specification.formula or "given as an automaton"
+
+
+def _subject(region: Proposition | Pair) -> str:
+    """Return what a proposition is about."""
+    if isinstance(region, Pair):
+        return " less ".join(region.agents)
+    return f"agent {region.agent}"
 
 
 def _vector(values: Any) -> str:

@@ -1,0 +1,116 @@
+"""Certificates by subtraction: a task in which agents must keep apart, or stay near each other.
+
+The same task with every proposition about pairs taken as usual (false, or true where the task wants it) has a
+certificate by itself, on grids, with the relation ``exact`` for every agent. What its policies do is known as a
+distribution. The probability that a pair is ever otherwise while it matters is bounded from above, pair by pair and
+step by step, and subtracted:
+
+    P(task)  >=  P(task without pairs)  -  sum over steps and pairs of P(undecided before, not as usual now) .
+
+Reference: docs/theory/pairs.md, "Subtraction".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NoReturn
+
+from ...envs.agents import tree_text
+from ...envs.problem import Problem
+from ..controllers import Controller
+from ..values import UNIT
+from .certificate import Certificate
+from .digits import EXACT_GAP
+from .part import AgentPart
+from .summaries import certificate_facts, certificate_html
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairsCertificate:
+    """A certified lower bound for a task with propositions about pairs: that without them, less what pairs may spoil.
+
+    Parameters
+    ----------
+    problem : Problem
+        The whole problem.
+    base : Certificate
+        Of the same task with every proposition about a pair taken as usual.
+    usual : tuple of bool
+        What each proposition about a pair is taken to be.
+    near : float
+        Upper bound on the probability that a pair is ever otherwise while the task is open and its automaton asks.
+    settings : dict
+        How it was found.
+    """
+
+    problem: Problem
+    base: Certificate
+    usual: tuple[bool, ...]
+    near: float
+    settings: dict[str, Any]
+
+    start = "point"
+    bound = "subtraction"
+
+    def __repr__(self) -> str:
+        near = f"not as they should be with probability {self.near:.3g} at most"
+        facts = [*certificate_facts(self), ("pairs", f"{len(self.problem.labeling.pairs)}, {near}")]
+        return tree_text(f"PairsCertificate of {self.problem.name!r}", facts)
+
+    def _repr_html_(self) -> str:
+        return certificate_html(f"Certificate of {self.problem.name}", self)
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability that the task is satisfied, rounded down."""
+        return max(0.0, math.nextafter(self.base.lower_bound - self.near, -1.0))
+
+    @property
+    def gap(self) -> float | None:
+        """If not None, ``lower_bound + gap`` is an upper bound on the satisfaction probability of this controller.
+
+        It is that of the base, and what pairs may spoil once more: where they do, the task may be satisfied as well.
+        """
+        if self.base.gap is None:
+            return None
+        most = (self.base.lower_bound + self.base.gap + self.near) * (1.0 + 8.0 * UNIT)
+        return min(1.0, most) - self.lower_bound
+
+    @property
+    def exact(self) -> bool:
+        """Whether the probability is known to ``EXACT_GAP``."""
+        return self.gap is not None and self.gap <= EXACT_GAP
+
+    @property
+    def method(self) -> str:
+        """Relation, policy search and bound, in words."""
+        return f"{self.base.method}, less what pairs may spoil"
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms of the value function without pairs."""
+        return self.base.rank
+
+    @property
+    def agents(self) -> tuple[AgentPart, ...]:
+        """What is stored of each agent."""
+        return self.base.agents
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    def at(self, states: Any) -> NoReturn:
+        """Refuse: the certificate speaks of the problem's start alone (ValueError)."""
+        raise ValueError(
+            "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other starts; "
+            "synthesize the problem with another `initial_state`"
+        )
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controllers the bound belongs to: every agent sees its own state, the automaton state and the time."""
+        return Controller(self.problem, self.base.controller.agents)

@@ -1,0 +1,76 @@
+"""Certificates of tasks about pairs as entries of a file, in which the file of another certificate lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import problem_from_dict
+from .certificate import Certificate
+from .pairs_certificate import PairsCertificate
+from .path_certificate import PathCertificate
+from .team_certificate import TeamCertificate
+
+
+def pairs_header(certificate: PairsCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
+    """Return the header of a file; ``put`` stores an array and returns its number, ``base`` is the file of the base."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "settings": certificate.settings,
+        "near": float(certificate.near),
+        "usual": list(certificate.usual),
+        "without_pairs": put(np.frombuffer(base, np.uint8)),
+    }
+
+
+def pairs_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate]
+) -> PairsCertificate:
+    """Return the certificate that a header and its arrays describe; ``read`` reads the file of its base.
+
+    Raises
+    ------
+    ValueError
+        If they describe none.
+    """
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    near = header["near"]
+    if isinstance(near, bool) or not isinstance(near, int | float) or not 0.0 <= near <= 1.0:
+        raise ValueError("its probability of being near is none")
+    usual = header["usual"]
+    if not isinstance(usual, list) or len(usual) != len(problem.labeling.pairs) or not {*usual} <= {True, False}:
+        raise ValueError("what it takes its pairs to be does not fit the problem")
+    base = read(arrays[str(int(header["without_pairs"]))].astype(np.uint8).tobytes())
+    if not isinstance(header["settings"], dict) or not isinstance(base, Certificate):
+        raise ValueError("its settings or its base are none")
+    if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
+        raise ValueError("its base does not fit the problem")
+    return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])
+
+
+def team_header(certificate: TeamCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
+    """Return the header of a file of a joint agent's certificate; arguments as for ``pairs_header``."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "team": put(np.frombuffer(base, np.uint8)),
+    }
+
+
+def team_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate | PathCertificate]
+) -> TeamCertificate:
+    """Return the certificate of a joint agent that a header and its arrays describe; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    base = read(arrays[str(int(header["team"]))].astype(np.uint8).tobytes())
+    if base.problem.n_agents != 1 or base.problem.n_states != problem.n_states:
+        raise ValueError("its base does not fit the problem")
+    return TeamCertificate(problem, base)

@@ -1,0 +1,95 @@
+"""Certificates of small teams as one joint agent, for tasks about pairs of agents.
+
+The problem is written with one agent whose state is the joint state, and whose outputs are those of all agents and the
+differences that pairs compare. Its certificate is one of those for single agents; its controller sees all states.
+
+Reference: docs/theory/pairs.md, "Joint agents".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ...envs.agents import tree_text
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..controllers import TeamController
+from .certificate import Certificate
+from .digits import shown_bound
+from .path_certificate import PathCertificate
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamCertificate:
+    """A certified lower bound for a team whose agents see one another: that of their joint agent.
+
+    Parameters
+    ----------
+    problem : Problem
+        The whole problem, with its agents.
+    base : Certificate or PathCertificate
+        Of the problem of the joint agent.
+    """
+
+    problem: Problem
+    base: Certificate | PathCertificate
+
+    gap = None
+    exact = False
+
+    def __repr__(self) -> str:
+        rows = [
+            ("horizon", f"{self.problem.horizon} control steps"),
+            ("bound", shown_bound(self.lower_bound, None)),
+            ("method", self.method),
+            ("sees", "each agent sees the states of all"),
+        ]
+        return tree_text(f"TeamCertificate of {self.problem.name!r}", rows)
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound at the problem's start."""
+        return self.base.lower_bound
+
+    @property
+    def start(self) -> str:
+        """``"point"`` or ``"mean"``."""
+        return self.base.start
+
+    @property
+    def bound(self) -> str:
+        """Name of the bound of the joint agent."""
+        return f"joint agent, {self.base.bound}"
+
+    @property
+    def method(self) -> str:
+        """How the bound was found, in words."""
+        return f"joint agent that sees all states: {self.base.method}"
+
+    @property
+    def rank(self) -> int:
+        """Largest number of terms of the value function."""
+        return self.base.rank
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the synthesis of the joint agent."""
+        return self.base.settings
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
+
+    @cached_property
+    def controller(self) -> TeamController:
+        """The controllers the bound belongs to: each agent sees the states of all."""
+        return TeamController(self.problem, self.base.controller)
+
+    def at(self, states: Any) -> FloatArray:
+        """Return lower bounds (M,) from joint initial states (M, D); ValueError for certificates along a path."""
+        if not isinstance(self.base, Certificate):
+            raise ValueError("`certificate`: expected one on grids, got one along a path, which holds from its start")
+        return self.base.at(states)

@@ -1,0 +1,117 @@
+"""A synthesis on given cells: under one relation per agent, or the best of those that apply."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..envs.problem import Problem
+from .cells import CellCounts
+from .certificates import Certificate, Synthesis
+from .certification import certified
+from .choosing import (
+    Budget,
+    Tries,
+    groups_of,
+    policies_from,
+)
+from .models import (
+    Abstraction,
+    JointModel,
+    Policies,
+    Settings,
+    abstraction_of,
+    join,
+)
+from .search import FINAL, Relaxation, Search, find_policies, stationary_best
+
+Clock = tuple[float, float]
+"""When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a task is to be synthesized, apart from its cells and relations.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of the relations.
+    search : Search
+        How policies are searched for.
+    budget : Budget or None
+        If there is one, cells are made finer until it is used up.
+    """
+
+    settings: Settings
+    search: Search
+    budget: Budget | None
+
+
+def plain(
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, start: Certificate | None = None
+) -> Synthesis:
+    """Synthesize on given cells under one given relation per agent."""
+    began = time.perf_counter()
+    abstraction = abstraction_of(problem, cells, kinds, plan.settings)
+    abstracted = time.perf_counter()
+    policies = {} if start is None else policies_from(start, problem, abstraction)
+    result = searched(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, policies)
+    return replace(result, stats={**result.stats, "seconds": seconds_of_work((began, abstracted))})
+
+
+def compared(
+    problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan, quick_result: Synthesis | None = None
+) -> Synthesis:
+    """Return the synthesis with the largest bound among all relations that apply.
+
+    The certificate records which relations were tried. ``quick_result`` is a synthesis on the same cells, if there is
+    one already.
+    """
+    began = time.perf_counter()
+    tries = Tries(problem, groups_of(problem, cells, kinds, plan.settings), plan.settings, plan.search.device)
+    abstracted = time.perf_counter()
+
+    def run(abstraction: Abstraction, joint: JointModel, relaxations: tuple[Relaxation, ...]) -> Synthesis:
+        return searched(problem, abstraction, joint, plan.search, {}, relaxations)
+
+    best, tried = tries.best(run, quick_result, every="best" in kinds)
+    stats = {**best.stats, "seconds": seconds_of_work((began, abstracted))}
+    certificate = best.certificate
+    if len(tried) > 1:
+        stats["tried"] = tried
+        certificate = replace(certificate, settings={**certificate.settings, "relations_tried": tried})
+    return Synthesis(certificate, certificate.controller, stats)
+
+
+def with_record(result: Synthesis, more: Mapping[str, Any], began: float) -> Synthesis:
+    """Return a synthesis whose certificate records how it was chosen."""
+    certificate = replace(result.certificate, settings={**result.certificate.settings, **more})
+    stats = {**result.stats, "seconds": {"abstract": 0.0, "synthesize": time.perf_counter() - began}}
+    if "relations_tried" in more:
+        stats["tried"] = more["relations_tried"]
+    return Synthesis(certificate, certificate.controller, stats)
+
+
+def searched(
+    problem: Problem,
+    abstraction: Abstraction,
+    joint: JointModel,
+    search: Search,
+    starts: dict[str, Policies],
+    relaxations: tuple[Relaxation, ...] | None = None,
+) -> Synthesis:
+    """Search on finite models, from the policies ``starts`` if there are any, and certify the result."""
+    result = find_policies(problem, joint, search, starts, relaxations)
+    best = stationary_best(problem, joint, result, search.limits) if search.stationary else result.best
+    name = f"{'stationary policies from ' if search.stationary else ''}occupancy-weighted coordinate ascent"
+    used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
+    return certified(problem, abstraction, joint, result, best, used, name)
+
+
+def seconds_of_work(clock: Clock) -> dict[str, float]:
+    """Return the seconds that the finite models took, and those from then until now."""
+    began, abstracted = clock
+    return {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted}

@@ -1,0 +1,297 @@
+"""How likely pairs of agents are to be near each other, or not near, under policies on grids: upper bounds.
+
+For agents with the relation ``exact`` the next state is ``z + w``, z the lattice point of the cell and w the noise,
+both agents' noises independent and Gaussian. So the difference of two agents at lattice points z, z' is near with the
+probability of a box under a normal law of variance ``sigma^2 + sigma'^2``, one table per axis: cells enter nowhere.
+
+The mass of the undecided runs is a sum of products over agents, one term per way through the *modes*: automaton states
+among which no agent's policy makes a difference. A mode goes on to another by the products of everything that may lead
+there, so nothing is left out (docs/theory/pairs.md, "The mass of undecided runs").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ...envs.agents import AnyAgent, PairRegion, counted
+from ...envs.problem import Problem
+from ..cells import FloatArray, RelationRefused
+from ..models import JointModel, Policies
+
+MOST_TERMS = 300
+"""Products of the mass at one time beyond which the bound would take too long."""
+
+WIDER = 1e-9
+"""By how many deviations boxes are made wider: far more than the rounding of differences, far less than matters."""
+
+TABLE_ERROR = 1e-14
+"""Added to every entry of a table of probabilities: above the error of the special function by far."""
+
+DIFFERENCE_ERROR = 1e-13
+"""Added where a mass is the difference of two: far above their rounding."""
+
+INFLATION, SPARE = 1.0 + 1e-7, 1e-10
+"""Factor on the whole, and what is added per pair, so that a second evaluation that rounds otherwise finds no more."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Term:
+    """A product of the mass of undecided runs at one time.
+
+    Parameters
+    ----------
+    mode : int
+    cells : tuple of (S_i,) arrays
+        Mass of each agent in its cells.
+    """
+
+    mode: int
+    cells: tuple[FloatArray, ...]
+
+    def __repr__(self) -> str:
+        return f"Term({counted(len(self.cells), 'agent')} in mode {self.mode})"
+
+
+class NearMass:
+    """Masses and pair probabilities of one problem, for any policies.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem with its pairs.
+    base : Problem
+        The same without them (``base.without_pairs``).
+    joint : JointModel
+        Finite models of ``base``.
+    relevant : (Q, number of pairs) bool array
+        Which pairs the automaton asks about in each state.
+    usual : (number of pairs,) bool array
+        What each proposition is taken to be in ``base``: the mass is that of all runs in which one is otherwise.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        base: Problem,
+        joint: JointModel,
+        relevant: NDArray[np.bool_],
+        usual: NDArray[np.bool_],
+    ) -> None:
+        self.problem, self.base, self.joint, self.relevant, self.usual = problem, base, joint, relevant, usual
+        self.pairs = problem.labeling.pairs
+        for pair in self.pairs:
+            compared_axes(problem, pair)  # refuses what the tables could not say
+        self._tables: dict[object, list[FloatArray]] = {}
+
+    @cached_property
+    def alive(self) -> NDArray[np.int64]:
+        """Automaton states in which something is left to decide."""
+        return np.flatnonzero(~self.joint.absorbing)
+
+    def modes(self, policies: Policies) -> list[NDArray[np.int64]]:
+        """Return the undecided automaton states in groups among which no policy makes a difference."""
+        groups: dict[tuple[bytes, ...], list[int]] = {}
+        for q in self.alive:
+            groups.setdefault(tuple(policy[:, q].tobytes() for policy in policies), []).append(int(q))
+        return [np.array(states) for states in groups.values()]
+
+    def start(self, modes: Sequence[NDArray[np.int64]]) -> list[Term]:
+        """Return the mass at time 0, the first letter read without pairs; none if the task is decided then."""
+        q = self.base.initial_q
+        if q is None or self.joint.absorbing[q]:
+            return []
+        factors = []
+        for agent, model in zip(self.base.agents, self.joint.models, strict=True):
+            factors.append(model.share(agent.initial.low, agent.initial.high))
+        mode = next(m for m, states in enumerate(modes) if q in states)
+        return [Term(mode, tuple(factors))]
+
+    def passage(self, source: NDArray[np.int64], target: NDArray[np.int64]) -> list[NDArray[np.bool_]] | None:
+        """Return, per agent, the cells of which some may lead from one mode to another; None if no guard does."""
+        guards = self.joint.guards
+        used = np.flatnonzero(np.isin(guards.source, source) & np.isin(guards.target, target))
+        if not len(used):
+            return None
+        passages = []
+        for masks, rows in zip(self.joint.masks, guards.mask[used].T, strict=True):
+            passages.append(np.asarray(np.any(masks[np.unique(rows)] != 0, axis=0)))
+        return passages
+
+    def course(self, policies: Policies) -> tuple[list[list[Term]], list[list[list[FloatArray]]]]:
+        """Return the terms of the mass at times 0 .. T - 1, and the lattice points (Z_i,) that each of them moves to.
+
+        Raises
+        ------
+        RelationRefused
+            If there are too many terms.
+        """
+        modes = self.modes(policies)
+        ways = {(m, n): self.passage(modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
+        terms, all_terms, all_points = self.start(modes), [], []
+        models = self.joint.models
+        for t in range(self.joint.horizon):
+            following, points = [], []
+            for term in terms:
+                q = int(modes[term.mode][0])
+                chosen = [m.choices.points(policy[t, q]) for m, policy in zip(models, policies, strict=True)]
+                on_points = [_gathered(m.lattice, own, to) for m, own, to in zip(models, term.cells, chosen)]
+                pushed = [m.kernel.push(own[None], to)[0] for m, own, to in zip(models, term.cells, chosen)]
+                points.append(on_points)
+                for n in range(len(modes)):
+                    if (way := ways[term.mode, n]) is not None:
+                        masked = tuple(np.where(open_, own, 0.0) for own, open_ in zip(pushed, way))
+                        following += [Term(n, masked)] if all(own.any() for own in masked) else []
+            all_terms.append(terms)
+            all_points.append(points)
+            if len(following) > MOST_TERMS:
+                raise RelationRefused(f"the mass of undecided runs has more than {MOST_TERMS} products")
+            terms = following
+        return all_terms, all_points
+
+    def bound(self, policies: Policies) -> float:
+        """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it.
+
+        Open is a task that was undecided at the step before. The sum over steps and pairs may exceed 1.
+        """
+        if self.is_unusual_at_start:
+            return 1.0
+        modes = self.modes(policies)
+        asked = [self.relevant[states].any(axis=0) for states in modes]
+        total = 0.0
+        for terms, points in zip(*self.course(policies), strict=True):
+            for term, lattice_masses in zip(terms, points, strict=True):
+                total += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
+        # What kernels lost on the way may be near, once for each agent.
+        lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
+        return float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs)
+
+    @cached_property
+    def is_unusual_at_start(self) -> bool:
+        """Whether a pair that the initial state asks about is not as usual at the start itself."""
+        letter = self.problem.labeling.letter([agent.initial.low for agent in self.problem.agents])
+        near = letter[self.problem.labeling.first_pair :]
+        return bool(np.any((near != self.usual) & self.relevant[self.problem.automaton.initial]))
+
+    def _near(self, asked: NDArray[np.int64], masses: Sequence[FloatArray]) -> float:
+        """Return the sum over the pairs ``asked`` of the mass of a term in which they are not as usual after a step."""
+        totals = np.array([own.sum() for own in masses])
+        if not np.all(totals > 0.0):
+            return 0.0
+        everybody, total = float(np.prod(totals)), 0.0
+        spread: dict[tuple[int, int], FloatArray] = {}
+        for k in asked:
+            pair = self.pairs[k]
+            i, j = pair.first, pair.second
+            tables = self.tables(pair, bool(self.usual[k]))
+            # Equal agents have one table, by which the second agent is spread once for all of its pairs.
+            key = (j, id(tables))
+            axes_i, axes_j = compared_axes(self.problem, pair)
+            if key not in spread:
+                spread[key] = _along(tables, _marginal(masses[j], self.joint.models[j].lattice, axes_j))
+            own = _marginal(masses[i], self.joint.models[i].lattice, axes_i)
+            near = float(np.sum(own * spread[key]))
+            if self.usual[k]:  # whatever is not surely near is charged
+                near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
+            total += near * everybody / (totals[i] * totals[j])
+        return total
+
+    def tables(self, pair: PairRegion, from_below: bool = False) -> list[FloatArray]:
+        """Return bounds (Z_i, Z_j), per axis, on the probability that the agents are near from lattice points.
+
+        They are upper bounds, or lower ones if they are asked for.
+        """
+        i, j = pair.first, pair.second
+        models, agents = self.joint.models, self.problem.agents
+        axes = compared_axes(self.problem, pair)
+        lattices = [(models[i].lattice[a], models[j].lattice[b]) for a, b in zip(*axes, strict=True)]
+        spreads = [
+            math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)
+        ]
+        box = (from_below, pair.low.tobytes(), pair.high.tobytes(), tuple(spreads))
+        key = (*box, *(x.tobytes() for both in lattices for x in both))
+        if key not in self._tables:
+            boxes = zip(lattices, spreads, pair.low, pair.high, strict=True)
+            table = _surely_near_table if from_below else _near_table
+            self._tables[key] = [table(a, b, std, float(low), float(high)) for (a, b), std, low, high in boxes]
+        return self._tables[key]
+
+
+def compared_axes(problem: Problem, pair: PairRegion) -> tuple[list[int], list[int]]:
+    """Return the states of both agents that a pair compares.
+
+    Raises
+    ------
+    RelationRefused
+        If an output compared is no state, or the noise is not Gaussian and independent along the states.
+    """
+    result: list[list[int]] = []
+    for i, outputs in zip((pair.first, pair.second), pair.outputs, strict=True):
+        agent = problem.agents[i]
+        _check_noise(agent)
+        axes = [agent.output_axis(k) for k in outputs]
+        if any(axis is None or axis[1] != 1.0 for axis in axes):
+            raise RelationRefused(f"agent `{agent.name}`: the bound by subtraction compares states, got other outputs")
+        result.append([axis[0] for axis in axes if axis is not None])
+    return result[0], result[1]
+
+
+def _check_noise(agent: AnyAgent) -> None:
+    """Raise RelationRefused unless the noise of an agent is Gaussian and independent along its states."""
+    covariance: Any = agent.noise_covariance
+    lawful = agent.laws is None or all(law.name == "gaussian" for law in agent.laws)
+    if not lawful or np.any(covariance != np.diag(np.diag(covariance))):
+        raise RelationRefused(
+            f"agent `{agent.name}`: the bound by subtraction needs Gaussian noise, independent along the states"
+        )
+
+
+def _near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
+    """Return upper bounds (Z, Z') on ``P(low <= z - z' + w < high)`` for w of deviation ``std``."""
+    mass = _between(first, second, std, (low, high), 1.0)
+    return np.asarray(np.minimum(1.0, np.maximum(mass, 0.0) * (1.0 + 1e-12) + TABLE_ERROR))
+
+
+def _surely_near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
+    """Return lower bounds (Z, Z') on the same."""
+    mass = _between(first, second, std, (low, high), -1.0)
+    return np.asarray(np.maximum(0.0, np.minimum(mass, 1.0) * (1.0 - 1e-12) - TABLE_ERROR))
+
+
+def _between(first: FloatArray, second: FloatArray, std: float, box: tuple[float, float], sign: float) -> FloatArray:
+    """Return the probability (Z, Z') of a box made wider (``sign`` 1) or narrower (-1) by a little."""
+    low, high = box
+    gap = first[:, None] - second[None]
+    wider = sign * (WIDER * std + 1e-14 * (np.abs(first).max() + np.abs(second).max() + abs(low) + abs(high)))
+    upper, lower = (high + wider - gap) / std, (low - wider - gap) / std
+    # The difference of the tails that are small: of the upper ones where the box lies above the mean.
+    return np.asarray(np.where(lower > 0.0, ndtr(-lower) - ndtr(-upper), ndtr(upper) - ndtr(lower)))
+
+
+def _gathered(lattice: Sequence[FloatArray], masses: FloatArray, points: NDArray[Any]) -> FloatArray:
+    """Return the mass (Z,) on lattice points of masses (S,) that move to ``points`` (S,), -1 for none."""
+    here = np.flatnonzero((points >= 0) & (masses > 0.0))
+    size = math.prod(len(axis) for axis in lattice)
+    return np.bincount(points[here], weights=masses[here], minlength=size)
+
+
+def _marginal(masses: FloatArray, lattice: Sequence[FloatArray], axes: Sequence[int]) -> FloatArray:
+    """Return masses (Z,) of lattice points as a tensor over some axes of the lattice, in this order."""
+    tensor = masses.reshape(tuple(len(axis) for axis in lattice))
+    others = tuple(k for k in range(tensor.ndim) if k not in axes)
+    kept = sorted(axes)
+    return np.asarray(tensor.sum(axis=others).transpose([kept.index(k) for k in axes]))
+
+
+def _along(tables: Sequence[FloatArray], tensor: FloatArray) -> FloatArray:
+    """Return a tensor multiplied, along each axis, by a table (rows become the new axis)."""
+    for axis, table in enumerate(tables):
+        tensor = np.moveaxis(np.tensordot(table, tensor, axes=(1, axis)), 0, axis)
+    return tensor

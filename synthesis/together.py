@@ -1,0 +1,201 @@
+"""Synthesis of tasks with propositions about pairs of agents.
+
+By *subtraction* the task without its pairs is certified, and what pairs may spoil is subtracted: any number of agents,
+each of which looks at its own state alone. As a *joint* agent a small team is one agent on the product of its grids:
+each agent then looks at the states of all. See docs/theory/pairs.md.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..envs.problem import Problem
+from .cells import CellCounts, RelationRefused
+from .certificates import PairsCertificate, Synthesis, TeamCertificate
+from .certification import certificate_of
+from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
+from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
+from .search import FINAL, Search, Sweep, find_policies, sweep
+
+WAYS = ("auto", "exact", "joint")
+"""Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
+
+ROUNDS = 6
+"""Most times that every agent answers to the others: as a rule two are enough."""
+
+MOST_RECORDED = 1e9
+"""Largest sum that is recorded: files hold no infinities."""
+
+WORTH = 1e-4
+"""Probability of being near below which no further answers are tried."""
+
+ENOUGH = 0.99
+"""Bound from which no further way is tried."""
+
+MOST_GRID_STATES = 3
+"""States of a joint agent up to which it has a grid: four states of 64 cells each have 17 million."""
+
+MOST_PATH_STATES = 40
+"""States of a joint agent up to which a path is looked for."""
+
+SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
+"""Synthesis of a task without pairs, given its cells and relations."""
+
+
+def synthesize_together(
+    problem: Problem, cells: CellCounts, relation: Relations, search: Search, settings: Settings, task: SynthesizeTask
+) -> Synthesis:
+    """Return the best certificate of a problem with pairs; ``stats["tried"]`` says what each way gave, or why not.
+
+    Raises
+    ------
+    RelationRefused
+        If no way applies.
+    """
+    if problem.groups:
+        raise ValueError(
+            "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
+            "automaton would be too large; take the problems of `problem.tasks` one by one"
+        )
+    if not isinstance(relation, str) or relation not in WAYS:
+        raise ValueError(f"`relation`: expected one of {', '.join(WAYS)} for a task about pairs, got {relation!r}")
+    check_names("cells", cells, problem)
+    ways: dict[str, Callable[[], Synthesis]] = {
+        "exact": lambda: by_subtraction(problem, cells, search, settings),
+        "joint": lambda: as_one_agent(problem, cells, task),
+    }
+    asked = [relation] if relation != "auto" else list(ways)
+    results, tried = list[Synthesis](), dict[str, Any]()
+    for name in asked:
+        if any(result.certificate.lower_bound >= ENOUGH for result in results):
+            tried[name] = f"not tried: the bound was {ENOUGH:g} or more already"
+            continue
+        try:
+            results.append(ways[name]())
+        except RelationRefused as refusal:
+            tried[name] = str(refusal)
+        else:
+            tried[name] = results[-1].certificate.lower_bound
+    if not results:
+        raise RelationRefused("; ".join(f"{name}: {text}" for name, text in tried.items()))
+    best = max(results, key=lambda result: result.certificate.lower_bound)
+    return Synthesis(best.certificate, best.controller, {**best.stats, "tried": tried})
+
+
+def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:
+    """Certify the task without pairs, with policies that keep apart, and subtract what pairs may spoil.
+
+    Raises
+    ------
+    RelationRefused
+        If an agent has no ``exact`` relation, a start is a box, or an output that a pair compares is no state.
+    """
+    began = time.perf_counter()
+    if any(np.any(agent.initial.low != agent.initial.high) for agent in problem.agents):
+        raise RelationRefused("the bound by subtraction needs a known start, got one drawn from a box")
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    kinds = ["exact"] * problem.n_agents
+    abstraction = abstraction_of(base, cells, kinds, settings.of_kinds(kinds))
+    joint = replace(join(base, abstraction, search.device), finds_alike=True)
+    masses = NearMass(problem, base, joint, relevant_pairs(problem), usual)
+    abstracted = time.perf_counter()
+    found = find_policies(base, joint, replace(search, value="tree"))
+    assert isinstance(found.best, Sweep)
+    best, near, record = _kept_apart(base, joint, masses, found.best, search)
+    used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
+    name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
+    part = certificate_of(base, abstraction, joint, best, used, name)
+    # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
+    if not np.array_equal(base.automaton.dead, problem.automaton.dead):
+        part = replace(part, gap=None, exact=False)
+    certificate = PairsCertificate(problem, part, tuple(usual.tolist()), min(1.0, near), {**used, "answers": record})
+    stats: dict[str, object] = {
+        "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
+        "sweeps": found.values,
+        "rank": part.rank,
+        "dropped": best.dropped,
+        "near": certificate.near,
+    }
+    return _synthesis(certificate, stats)
+
+
+def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
+    """Certify a small team as one agent that sees the states of all, on a grid or along a path.
+
+    Raises
+    ------
+    RelationRefused
+        If the team has too many states, or an agent is not linear with Gaussian noise.
+    """
+    joint = joint_problem(problem)
+    if problem.n_states > MOST_PATH_STATES:
+        raise RelationRefused(
+            f"a joint agent has at most {MOST_PATH_STATES} states, got {problem.n_states}; larger teams are certified "
+            "by subtraction (`exact`)"
+        )
+    if problem.n_states > MOST_GRID_STATES:
+        if cells is not None:
+            raise RelationRefused(
+                f"a joint agent of {problem.n_states} states has no room for a grid, and a path needs no `cells`"
+            )
+        found = task(joint, None, "path")
+    else:
+        found = task(joint, _joint_cells(problem, cells), "auto")
+    held: Any = TeamCertificate(problem, found.certificate)
+    return Synthesis(held, held.controller, found.stats)
+
+
+def _joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
+    """Return the cells of the joint agent: those of all agents, axis by axis."""
+    if not isinstance(cells, Mapping):
+        return cells
+    counts: list[int] = []
+    for agent in problem.agents:
+        if agent.name not in cells:
+            raise ValueError(f"`cells`: expected counts for all agents of a joint agent, {agent.name!r} is missing")
+        own = np.atleast_1d(np.asarray(cells[agent.name], dtype=int)).tolist()
+        counts += own * agent.n_states if len(own) == 1 else own
+    return {TEAM: tuple(counts)}
+
+
+def _kept_apart(
+    base: Problem, joint: JointModel, masses: NearMass, first: Sweep, search: Search
+) -> tuple[Sweep, float, list[list[float]]]:
+    """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
+    best, near = first, _bound(masses, first.policies)
+    record = [[first.value, min(near, MOST_RECORDED)]]
+    if near <= WORTH or not search.max_sweeps:
+        return best, near, record
+    avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
+    for k in range(min(ROUNDS, search.max_sweeps)):
+        policies = avoidance.answers(policies, heed_all=k > 0)
+        outcome, nearness = sweep(joint, policies, start, FINAL, improve=False), _bound(masses, policies)
+        record.append([outcome.value, min(nearness, MOST_RECORDED)])
+        gain = (outcome.value - nearness) - (best.value - near)
+        if gain > 0.0:
+            best, near = outcome, nearness
+        search.tell("keeping apart", max(0.0, best.value - near))
+        # A round that everybody has heeded and that gains nothing is the last, unless nothing is certified yet.
+        if near <= WORTH or (k > 0 and gain <= WORTH and near < best.value):
+            break
+    return best, near, record
+
+
+def _bound(masses: NearMass, policies: Policies) -> float:
+    """Return what pairs may spoil at most, a sum that may exceed 1; infinite where it would take too long to say."""
+    try:
+        return masses.bound(policies)
+    except RelationRefused:
+        return float("inf")
+
+
+def _synthesis(certificate: PairsCertificate, stats: dict[str, object]) -> Synthesis:
+    """Return the synthesis of a certificate about pairs."""
+    held: Any = certificate
+    return Synthesis(held, certificate.controller, stats)

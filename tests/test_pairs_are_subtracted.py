@@ -1,0 +1,291 @@
+"""What pairs may spoil is bounded from above: against a dense enumeration, sabotage, and an independent simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import certigym as cg
+from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.certificates import PairsCertificate
+from certigym.synthesis.checking.pairs_check import wrong_pairs
+from certigym.synthesis.models import Settings, abstraction_of, join
+from certigym.synthesis.pairs import NearMass, relevant_pairs, usual_values, without_pairs
+from certigym.synthesis.pairs import near_mass as near_module
+from certigym.validation.statistics.binomial import clopper_pearson
+from pair_problems import followers, mover, random_pairs, simulated
+
+APART = "G !any(near) & F G goal"
+PHASES = "!any(near) U (home & (!any(near) U goal))"
+
+
+def dense(problem: cg.Problem, certificate: PairsCertificate) -> float:
+    """Return the sum over steps and pairs of the probability of being near, on the product of all cells.
+
+    Every joint cell, letter by letter, with normal distribution functions: nothing here knows of products or modes.
+    """
+    base, agents = certificate.base, problem.agents
+    grids = [part.grid.centres[:, 0] for part in base.agents]
+    edges = [part.grid.edges[0] for part in base.agents]
+    spread = [float(np.sqrt(agent.noise_covariance[0, 0])) for agent in agents]
+    automaton, first = problem.automaton, problem.labeling.first_pair
+    q0 = int(automaton.next_state(automaton.initial, problem.labeling.letter([a.initial.low for a in agents])))
+    cells = tuple(int(np.searchsorted(e, a.initial.low[0], "right")) - 1 for e, a in zip(edges, agents))
+    mass = {(q0, cells): 1.0}
+    total = 0.0
+    for t in range(problem.horizon):
+        following: dict[tuple[int, tuple[int, ...]], float] = {}
+        for (q, at), weight in mass.items():
+            points = [int(part.points(t, q)[s]) for part, s in zip(base.agents, at)]
+            means = [part.lattice[0][z] for part, z in zip(base.agents, points)]
+            for k, pair in enumerate(problem.labeling.pairs):
+                # Does the automaton ask for this pair in q? Try all letters.
+                if asks(problem, q, first + k):
+                    gap = means[pair.first] - means[pair.second]
+                    std = np.hypot(spread[pair.first], spread[pair.second])
+                    near = norm.cdf((pair.high[0] - gap) / std) - norm.cdf((pair.low[0] - gap) / std)
+                    total += weight * float(1.0 - near if certificate.usual[k] else near)
+            rows = [np.diff(norm.cdf((e - m) / s)) for e, m, s in zip(edges, means, spread)]
+            joint = weight * rows[0]
+            for row in rows[1:]:
+                joint = np.multiply.outer(joint, row)
+            for at_next, arrived in np.ndenumerate(joint):
+                if arrived > 1e-12:
+                    letter = base.problem.labeling.letter([[g[s]] for g, s in zip(grids, at_next)])
+                    target = int(base.problem.automaton.next_state(q, letter))
+                    if not base.problem.automaton.absorbing[target]:
+                        key = target, tuple(int(s) for s in at_next)
+                        following[key] = following.get(key, 0.0) + float(arrived)
+        mass = following
+    return total
+
+
+def asks(problem: cg.Problem, q: int, p: int) -> bool:
+    """Whether some letter leads elsewhere from q if proposition p is changed."""
+    n = len(problem.labeling.names)
+    letters = (np.arange(1 << n)[None] >> np.arange(n)[:, None] & 1).astype(bool)
+    changed = letters.copy()
+    changed[p] = ~changed[p]
+    states = np.full(1 << n, q)
+    return bool(np.any(problem.automaton.next_state(states, letters) != problem.automaton.next_state(states, changed)))
+
+
+@pytest.mark.parametrize(
+    ("problem", "is_tight"),
+    [
+        (followers(APART, near=([-2.9], [1.0]), horizon=4), True),
+        (followers("!any(near) U goal", near=([-2.4], [1.0]), semantics="co-safe", horizon=4), False),
+        (followers(PHASES, near=([-2.0], [1.0]), semantics="co-safe", horizon=4), False),
+        (followers("G any(near) & F G goal", near=([-3.9], [-1.0]), horizon=4), True),
+        (followers("(home | any(near)) U goal", near=([-3.9], [-1.0]), semantics="co-safe", horizon=4), False),
+        (followers(APART, near=([-1.4], [-0.5]), horizon=3, starts=((-2.5,), (-0.5,), (1.5,))), True),
+    ],
+)
+def test_masses_are_those_of_a_dense_enumeration(problem: cg.Problem, is_tight: bool) -> None:
+    """Where one mode covers all undecided states nothing is lost; elsewhere the bound is larger, never smaller."""
+    certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
+    truth = dense(problem, certificate)
+    failures, again = wrong_pairs(certificate, problem)
+    assert failures == [] and truth > 1e-6
+    for bound in (certificate.near, again):
+        assert bound >= min(1.0, truth) * (1.0 - 1e-9)
+    if is_tight:
+        assert again <= truth * (1.0 + 1e-6) + 1e-9
+        assert certificate.near <= truth * (1.0 + 1e-6) + 1e-9
+    assert cg.check(certificate)
+
+
+def test_bounds_are_tight_enough_to_be_used() -> None:
+    """Two planar robots that swap places: the bound is within .02 of what rollouts show."""
+    found = cg.synthesize(cg.make_problem("swarm-v0", n_agents=2), 32)
+    report = cg.validate(found, episodes=20_000)
+    assert not report.refuted
+    assert found.certificate.lower_bound >= report.estimate - 0.02
+    assert found.stats["tried"]["exact"] == found.certificate.lower_bound  # type: ignore[index]
+
+
+def certificate_of(problem: cg.Problem) -> PairsCertificate:
+    certificate: Any = cg.synthesize(problem, 16, relation="exact", max_sweeps=0).certificate
+    return certificate
+
+
+def near_of(certificate: PairsCertificate, problem: cg.Problem, masses: type[NearMass] = NearMass) -> float:
+    """Return what another problem's pairs, or a broken bound, say of the policies of a certificate."""
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    kinds = ["exact"] * problem.n_agents
+    abstraction = abstraction_of(base, 16, kinds, Settings())
+    bound = masses(problem, base, join(base, abstraction), relevant_pairs(problem), usual)
+    return bound.bound(tuple(part.policy for part in certificate.base.agents))
+
+
+class OneStepEarly(NearMass):
+    """Occupancy of the wrong step: the masses of the last step are not charged, those of the first one twice."""
+
+    def course(self, policies: Any) -> Any:
+        terms, points = super().course(policies)
+        return [terms[0], *terms[:-1]], [points[0], *points[:-1]]
+
+
+class OnlyTheFirstPair(NearMass):
+    """A pair is left out."""
+
+    def _near(self, asked: Any, masses: Any) -> float:
+        return super()._near(asked[:1], masses)
+
+
+class Negated(NearMass):
+    """The difference is that of the second agent less the first."""
+
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
+        return super().tables(replace(pair, low=-pair.high, high=-pair.low), from_below)
+
+
+class Halved(NearMass):
+    """Only one of the two agents has noise."""
+
+    def tables(self, pair: Any, from_below: bool = False) -> Any:
+        lattices = [self.joint.models[i].lattice[0] for i in (pair.first, pair.second)]
+        std = float(np.sqrt(self.problem.agents[pair.first].noise_covariance[0, 0]))
+        first, second = lattices
+        return [near_module._near_table(first, second, std, float(pair.low[0]), float(pair.high[0]))]
+
+
+THREE = ((-2.5,), (-0.5,), (1.5,))
+TRIPLE = followers("G !any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE)
+
+
+@pytest.mark.parametrize("broken", [OneStepEarly, OnlyTheFirstPair, Negated, Halved])
+def test_the_check_refuses_what_a_broken_bound_claims(broken: type[NearMass]) -> None:
+    certificate = certificate_of(TRIPLE)
+    assert cg.check(certificate) and 1e-6 < certificate.near < 1.0
+    wrong = near_of(certificate, TRIPLE, broken)
+    assert wrong < certificate.near
+    report = cg.check(replace(certificate, near=wrong))
+    assert not report and "pairs spoil" in str(report)
+
+
+def with_base(change: Callable[[cg.Problem], cg.Problem]) -> PairsCertificate:
+    """A certificate whose base is that of a changed problem."""
+    certificate = certificate_of(TRIPLE)
+    changed = change(TRIPLE)
+    other = certificate_of(changed)
+    return replace(certificate, base=other.base, near=1e-3)
+
+
+def formula(problem: cg.Problem, text: str) -> cg.Problem:
+    return cg.Problem(
+        name="other",
+        horizon=problem.horizon,
+        agents=problem.agents,
+        propositions=problem.declared,
+        specification=cg.Specification(text, "finite-trace"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda problem: problem.replace(horizon=3), "horizon"),
+        (lambda problem: problem.replace(disturbance_scale=0.5), "agents of its base"),
+        (lambda problem: formula(problem, "G (!any(near) & !goal)"), "automaton of its base"),
+        (lambda problem: problem.replace(initial_state={"agent_0": [-1.0]}), "agents of its base"),
+    ],
+)
+def test_the_check_refuses_the_base_of_another_problem(change: Any, message: str) -> None:
+    report = cg.check(with_base(change))
+    assert not report and message in str(report)
+
+
+def test_the_check_refuses_certificates_that_know_nothing_of_pairs() -> None:
+    certificate = certificate_of(TRIPLE)
+    report = cg.check(replace(certificate.base, problem=TRIPLE))
+    assert not report and "of which it knows nothing" in str(report)
+    assert not cg.check(replace(certificate, near=0.0))
+    assert not cg.check(certificate, TRIPLE.replace(horizon=5))
+
+
+def test_pairs_that_are_near_at_the_start_spoil_everything() -> None:
+    certificate = certificate_of(followers("G !any(near)", starts=((0.0,), (0.5,))))
+    assert certificate.near == 1.0 and certificate.lower_bound == 0.0
+    assert not cg.check(replace(certificate, near=0.5))
+
+
+def test_certificates_travel(tmp_path: Path) -> None:
+    certificate = certificate_of(TRIPLE)
+    cg.save_certificate(certificate, tmp_path / "pairs.npz")
+    loaded: Any = cg.load_certificate(tmp_path / "pairs.npz")
+    assert isinstance(loaded, PairsCertificate) and loaded.lower_bound == certificate.lower_bound
+    assert cg.check(loaded) and loaded.fingerprint == certificate.fingerprint
+    with pytest.raises(ValueError, match="about pairs of agents"):
+        cg.audit(loaded)
+
+
+def test_reports_comparisons_and_validation_know_pairs(tmp_path: Path) -> None:
+    certificate: Any = certificate_of(TRIPLE)
+    content = cg.report(certificate, tmp_path / "page.html", 500)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert content.audit is None and content.field is None and not content.refuted
+    assert "not as they should be with probability" in page and "Other starts" not in page
+    assert content.to_dict()["audit"] is None and "any(near)" in page
+    compared = cg.compare(TRIPLE, {"certified": certificate}, episodes=300)
+    assert "certified" in str(compared)
+    with pytest.raises(ValueError, match="nothing of other starts"):
+        cg.validate(certificate, 100, initial_state=[-2.0, 0.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"initial_low": [-2.6], "initial_high": [-2.4], "initial_state": None}, "start"),
+        ({"output_matrix": [[2.0]]}, "compares states"),
+        ({"noise": [{"law": "uniform", "low": -0.3, "high": 0.3}], "noise_covariance": None}, "Gaussian"),
+        ({"B": [[0.0]]}, "full row rank"),
+    ],
+)
+def test_what_subtraction_cannot_say_is_refused_in_words(changes: dict[str, Any], message: str) -> None:
+    problem = cg.Problem(
+        name="refused",
+        horizon=2,
+        agents=[mover("agent_0", [-2.5], **changes), mover("agent_1", [2.0])],
+        propositions={"near": cg.Pair("agent_*", [-1.0], [1.0])},
+        specification=cg.Specification("G !any(near)", "finite-trace"),
+    )
+    with pytest.raises(RelationRefused, match=message):
+        cg.synthesize(problem, 8, relation="exact")
+
+
+def test_claims_about_random_problems_survive_an_independent_simulation() -> None:
+    """24 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen.
+
+    Claims are tested from both sides where they have two.
+    """
+    informative, two_sided = 0, 0
+    for seed in range(24):
+        problem = random_pairs(np.random.default_rng(seed))
+        certificate: Any = cg.synthesize(problem, 12, relation="exact", max_sweeps=2).certificate
+        assert cg.check(certificate), seed
+        successes = simulated(problem, certificate.controller, 3000, seed)
+        least, most = clopper_pearson(successes, 3000, 1.0 - 1e-6 / 24)
+        assert certificate.lower_bound <= most, seed
+        assert certificate.gap is None or least <= certificate.lower_bound + certificate.gap, seed
+        informative += 0.02 < certificate.lower_bound < 0.999
+        two_sided += certificate.gap is not None and certificate.lower_bound + certificate.gap < 0.999
+    assert informative >= 6 and two_sided >= 3
+
+
+def test_upper_ends_are_claimed_and_checked_where_pairs_can_save_nothing() -> None:
+    certificate = certificate_of(TRIPLE)
+    report = cg.check(certificate)
+    assert certificate.gap is not None and report.above is not None
+    assert report.above <= certificate.lower_bound + certificate.gap
+    wanted = certificate_of(followers("F any(near)", near=([-1.2], [0.4]), horizon=4, starts=THREE))
+    assert wanted.gap is None and cg.check(wanted)
+    forged = replace(wanted, base=replace(wanted.base, gap=0.25))
+    assert "an upper end" in str(cg.check(forged))
