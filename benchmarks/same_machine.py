@@ -10,6 +10,7 @@ cell receives rises and falls once along them). Storm solves the joint model whe
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,7 @@ def parking() -> Rows:
     seconds, found = once(lambda: cg.synthesize(problem))
     rows.append(_row("certigym, defaults", found.certificate.lower_bound, seconds, base))
     for cells in (80, 240, 720):
-        seconds, value = once(lambda cells=cells: robust_value(problem, cells))
+        seconds, value = once(partial(robust_value, problem, cells))
         rows.append(_row(f"interval model, {cells} cells, {MENU} inputs", value, seconds, base))
     return rows
 

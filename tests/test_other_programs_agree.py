@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,6 @@ def test_storm_gets_the_same_values() -> None:
 def test_interval_models_stay_below_what_any_policy_attains() -> None:
     """Bounds of our interval model rise with its cells, and stay below the upper bound of the continuous system."""
     problem = cg.load_problem(PARKING)
-    above = cg.synthesize(problem, 80, relation="linear").stats["continuous_upper_bound"]
+    above: Any = cg.synthesize(problem, 80, relation="linear").stats["continuous_upper_bound"]
     coarse, fine = robust_value(problem, 80), robust_value(problem, 240)
     assert 0.8 < coarse < fine < above < 0.93
