@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr
-from scipy.stats import qmc
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, RelationRefused
@@ -84,6 +83,8 @@ def _directions(d: int, count: int) -> FloatArray:
         angles = 2.0 * np.pi * (np.arange(count) + 0.5) / count
         points = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     else:
+        from scipy.stats import qmc  # slow to load, and needed here alone
+
         # Its corners, and points that are spread evenly.
         signs = np.meshgrid(*[[-1.0, 1.0]] * min(d, MOST_SIGNS), indexing="ij")
         corners = np.ones((signs[0].size, d))
