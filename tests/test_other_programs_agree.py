@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from certigym.synthesis.search.limits import Limits
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at
+from same_machine import PARKING, robust_value
 from storm_check import storm_model, storm_reach_within
 
 TOLERANCE = 1e-9
@@ -72,3 +75,11 @@ def test_storm_gets_the_same_values() -> None:
     optimum = process.reach_within(problem.horizon)
     found = storm_reach_within(storm_model(process), problem.horizon)
     np.testing.assert_allclose(found, optimum, rtol=0, atol=TOLERANCE)
+
+
+def test_interval_models_stay_below_what_any_policy_attains() -> None:
+    """Bounds of our interval model rise with its cells, and stay below the upper bound of the continuous system."""
+    problem = cg.load_problem(PARKING)
+    above: Any = cg.synthesize(problem, 80, relation="linear").stats["continuous_upper_bound"]
+    coarse, fine = robust_value(problem, 80), robust_value(problem, 240)
+    assert 0.8 < coarse < fine < above < 0.93

@@ -20,6 +20,7 @@ from .path_certificate import AgentPath, PathCertificate
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
+from .start_hull import StartHull
 from .team_certificate import TeamCertificate
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
+    "StartHull",
     "Synthesis",
     "TeamCertificate",
     "UNREADABLE",

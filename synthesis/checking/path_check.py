@@ -129,6 +129,16 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     return [], min(1.0, float(-np.expm1(log_kept)) * TAIL)
 
 
+def both_failures(certificate: PathCertificate) -> tuple[float, float]:
+    """Return upper bounds on the probability that the one agent of a certificate fails: Boole's, and by correlation.
+
+    A bound is 1 unless every nominal value is on the right side of its limits, where both are convex in them.
+    """
+    agent = certificate.problem.agents[0]
+    assert isinstance(agent, LinearAgent)
+    return _both(certificate, 0, Motion.of(agent, certificate.paths[0]))[1:]
+
+
 def _wrong_form(certificate: PathCertificate) -> list[str]:
     """Shapes, signs, kinds of agents, starts."""
     problem, steps = certificate.problem, certificate.n_steps
@@ -208,6 +218,15 @@ def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> se
 
 def _failure(certificate: PathCertificate, i: int, motion: Motion) -> float:
     """Upper bound on the probability that an inequality of agent i fails."""
+    return min(_both(certificate, i, motion))
+
+
+def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, float, float]:
+    """Upper bounds on the probability that an inequality of agent i fails.
+
+    By Boole, whatever the nominal values; the same where every nominal value keeps its limits, else 1; and by the
+    correlation inequality.
+    """
     agent, path = motion.agent, motion.path
     below, above = [], []
     for t in range(1, certificate.n_steps + 1):
@@ -219,7 +238,7 @@ def _failure(certificate: PathCertificate, i: int, motion: Motion) -> float:
     for t, u in enumerate(path.inputs):
         if not np.any(path.gain) or t == 0:
             if np.any(u < agent.input_low) or np.any(u > agent.input_high):
-                return 1.0
+                return 1.0, 1.0, 1.0
             continue
         rounding = 16.0 * len(path.gain[0]) * UNIT * np.abs(u)
         off = np.linalg.norm(path.gain, axis=1) * motion.off[t] * TAIL + rounding
@@ -229,10 +248,10 @@ def _failure(certificate: PathCertificate, i: int, motion: Motion) -> float:
     left, right = np.concatenate(below), np.concatenate(above)
     boole = float(np.sum(left) + np.sum(right)) * TAIL
     nearer = np.maximum(left, right)
-    correlated = 1.0
-    if np.all(nearer < 0.5):
-        correlated = float(-np.expm1(np.sum(np.log1p(-2.0 * nearer)))) * TAIL
-    return min(1.0, boole, correlated)
+    if not np.all(nearer < 0.5):
+        return min(1.0, boole), 1.0, 1.0
+    correlated = float(-np.expm1(np.sum(np.log1p(-2.0 * nearer)))) * TAIL
+    return min(1.0, boole), min(1.0, boole), min(1.0, correlated)
 
 
 def _limits(certificate: PathCertificate, i: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -17,7 +17,9 @@ from typing import Any
 
 from ...envs.agents import write_json, write_text
 from ...envs.problem import load_problem
-from ...synthesis.checking import check
+from ...synthesis.certificates import significant_down, significant_up
+from ...synthesis.checking import check, wrong_hull
+from ...synthesis.nominal_paths import certified_starts
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
 from ..statistics import clopper_pearson
@@ -31,8 +33,8 @@ EPISODES, ERROR = 100_000, 1e-6
 """Rollouts of every row, and the probability that their limits miss the truth."""
 
 COLUMNS = (
-    "row", "published", "tool", "published_seconds", "machine", "certified", "failure", "seconds", "check", "rollouts",
-    "upper_limit", "outcome", "note",
+    "row", "asked", "published", "tool", "published_seconds", "machine", "certified", "failure", "seconds", "check",
+    "rollouts", "upper_limit", "outcome", "starts", "published_starts", "note",
 )  # fmt: skip
 
 
@@ -74,18 +76,23 @@ def _certified(entry: Row, folder: Path) -> Row:
     problem = load_problem(folder / entry["problem"])
     assert problem.automaton  # translating the formula is no part of what is timed
     began = time.process_time()
-    certificate: Any = synthesize(problem, relation=entry["relation"]).certificate
+    certificate: Any = synthesize(problem, entry.get("cells"), relation=entry["relation"]).certificate
     seconds = time.process_time() - began
     report = check(certificate, problem)
     successes = rollout(problem, certificate.controller, EPISODES, seed=0).successes
     _, high = clopper_pearson(successes, EPISODES, 1.0 - ERROR)
-    bound, published = certificate.lower_bound, entry["published"]
-    failure = getattr(certificate, "failure", 1.0 - bound)
+    # What is claimed, met and printed is the probability of a start that is neither in the target nor lost at once.
+    share = 1.0 - entry.get("sure", 0.0) - entry.get("lost", 0.0)
+    bound, met, high = (
+        (value - entry.get("sure", 0.0)) / share for value in (certificate.lower_bound, successes / EPISODES, high)
+    )
+    published, failure = entry["published"], getattr(certificate, "failure", 1.0 - bound)
     outcome = "no published number"
     if published is not None:
         outcome = "not below" if bound >= published else "below the published number"
     return {
         "row": entry["row"],
+        "asked": _asked(entry),
         "published": published,
         "tool": entry["tool"],
         "published_seconds": entry["seconds"],
@@ -94,23 +101,47 @@ def _certified(entry: Row, folder: Path) -> Row:
         "failure": failure,
         "seconds": round(seconds, 4),
         "check": "valid" if report and bound <= high else "NOT valid",
-        "rollouts": successes / EPISODES,
+        "rollouts": met,
         "upper_limit": high,
         "outcome": outcome,
+        **_starts(entry, certificate),
         "note": entry["note"],
     }
+
+
+def _starts(entry: Row, certificate: Any) -> Row:
+    """Return the certified share of starts of a row, and the published one; nothing if the row asks for none."""
+    if "starts" not in entry:
+        return {"starts": None, "published_starts": None}
+    wanted = entry["starts"]
+    hull = certified_starts(certificate, wanted["level"], None if wanted["axes"] is None else tuple(wanted["axes"]))
+    wrong = wrong_hull(hull)
+    if wrong:
+        raise AssertionError(f"a set of starts does not pass its check: {wrong[0]}")
+    return {"starts": hull.share, "published_starts": wanted["published"]}
+
+
+def _asked(entry: Row) -> str:
+    """Return what is asked for: the defaults, a relation, or cells as well."""
+    cells = entry.get("cells")
+    if cells is None:
+        return "defaults" if entry["relation"] == "auto" else str(entry["relation"])
+    return f"{entry['relation']}, {' x '.join(map(str, cells)) if isinstance(cells, list) else cells}"
 
 
 def _page(rows: list[Row]) -> str:
     """Return the rows as a table in Markdown."""
     lines = [
-        "| row | published | tool, seconds, machine | failure at most | seconds | check | rollouts | outcome |",
-        "|---|---|---|---|---|---|---|---|",
+        "| row | published | tool, seconds, machine | asked for | certified | failure at most | seconds | check "
+        "| rollouts | outcome | starts, published |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         seconds = "" if row["published_seconds"] is None else f", {row['published_seconds']:g} s, {row['machine']}"
         published = "-" if row["published"] is None else f"{row['published']:g}"
-        cells = [row["row"], published, f"{row['tool'] or '-'}{seconds}", f"{row['failure']:.3g}"]
+        cells = [row["row"], published, f"{row['tool'] or '-'}{seconds}", row["asked"]]
+        cells += [significant_down(row["certified"], 6), significant_up(row["failure"], 3)]
         cells += [f"{row['seconds']:g}", row["check"], f"{row['rollouts']:.5f}", row["outcome"]]
+        cells += ["" if row["starts"] is None else f"{row['starts']:.4f}, {row['published_starts']:g}"]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", *(f"- **{row['row']}**: {row['note']}" for row in rows)]) + "\n"

@@ -1,0 +1,168 @@
+"""Convex sets of starts: corners along rays from the middle, each as far out as its path keeps the probability."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from ...envs.agents import LinearAgent
+from ..cells import FloatArray, RelationRefused
+from ..certificates import PathCertificate, StartHull
+from .nominal import Response, nominal_inputs
+from .slabs import OUTWARD, Slabs, covariances_of, input_slabs, limits_of, state_slabs
+
+HALVINGS = 12
+"""Halvings of the distance along a ray: what remains is a few ten thousandths of it."""
+
+MOST_SIGNS = 6
+"""Axes whose corners are all tried."""
+
+INSIDE = 1.0 - 1e-6
+"""Share of the way to the edge of the workspace that is gone: mixtures of corners stay inside for all rounding."""
+
+
+def certified_starts(
+    certificate: PathCertificate, level: float, axes: tuple[int, ...] | None = None, rays: int = 64
+) -> StartHull:
+    """Return a convex set of starts from all of which the task is satisfied with at least a given probability.
+
+    Letters, faces and feedback are those of the certificate, whose start is in the middle of the rays; every corner has
+    nominal inputs of its own. The set is no larger than what these allow: an inner approximation.
+
+    Parameters
+    ----------
+    certificate : PathCertificate
+        Of one agent.
+    level : float
+        Probability in [0.5, 1) that is to be kept.
+    axes : tuple of int, optional
+        States that vary; the others stay as they are. All by default.
+    rays : int
+        Number of corners that are looked for.
+
+    Raises
+    ------
+    ValueError
+        If there are several agents, the level is not in [0.5, 1), or the certificate itself is below the level.
+    """
+    problem, agent = certificate.problem, certificate.problem.agents[0]
+    if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
+        raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
+    if not 0.5 <= level < 1.0:
+        raise ValueError(f"`level`: expected a probability in [0.5, 1), got {level!r}")
+    axes = tuple(range(agent.n_states)) if axes is None else axes
+    finder = _Rays(certificate)
+    middle = np.asarray(agent.initial.low, dtype=float)
+    corners, inputs, failures = [], [], []
+    for ray in _directions(len(axes), rays):
+        # A box is nearly as wide as it is long in units of its sides.
+        direction = np.zeros(agent.n_states)
+        direction[list(axes)] = ray * (agent.state_high - agent.state_low)[list(axes)]
+        found = finder.farthest(middle, direction, 1.0 - level)
+        if found is not None:
+            corners.append(found[0])
+            inputs.append(found[1])
+            failures.append(found[2])
+    if len(corners) <= len(axes):
+        raise RelationRefused(f"no starts around the middle keep a probability of {level}; ask for less")
+    # Each of the two bounds is no worse between corners than at the worst of them; of the two the better counts.
+    failure = min(1.0, float(np.array(failures).max(axis=0).min()))
+    path = certificate.paths[0]
+    return StartHull(
+        problem, axes, np.array(corners), np.array(inputs), path.gain, certificate.letters, certificate.faces, failure
+    )
+
+
+def _directions(d: int, count: int) -> FloatArray:
+    """Return directions (count, d), no longer than a half along any axis: to a lattice on the faces of a cube."""
+    if d == 1:
+        return np.array([[-0.5], [0.5]])
+    if d == 2:
+        angles = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+        points = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    else:
+        from scipy.stats import qmc  # slow to load, and needed here alone
+
+        # Its corners, and points that are spread evenly.
+        signs = np.meshgrid(*[[-1.0, 1.0]] * min(d, MOST_SIGNS), indexing="ij")
+        corners = np.ones((signs[0].size, d))
+        corners[:, : len(signs)] = np.stack(signs, axis=-1).reshape(-1, len(signs))
+        points = np.vstack([corners, 2.0 * qmc.Halton(d, seed=0).random(count) - 1.0])
+    return np.asarray(0.5 * points / np.abs(points).max(axis=1, keepdims=True))
+
+
+class _Rays:
+    """Starts along rays with the nominal inputs that are found for them; what all starts share is computed once."""
+
+    def __init__(self, certificate: PathCertificate) -> None:
+        problem, path = certificate.problem, certificate.paths[0]
+        agent = problem.agents[0]
+        assert isinstance(agent, LinearAgent)
+        steps = certificate.n_steps
+        covariances = covariances_of(agent, path.gain, steps)
+        self.agent = agent
+        self.states = state_slabs(limits_of(problem, 0, certificate.letters, certificate.faces), covariances)
+        self.inputs = input_slabs(agent, path.gain, covariances, steps)
+        self.response = Response.of(agent, steps)
+        self.powers = [np.linalg.matrix_power(agent.A, t) for t in range(steps + 1)]
+        self.problem = problem
+        self.first_state = self._first_state(agent.initial.low)
+
+    def _first_state(self, start: FloatArray) -> int:
+        """Return the automaton state after the letter of a start."""
+        outputs = self.agent.output_matrix @ start
+        regions = (self.problem.propositions[name] for name in self.problem.automaton.propositions)
+        letter = [bool(np.all((region.low <= outputs) & (outputs <= region.high))) for region in regions]
+        return int(self.problem.automaton.next_state(self.problem.automaton.initial, np.array(letter, dtype=bool)))
+
+    def farthest(
+        self, middle: FloatArray, direction: FloatArray, allowed: float
+    ) -> tuple[FloatArray, FloatArray, tuple[float, float]] | None:
+        """Return the farthest start that is found, its inputs and both bounds on failing; None if there is none."""
+        room = np.where(direction > 0.0, self.agent.state_high - middle, middle - self.agent.state_low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edge = float(np.nanmin(np.where(direction != 0.0, room / np.abs(direction), np.inf))) * INSIDE
+        low, high, best = 0.0, edge, None
+        for number in range(HALVINGS + 1):
+            # The edge of the workspace first: often nothing is lost on the way to it.
+            share = high if number == 0 else 0.5 * (low + high)
+            found = self._from(middle + share * direction)
+            if found is not None and min(found[2]) <= allowed:
+                low, best = share, found
+                if number == 0:
+                    break
+            else:
+                high = share
+        return best
+
+    def _from(self, start: FloatArray) -> tuple[FloatArray, FloatArray, tuple[float, float]] | None:
+        """Return a start with nominal inputs and both bounds on failing; None if its first letter leads elsewhere."""
+        if self._first_state(start) != self.first_state:
+            return None
+        moved = np.array([power @ (start - self.agent.initial.low) for power in self.powers])
+        response = replace(self.response, free=self.response.free + moved)
+        u = nominal_inputs(self.agent, self.states, self.inputs, response)
+        constant, matrix = response.of_slabs(self.states)
+        at = constant + matrix @ u.ravel()
+        return start, u, _bounds(self.states, at, self.inputs, u)
+
+
+def _bounds(states: Slabs, at: FloatArray, inputs: Slabs, u: FloatArray) -> tuple[float, float]:
+    """Return upper bounds on failing, by Boole and by the correlation inequality, with room for rounding.
+
+    A bound that is not convex where it stands (a limit on the wrong side of the nominal value) counts as 1.
+    """
+    flat = u.ravel()
+    size = np.abs(states.rows) @ np.full(states.rows.shape[1], float(np.abs(at).max(initial=1.0)))
+    tails = [states.failure(at, size), inputs.failure(flat, np.abs(flat) * (inputs.deviations > 0.0))]
+    below, above = (np.concatenate([pair[k] for pair in tails]) for k in (0, 1))
+    # Inputs that no feedback moves are admissible if they are in their box.
+    fixed = np.concatenate([np.zeros(len(at), dtype=bool), inputs.deviations <= 0.0])
+    below[fixed] = above[fixed] = 0.0
+    worse = np.maximum(below, above)
+    still = inputs.deviations <= 0.0
+    if np.any(worse >= ndtr(0.0)) or np.any((flat < inputs.low)[still] | (flat > inputs.high)[still]):
+        return 1.0, 1.0
+    return float(np.sum(below + above)) * OUTWARD, float(-np.expm1(np.sum(np.log1p(-2.0 * worse)))) * OUTWARD
