@@ -44,10 +44,18 @@ OPTIONS = (
     ("infos", '"numbers"', '"words": also the names of the propositions that hold (`letter`)'),
     ("spread", "0", "batches only: share of the episodes that begin anywhere, for learners"),
 )
+_DELIVERY = (
+    "Carrying is lost when one robot crosses the edge of a band alone, so all four have to learn the same step at "
+    "once, and exploring robots hardly ever cross together."
+)
 WHY_NOT = {
-    "package-delivery-eased-v0": "trainings of 400,000 and 900,000 world steps stayed at 0. Carrying is lost when one "
-    "robot crosses the edge of a band alone, so all four have to learn the same step at once, and exploring robots "
-    "hardly ever cross together.",
+    "cyclic-delivery-v0": "it stays at 0: a load counts only if all four robots pick it up at the same time, and one "
+    "robot that strays makes all begin again.",
+    "invariance-b-100-v0": "a hundred agents that share one policy fail together as soon as one of them leaves, so an "
+    "episode hardly ever shows that a step was better than another.",
+    "package-delivery-kinematic-v0": f"it stays at 0. {_DELIVERY}",
+    "package-delivery-v0": f"it stays at 0. {_DELIVERY}",
+    "package-delivery-eased-v0": "trainings of 400,000 and 900,000 world steps stayed at 0. " + _DELIVERY,
 }
 """Why the learner without help misses .8 of the certified share, where it does."""
 
@@ -126,8 +134,9 @@ def _learners(id: str) -> list[str]:
             f"{alone['steps']:,} world steps ({alone['seconds']} s), where the certified controllers reach "
             f"{alone['certified']:.4f}."
         )
-    elif id in WHY_NOT:
-        lines.append(f"- Without help: {WHY_NOT[id]}")
+    lines += _minute(id)
+    if id in WHY_NOT:
+        lines.append(f"- Why PPO without help misses it: {WHY_NOT[id]}")
     if helped is not None:
         lines.append(
             f"- Started from the certified controllers (`certigym probe {id}`): {helped['learner']:.4f} against their "
@@ -135,6 +144,24 @@ def _learners(id: str) -> list[str]:
             f"99.9 % limits [{helped['gain_low']:+.4f}, {helped['gain_high']:+.4f}]."
         )
     return ["## Learners", "\n".join(lines)] if lines else []
+
+
+def _minute(id: str) -> list[str]:
+    """What learners of the leaderboard reach."""
+    names = {
+        "ppo": "PPO without help",
+        "warm-ppo": "PPO from a clone of the certified controllers",
+        "sac": "SAC without help",
+    }
+    rows = {row["policy"]: row for row in _table("leaderboard")["rows"] if row["problem"] == id}
+    rates = {
+        policy: sum(row["successes"]) / (row["episodes"] * max(1, len(row["successes"])))
+        for policy, row in rows.items()
+    }
+    told = [f"{name} {rates[policy]:.4f}" for policy, name in names.items() if policy in rates]
+    if not told:
+        return []
+    return [f"- On the [leaderboard](../leaderboard.md), after a minute or two of training each: {', '.join(told)}."]
 
 
 def _table(name: str) -> dict[str, Any]:
