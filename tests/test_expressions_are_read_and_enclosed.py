@@ -232,11 +232,11 @@ HOSTILE = {
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_hostile_texts_are_refused_at_once(text: str) -> None:
-    """A tenth of a second each, with a caret under the place where there is one."""
-    began = time.perf_counter()
+    """In a second of computing at most, with a caret under the place where there is one."""
+    began = time.process_time()
     with pytest.raises(ExpressionError, match=re.escape(HOSTILE[text])) as caught:
         read_expression(text, ["x", "y", "veloc"])
-    assert time.perf_counter() - began < 0.1
+    assert time.process_time() - began < 1.0  # far from what reading takes, and from exponential time
     assert len(str(caught.value)) < 500
 
 
