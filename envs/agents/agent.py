@@ -159,7 +159,7 @@ class LinearAgent(AnyAgent):
 
     @property
     def motion_key(self) -> tuple[bytes, ...]:
-        """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+        """What determines how the agent moves, apart from noise, boxes and names of agents; it serves comparisons."""
         return (b"linear", self.A.tobytes(), self.B.tobytes(), self.offset.tobytes())
 
     @property

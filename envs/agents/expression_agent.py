@@ -271,7 +271,7 @@ class Agent(AnyAgent):
 
     @cached_property
     def motion_key(self) -> tuple[bytes, ...]:
-        """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
+        """What determines how the agent moves, apart from noise, boxes and names of agents; it serves comparisons."""
         parts: tuple[object, ...] = (
             self.states,
             self.inputs,
