@@ -50,7 +50,7 @@ def mean_spans(
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
-            outputs = partial(_means, agent, inputs, coordinates, rows)
+            outputs = partial(spans_of_means, agent, inputs, coordinates, rows)
             ends = np.stack(bounds(outputs, np.array(box)), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
     if rows is not None:
@@ -145,7 +145,7 @@ def leaves_of(
     return leaves | dict(zip(agent.unknowns, variables[d:], strict=False))
 
 
-def _means(
+def spans_of_means(
     agent: Agent,
     inputs: FloatArray,
     coordinates: FloatArray,

@@ -22,8 +22,8 @@ from ..cells import FloatArray
 from ..certificates import AgentPart, grid_noise
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, normal_hats
-from .mean_spans import leaves_of
-from .own_intervals import Span, bounds, products, span
+from .mean_spans import spans_of_means
+from .own_intervals import Span, bounds, products
 from .uniform_noise import Ends, uniform_ends
 
 ROUNDING = 2.999e-9
@@ -143,7 +143,7 @@ def map_spans(
     calm = [(np.full(n, a), np.full(n, b)) for a, b in agent.unknowns.values()]
     still = np.array([(x, x) for x in middle.T] + [(0.5 * (a + b),) * 2 for a, b in calm])
     with np.errstate(all="ignore"):
-        at = _means(agent, inputs, coordinates, rows, still, True)
+        at = spans_of_means(agent, inputs, coordinates, rows, still, True)
         z = np.stack([value.ends.mean(axis=0) for value in at], axis=1)
         gain = np.stack([value.slopes[:, :d].mean(axis=0).T for value in at], axis=1)
         outputs = partial(_left, agent, inputs, coordinates, rows, (z, gain, middle))
@@ -161,26 +161,6 @@ def map_spans(
     return z + moved, gain, rho
 
 
-def _means(
-    agent: Agent,
-    inputs: FloatArray,
-    coordinates: FloatArray,
-    rows: FloatArray | None,
-    on: FloatArray,
-    with_slopes: bool = False,
-) -> list[Span]:
-    """Spans of the coordinates of the mean on boxes (v, 2, n) of variables."""
-    leaves = leaves_of(agent, on, inputs, coordinates, with_slopes)
-    values = [span(tree, leaves) for tree in agent.trees]
-    return values if rows is None else [_weighted(row, values) for row in rows]
-
-
-def _weighted(row: FloatArray, values: list[Span]) -> Span:
-    factors = [np.full_like(value.ends, factor) for value, factor in zip(values, row, strict=True)]
-    terms = [v.scaled(products(a, v.ends), a) for v, a in zip(values, factors, strict=True) if np.any(a)]
-    return sum(terms[1:], terms[0])
-
-
 def _left(
     agent: Agent,
     inputs: FloatArray,
@@ -193,7 +173,7 @@ def _left(
     """Spans of what is left of the mean: less ``z + G (x - middle)``."""
     z, gain, middle = maps
     result = []
-    for k, mean in enumerate(_means(agent, inputs, coordinates, rows, on, with_slopes)):
+    for k, mean in enumerate(spans_of_means(agent, inputs, coordinates, rows, on, with_slopes)):
         left = mean + (-Span.of(z[:, k], z[:, k], mean))
         for j in range(z.shape[1]):
             if np.any(gain[:, k, j]):
