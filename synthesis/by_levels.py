@@ -106,7 +106,11 @@ def on_given_cells(problem: Problem, cells: CellCounts, kinds: Sequence[str], pl
     first = compared(problem, cells, kinds, plan)
     usual = ["auto" if kind == "best" else kind for kind in kinds]
     every = "best" in kinds
-    if not may_be_linear(problem, usual, plan) or (first.certificate.lower_bound >= GOOD and not every):
+    if (
+        cells is None
+        or not may_be_linear(problem, usual, plan)
+        or (first.certificate.lower_bound >= GOOD and not every)
+    ):
         return first
     kind = first.certificate.settings["relation"]
     tried: dict[str, Any] = dict(first.stats.get("tried", {kind: first.certificate.lower_bound}))  # type: ignore[call-overload]

@@ -70,9 +70,9 @@ def synthesize(
         choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
         ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also holds for agents that a mapping leaves out,
         takes ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``,
-        ``tube`` and ``ellipsoid`` that apply and keeps the largest bound (see ``relation_choice``); agents that no grid
-        can hold get a path. ``"best"`` tries all of these without any shortcut, and ``paper``. ``"quick"`` takes
-        ``exact`` or ``tube`` without comparing (see ``abstract``).
+        ``tube`` and ``ellipsoid`` that apply, and ``linear`` where these leave much open, and keeps the largest bound
+        (see ``relation_choice``); agents that no grid can hold get a path. ``"best"`` tries all of these without any
+        shortcut, and ``paper``. ``"quick"`` takes ``exact`` or ``tube`` without comparing (see ``abstract``).
     max_sweeps : int
         Largest number of improving sweeps after the first; the search stops earlier when nothing improves.
     limits : Limits, optional

@@ -46,14 +46,14 @@ def regions(shrunk: float = 0.0, **changes: Any) -> cg.Problem:
 
 @pytest.fixture(scope="module")
 def certificate() -> Certificate:
-    result = cg.synthesize(regions(), 80).certificate
+    result = cg.synthesize(regions(), 80, relation="quick").certificate
     assert 0.1 < result.lower_bound < 0.95
     return result
 
 
 def made_for_another(system: cg.Problem, believed: cg.Problem) -> AuditReport:
     """A certificate whose synthesizer had ``believed`` in mind, audited on ``system``."""
-    wrong = cg.synthesize(believed, 80).certificate
+    wrong = cg.synthesize(believed, 80, relation="quick").certificate
     return audit(replace(wrong, problem=system), EPISODES, seed=5, values=claimed_values(wrong), confidence=CONFIDENCE)
 
 
@@ -130,7 +130,9 @@ TRUE = {
 def test_true_certificates_pass(name: str) -> None:
     problem, cells = TRUE[name]
     for seed in (0, 1):
-        report = audit(cg.synthesize(problem, cells).certificate, EPISODES, seed=seed, confidence=CONFIDENCE)
+        report = audit(
+            cg.synthesize(problem, cells, relation="quick").certificate, EPISODES, seed=seed, confidence=CONFIDENCE
+        )
         assert not report.refuted, str(report)
         assert report.contradictions == 0
         assert report.verdict == "consistent" and report.episodes == EPISODES
@@ -143,7 +145,7 @@ def test_a_finding_names_time_state_agent_and_region() -> None:
     system = cg.Problem(
         name="two", horizon=4, agents=agents, propositions=loud.propositions, specification=loud.specification
     )
-    wrong = cg.synthesize(loud, 80).certificate
+    wrong = cg.synthesize(loud, 80, relation="quick").certificate
     report = audit(replace(wrong, problem=system), EPISODES, values=claimed_values(wrong), confidence=CONFIDENCE)
     assert report.findings, str(report)
     assert report.findings[0].agent == "two", str(report)

@@ -14,6 +14,7 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem import groups as independent
+from certigym.synthesis import by_levels
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
@@ -42,6 +43,12 @@ def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str =
     )
 
 
+@pytest.fixture(autouse=True)
+def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare the relations with one target per cell alone, unless a test asks for more."""
+    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 0.0)
+
+
 @cache
 def chosen() -> cg.Synthesis:
     return cg.synthesize(team(), {"car": 60, "cart_0": 40})
@@ -56,12 +63,25 @@ def kinds_of(certificate: Any) -> list[str]:
 
 
 def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), 100)
+    found = cg.synthesize(cg.make_problem("reach-avoid-v0"), 100)
+    assert found.certificate.lower_bound > 0.9
     assert "tried" not in found.stats and "relations_tried" not in found.certificate.settings
     assert "tried " not in str(cg.validate(found, 200))
     monkeypatch.setattr(relation_choice, "SETTLED", 0.0)
-    tried = tried_of(cg.synthesize(cg.make_problem("reach-avoid-v0", horizon=3), 100))
+    tried = tried_of(cg.synthesize(cg.make_problem("reach-avoid-v0"), 100))
     assert {"exact", "tube", "ellipsoid"} == set(tried)
+
+
+def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 60.0)
+    found = cg.synthesize("car-park-v0", 60)
+    tried = tried_of(found)
+    assert {"exact", "linear"} <= set(tried) and kinds_of(found.certificate) == ["linear"]
+    assert tried["linear"] == found.certificate.lower_bound > float(tried["exact"]) + 0.05
+    assert cg.check(found.certificate)
+    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 0.0)
+    again = cg.synthesize("car-park-v0", 60)
+    assert kinds_of(again.certificate) == ["exact"] and "not computed: ask for it by" in str(tried_of(again)["linear"])
 
 
 def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:

@@ -88,7 +88,7 @@ def test_the_gain_of_one_agent_is_that_of_trying_everything(formula: str) -> Non
 def test_further_starts_never_lower_the_bound(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     problem = problem.replace(horizon=min(problem.horizon, 6))
-    plain, more, again = (cg.synthesize(problem, 20, restarts=r) for r in (0, 2, 2))
+    plain, more, again = (cg.synthesize(problem, 20, restarts=r, relation="exact") for r in (0, 2, 2))
     assert more.certificate.lower_bound >= plain.certificate.lower_bound * (1 - 1e-6)
     assert more.certificate.lower_bound == again.certificate.lower_bound
     starts = more.stats["starts"]
@@ -122,7 +122,7 @@ def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
 
 def test_policies_are_read_by_the_time_left_and_by_the_time_gone() -> None:
     problem = cg.make_problem("reach-avoid-v0").replace(horizon=5)
-    certificate = cg.synthesize(problem, 20).certificate
+    certificate = cg.synthesize(problem, 20, relation="exact").certificate
     policies = [part.policy for part in certificate.agents]
     longer, shorter = problem.replace(horizon=7), problem.replace(horizon=3)
     kept = policies_from(certificate, longer, abstract(longer, 20))
@@ -156,7 +156,7 @@ def test_policies_of_stronger_agents_are_refused() -> None:
         )
         for a in (9.0, 6.0)
     )
-    certificate = cg.synthesize(strong, 30).certificate
+    certificate = cg.synthesize(strong, 30, relation="exact").certificate
     with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
         cg.synthesize(weak, 30, start=certificate)
     moved = strong.replace(initial_state=[-3.0])
@@ -259,7 +259,18 @@ def test_deadlines_are_left_out_up_to_the_longest_horizon() -> None:
 
 
 def test_the_command_line_asks_for_restarts_and_stationary_policies(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["run", "reach-avoid-v0", "--cells", "40", "--episodes", "2000", "--horizon", "5"]
+    arguments = [
+        "run",
+        "reach-avoid-v0",
+        "--cells",
+        "40",
+        "--episodes",
+        "2000",
+        "--horizon",
+        "5",
+        "--relation",
+        "exact",
+    ]
     assert main([*arguments, "--restarts", "1"]) == 0
     assert "no single agent can gain more than about" in capsys.readouterr().out
     assert main([*arguments, "--stationary"]) == 0
@@ -272,7 +283,7 @@ def test_the_command_line_asks_for_restarts_and_stationary_policies(capsys: pyte
 @pytest.mark.parametrize("formula", ["F (a & c)", "(!b U a) & F c", "F (a & F c)"])
 def test_the_bound_from_above_is_the_joint_optimum_where_that_is_small(formula: str) -> None:
     problem = two_agents(formula, horizon=4)
-    result = cg.synthesize(problem, 12)
+    result = cg.synthesize(problem, 12, relation="exact")
     joint = join(problem, abstract(problem, 12))
     optimum = at_start(problem, joint, dense_optimum(problem, list(joint.models)))
     most = float(result.stats["abstract_upper_bound"])  # type: ignore[arg-type]
@@ -281,7 +292,7 @@ def test_the_bound_from_above_is_the_joint_optimum_where_that_is_small(formula: 
 
 def test_the_bound_from_above_is_a_mean_over_boxes() -> None:
     problem = two_agents("F (a & c)", horizon=3).replace(initial_low=[0.0, -1.0], initial_high=[1.0, 1.0])
-    result = cg.synthesize(problem, 16)
+    result = cg.synthesize(problem, 16, relation="exact")
     joint = join(problem, abstract(problem, 16))
     dense = dense_optimum(problem, list(joint.models))
     weights = [
@@ -328,7 +339,7 @@ def test_trains_try_staged_starts_where_others_fail() -> None:
 def test_the_bound_from_above_counts_every_letter_of_a_start() -> None:
     """Starts in a box have several letters that lead to one automaton state."""
     problem = two_agents(horizon=3, initial_state=None, initial_low=[-3.5], initial_high=[3.0])
-    result = cg.synthesize(problem, 24)
+    result = cg.synthesize(problem, 24, relation="exact")
     joint = join(problem, abstract(problem, 24))
     assert max(len(rows) for rows in start_of(problem, joint).terms.index) > 1
     assert float(result.stats["abstract_upper_bound"]) >= result.certificate.lower_bound > 0.1  # type: ignore[arg-type]

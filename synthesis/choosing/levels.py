@@ -52,7 +52,8 @@ MOST_LEVELS = 7
 """Levels, at most: cells of the last are a twentieth of a standard deviation wide, and nothing is left to gain."""
 
 LEAST_GAIN = 2e-3
-"""Gain of a level from which the next one, which gains about a quarter of it, is worth its time."""
+"""Gain of a level, as a share of the bound, from which the next one, which gains about a quarter of it, is worth its
+time. A share, because bounds of large teams are products: they are next to 0 on rough cells, and may end near 1."""
 
 MOST_PARTS = 400
 """Most equal cells of an axis that are asked for to have region boundaries on their edges."""
@@ -95,7 +96,7 @@ GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_WRITTEN = 10, 20, 2
 for linear cells of agents with expressions, of which the first level takes next to no time."""
 
 LEAST_SHARE, SOLVED_WRITTEN = 0.2, 0.9999
-"""The same gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
+"""That gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
 agents with expressions."""
 
 SOLVED, GOOD = 0.9995, 0.9
@@ -199,8 +200,8 @@ class _Levels:
             if found is None:
                 return
             abstraction, finer, seconds = found
-            if self.is_written and self.has_cells_of(abstraction):
-                width /= finer  # boundaries of regions ask for as many cells as there are
+            if self.has_cells_of(abstraction):
+                width /= finer  # boundaries of regions, or the fewest cells, ask for as many as there are
                 continue
             if is_flat and seconds > CHEAP_SECONDS:
                 return
@@ -235,7 +236,8 @@ class _Levels:
     @property
     def least_gain(self) -> float:
         """Gain of a level from which the next one is worth its time."""
-        return min(LEAST_GAIN, LEAST_SHARE * (1.0 - self.bound)) if self.is_written else LEAST_GAIN
+        gain = LEAST_GAIN * self.bound
+        return min(gain, LEAST_SHARE * (1.0 - self.bound)) if self.is_written else gain
 
     @property
     def bound(self) -> float:
