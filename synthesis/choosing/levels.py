@@ -31,7 +31,7 @@ from ..models import (
     TargetWindows,
     WrittenChoices,
     abstraction_of,
-    has_full_rank,
+    reaches_every_mean,
 )
 from .carrying import carried_over
 from .cell_budget import axis_weights, cells_at
@@ -149,7 +149,7 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
     cells = {
         agent.name: fitting[agent.name].shape
         for agent in problem.agents
-        if isinstance(agent, Agent) or (agent.n_states == 2 and not has_full_rank(agent))
+        if not reaches_every_mean(agent) and (isinstance(agent, Agent) or agent.n_states == 2)
     }
     return cells or None
 

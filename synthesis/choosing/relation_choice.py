@@ -38,6 +38,7 @@ from ..models import (
     alike_arrays,
     check_names,
     has_full_rank,
+    reaches_every_mean,
     join,
     models_of,
     start_of,
@@ -136,7 +137,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
         is_smooth = problem.n_agents <= MOST_LINEAR_AGENTS and has_linear_cells(first)
-        wanted = dict.fromkeys(wanted, ("linear", "boxes") if is_smooth else ("boxes",))
+        first_try = ("exact",) if reaches_every_mean(first) else ()
+        wanted = dict.fromkeys(wanted, (*first_try, *(("linear", "boxes") if is_smooth else ("boxes",))))
     elif first.laws is not None:
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
     for relation in wanted.get(asked, (asked,)):
@@ -175,7 +177,7 @@ def is_settled(model: AgentModel) -> bool:
     choices = model.choices
     if not isinstance(choices, TargetWindows) or np.any(choices.resting_choice < 0):
         return False
-    return bool(np.all(choices.reserve >= (1.0 - SETTLED) * choices.relation.input_half_width))
+    return choices.leaves(1.0 - SETTLED)
 
 
 @dataclass(eq=False)

@@ -11,6 +11,7 @@ from .abstraction import (
     check_names,
     check_settings,
     has_full_rank,
+    reaches_every_mean,
     models_of,
     relations_of,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "check_names",
     "check_settings",
     "has_full_rank",
+    "reaches_every_mean",
     "hat_table",
     "join",
     "models_of",

@@ -28,6 +28,7 @@ from ..cells import (
     CellLabels,
     FloatArray,
     Grid,
+    RelationRefused,
     agent_grid,
     alike_text,
     cell_labels,
@@ -41,7 +42,7 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation, written_targets
 from ..values import Residents
 from .affine_choices import Choices
 from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
@@ -148,7 +149,7 @@ class AgentModel:
     @property
     def is_exact(self) -> bool:
         """Whether nothing is lost: exact relation, and one certain class per cell."""
-        return isinstance(self.relation, ExactRelation) and self.labels.is_certain
+        return self.relation.kind == "exact" and self.labels.is_certain
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -352,9 +353,9 @@ def _shared_model(
         return _shared_model(agent, kind, grid, coordinates, room, settings)
     if kind == "linear" and isinstance(agent, Agent):
         return written_model(agent, grid, coordinates, settings.targets_per_cell)
-    agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
+    agent = linear_agent(agent, kind)
     if kind == "linear":
         return linear_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
@@ -396,3 +397,14 @@ def alike_arrays(agent: AnyAgent) -> tuple[bytes, ...]:
 def has_full_rank(agent: AnyAgent) -> bool:
     """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
     return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
+
+
+def reaches_every_mean(agent: AnyAgent) -> bool:
+    """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
+    if isinstance(agent, LinearAgent):
+        return has_full_rank(agent)
+    assert isinstance(agent, Agent)
+    try:
+        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
+    except RelationRefused:
+        return False
