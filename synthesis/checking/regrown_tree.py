@@ -49,7 +49,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     ]
     masks = [masks_of(part, part.masks) for part in certificate.agents]
     ones = [np.ones((1, places_of(part))) for part in certificate.agents]
-    deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
+    deltas = [controller.relation.delta for controller in certificate.controller.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
@@ -59,6 +59,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 continue
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
+            smoothed: dict[object, FloatArray] = {}
             for i, (part, vertex) in enumerate(zip(certificate.agents, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent, tables_of_boxes = linear[i], boxes[i]
@@ -78,7 +79,11 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                     values = box_values(certificate.problem.agents[i], part, tables_of_boxes, distinct, t, q)
                 else:
                     points = part.points(t, q)
-                    values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
+                    # Agents with one kernel whose factors are equal are smoothed once.
+                    alike = (id(kernels[i]), distinct.tobytes())
+                    if alike not in smoothed:
+                        smoothed[alike] = smooth(distinct, kernels[i])
+                    values = smoothed[alike][:, np.maximum(points, 0)]
                     if certificate.bound == "robust tree":
                         values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
                     values = values * (points >= 0)

@@ -145,11 +145,17 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
     Means of linear agents with two states fall on few lattice points if cells fit together, which default cells do not
     care for. Those of agents with expressions have default cells on no axis that would suit all of them.
     """
+    reached: dict[object, bool] = {}
+    for agent in problem.agents:
+        if agent.model_key not in reached:
+            reached[agent.model_key] = reaches_every_mean(agent)
+    if all(reached.values()):
+        return None
     fitting = cells_at(problem, 1.0 / FIRST_TUBE_WIDTH, ["tube"] * problem.n_agents)
     cells = {
         agent.name: fitting[agent.name].shape
         for agent in problem.agents
-        if not reaches_every_mean(agent) and (isinstance(agent, Agent) or agent.n_states == 2)
+        if not reached[agent.model_key] and (isinstance(agent, Agent) or agent.n_states == 2)
     }
     return cells or None
 

@@ -35,7 +35,6 @@ from ..models import (
     JointModel,
     Settings,
     TargetWindows,
-    alike_arrays,
     check_names,
     has_full_rank,
     reaches_every_mean,
@@ -104,7 +103,7 @@ def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], setting
     # Equal arrays, cells and wishes make equal models: compare once for all members.
     alike: dict[object, list[int]] = {}
     for i, agent in enumerate(problem.agents):
-        key = (asked[i], cells_of_agent(agent, cells), *alike_arrays(agent))
+        key = (asked[i], cells_of_agent(agent, cells), *agent.model_key)
         alike.setdefault(key, []).append(i)
     return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
 

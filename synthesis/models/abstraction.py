@@ -318,7 +318,7 @@ def models_of(
         room = label_room(problem, i)
         # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
         # feedback is chosen by it.
-        alike = (kind, *alike_arrays(agent), *(e.tobytes() for e in grid.edges))
+        alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
         wish = (*alike, room.tobytes() if depends_on_room else b"")
         if wish not in by_wish:
@@ -385,13 +385,6 @@ def check_settings(settings: Mapping[str, object]) -> None:
             close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
-
-
-def alike_arrays(agent: AnyAgent) -> tuple[bytes, ...]:
-    """Return what determines the model of an agent apart from its relation, grid and labels, as bytes."""
-    box, inputs = agent.workspace, agent.input_box
-    arrays = (box.low, box.high, inputs.low, inputs.high)
-    return (*agent.motion_key, *agent.noise_key, *(array.tobytes() for array in arrays))
 
 
 def has_full_rank(agent: AnyAgent) -> bool:

@@ -154,7 +154,7 @@ def sweep(
         Whether terms of linear agents are united from below (``ladders``).
     """
     occupancies = [_nowhere(joint)] * joint.horizon if start is None else _forward(joint, policies, start, limits)
-    policies = tuple(policy.copy() for policy in policies)
+    policies = tuple(policy.copy() for policy in policies) if improve else policies
     terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]

@@ -161,6 +161,12 @@ def find_policies(
         if len(joint.models) == 1:
             return _alone(joint, start, relaxations)
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
+    if len(joint.models) >= LARGE_TEAM and not given and not lossy and search.value != "train" and search.max_sweeps:
+        # What each agent does if the team follows is often all there is to do; sweeps of large teams take long.
+        followed = sweep(joint, relaxed_policies(relaxations), start, FINAL, improve=False)
+        if followed.value >= most * (1 - LARGE_ROOM):
+            names = {"relaxed start": followed.value}
+            return Found(followed, [followed.value], names, relaxations, max(0.0, most - followed.value))
     trees = _TreeAscent(joint, start, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)
@@ -228,6 +234,10 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
     gains = [0.0]
     outcome = sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
     return outcome, max(gains)
+
+
+LARGE_TEAM, LARGE_ROOM = 200, 1e-6
+"""Agents from which the policies of the relaxations are tried before all others, and what may be left to gain then."""
 
 
 class _TreeAscent:
