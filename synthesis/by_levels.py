@@ -52,8 +52,18 @@ def may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
     if not all(map(has_linear_cells, problem.agents)):
         return False
     scalar = all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
-    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar
+    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar or has_few_written_terms(problem)
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
+
+
+def has_few_written_terms(problem: Problem) -> bool:
+    """Return whether agents by expressions that are alike, but for a few, have a task of one undecided state.
+
+    Trees of such tasks mostly have a single term, and what is read for one agent holds for all that are alike.
+    """
+    written = all(isinstance(agent, Agent) for agent in problem.agents)
+    kinds = {agent.model_key for agent in problem.agents}
+    return written and len(kinds) <= MOST_LINEAR_AGENTS and int((~problem.automaton.absorbing).sum()) == 1
 
 
 def has_usual_search(plan: Plan) -> bool:
@@ -66,7 +76,7 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the better of what linear cells, made finer level by level, and the other relations certify."""
     began = time.perf_counter()
     run = _run_of_levels(problem, plan)
-    if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS:
+    if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS and not has_few_written_terms(problem):
         # The other relations are quick for single states, and show whether the tree grows many terms.
         first = compared(problem, None, kinds, plan)
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:

@@ -42,7 +42,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
     kernels = [axis_tables(a, p, tables) if p.is_additive else [] for a, p in pairs]
-    linear = [_linear_tables(a, p) if p.is_linear else None for a, p in pairs]
+    linear = _linear_tables_once(certificate)
     boxes = [
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
         for a, p in pairs
@@ -59,7 +59,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 continue
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
-            smoothed: dict[object, FloatArray] = {}
+            smoothed, of_linear = dict[object, FloatArray](), dict[object, tuple[FloatArray, NDArray[np.bool_]]]()
             for i, (part, vertex) in enumerate(zip(certificate.agents, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent, tables_of_boxes = linear[i], boxes[i]
@@ -70,7 +70,10 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                         distinct, where = vertex[kept], np.arange(len(kept))
                         stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
                     agent = certificate.problem.agents[i]
-                    values, proved = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
+                    read = (id(tables_of_agent), distinct.tobytes(), None if stored is None else stored.tobytes())
+                    if read not in of_linear:
+                        of_linear[read] = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
+                    values, proved = of_linear[read]
                     if not np.all(proved):
                         raise BrokenTreeError(
                             f"a stored factor of agent `{agent.name}` is not proved to be a lower bound"
@@ -93,6 +96,18 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def _linear_tables_once(certificate: Certificate) -> list[LinearTables | WrittenTables | None]:
+    """Tables of all agents under the relation ``linear``; those that are equal, policies included, share them."""
+    found, known = list[LinearTables | WrittenTables | None](), dict[object, LinearTables | WrittenTables]()
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
+        key = (agent.model_key, repr(part.relation), *((a.shape, a.tobytes()) for a in arrays))
+        if part.is_linear and key not in known:
+            known[key] = _linear_tables(agent, part)
+        found.append(known[key] if part.is_linear else None)
+    return found
 
 
 def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:

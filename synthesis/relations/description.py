@@ -159,6 +159,8 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     named = known.get(description["kind"])
     if is_written != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
+    if is_written and description["kind"] == "exact" and len(description) > 1:
+        raise ValueError("it has settings for a relation of exact targets, which has none")
     has_network = description["kind"] == "boxes" and "network" in description
     in_parts = description["kind"] == "linear" or (is_written and description["kind"] == "boxes") or has_network
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):

@@ -160,7 +160,12 @@ def find_policies(
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
         if len(joint.models) == 1:
             return _alone(joint, start, relaxations)
-        given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
+        # Sweeps are long. Where what each does if the team follows is all there is to do, one is enough.
+        if int((~joint.absorbing).sum()) == 1:
+            followed = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
+            if followed.value >= most * (1 - WRITTEN_ROOM):
+                return Found(followed, [followed.value], {"relaxed start": followed.value}, relaxations, None)
+        given = given or {"relaxed start": relaxed_policies(relaxations)}
     if len(joint.models) >= LARGE_TEAM and not given and not lossy and search.value != "train" and search.max_sweeps:
         # What each agent does if the team follows is often all there is to do; sweeps of large teams take long.
         followed = sweep(joint, relaxed_policies(relaxations), start, FINAL, improve=False)
@@ -235,6 +240,9 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
     outcome = sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
     return outcome, max(gains)
 
+
+WRITTEN_ROOM = 1e-4
+"""Relative distance from the product of the relaxations, which is no bound under linear cells, that ends the search."""
 
 LARGE_TEAM, LARGE_ROOM = 200, 1e-6
 """Agents from which the policies of the relaxations are tried before all others, and what may be left to gain then."""
