@@ -26,6 +26,7 @@ from .models import (
     Policies,
     Settings,
     join,
+    reaches_every_mean,
 )
 from .on_cells import Plan, compared, plain, searched, with_record
 from .search import Limits
@@ -106,7 +107,10 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
 def _others(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the best of other relations; boxes of expressions have coarse cells that show whether they come near."""
     written = [isinstance(agent, Agent) for agent in problem.agents]
-    others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
+    others = [
+        kind if not isinstance(agent, Agent) else "exact" if reaches_every_mean(agent) else "boxes"
+        for agent, kind in zip(problem.agents, kinds, strict=True)
+    ]
     return compared(problem, first_cells(problem) if any(written) else None, others, plan)
 
 

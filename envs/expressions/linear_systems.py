@@ -1,7 +1,7 @@
 """Expressions that are affine in several names, solved for these names: Cramer's rule on trees.
 
-`target_k = rest_k + sum_j factor_kj name_j` is solved block by block. A block holds the equations and the names that are
-tied to one another; it has as many equations as names, three at most.
+`target_k = rest_k + sum_j factor_kj name_j` is solved block by block. A block holds the equations and the names that
+are tied to one another; it has as many equations as names, three at most.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def solved(form: AffineForm, targets: Sequence[str]) -> tuple[tuple[Tree, ...], 
     --------
     >>> from .reading import read_expression
     >>> form = affine_form([read_expression("x + 2*u", ["x", "u"])], ["u"])
-    >>> solved(form, ["m"])[0]
-    (Operation(name='/', arguments=(Operation(name='-', arguments=(Name(name='m'), Name(name='x'))), Number(value=2.0))),)
+    >>> solved(form, ["m"])[1]
+    ((Operation(name='/', arguments=(Number(value=1.0), Number(value=2.0))),),)
     """
     n = len(form.rests)
     occurs = np.array([[factor != ZERO for factor in row] for row in form.factors], dtype=int).reshape(n, n)

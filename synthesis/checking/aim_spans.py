@@ -1,8 +1,8 @@
 """Exact targets of agents with expressions, verified: inputs put the mean there from the whole cell.
 
 For every cell and every target that some policy chooses in it, the solution of ``mean = target`` is read on the closed
-cell with the spans of ``own_intervals``. The ranges that the search put together from a middle target and slopes are not
-used. That solutions solve is tested where the controller acts (``execution``).
+cell with the spans of ``own_intervals``. The ranges that the search put together from a middle target and slopes are
+not used. That solutions solve is tested where the controller acts (``execution``).
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ def aim_losses(part: AgentPart, relation: WrittenTargets) -> FloatArray:
     low, high = cell_boxes(part)
     used = np.any(part.policy.reshape(-1, part.policy.shape[-1]) >= 0, axis=0)
     low, high = low[used], high[used]
-    trees = [*relation.form.rests, *(tree for rows in (relation.inverse, relation.form.factors) for row in rows for tree in row)]
+    trees = [
+        *relation.form.rests,
+        *(tree for rows in (relation.inverse, relation.form.factors) for row in rows for tree in row),
+    ]
     with np.errstate(all="ignore"):
         ends = bounds(partial(_spans, relation, trees, np.zeros((len(low), d))), _variables(agent, low, high))
     sizes = np.abs(np.stack(ends, axis=-1)).max(axis=0)
@@ -131,7 +134,8 @@ def _admissible(relation: WrittenTargets, ends: dict[str, FloatArray]) -> NDArra
         spare = _computed_off(relation) * (abs(least) + abs(most))
         sides = [ends[name] for name in turn.names if name in ends]
         farthest = np.sqrt(sum(np.abs(side).max(axis=0) ** 2 for side in sides))
-        nearest = np.sqrt(sum(np.where(side[0] * side[1] <= 0.0, 0.0, np.abs(side).min(axis=0)) ** 2 for side in sides))
-        # No turn is smaller than 0: below that the least size asks nothing.
-        inside &= (farthest + spare <= most) & (nearest - spare >= max(least, 0.0) if least > 0.0 else farthest == farthest)
+        inside &= farthest + spare <= most
+        if least > 0.0:
+            apart = (np.where(side[0] * side[1] <= 0.0, 0.0, np.abs(side).min(axis=0)) for side in sides)
+            inside &= np.sqrt(sum(distance**2 for distance in apart)) - spare >= least
     return inside

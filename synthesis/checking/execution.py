@@ -25,7 +25,15 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..controllers import AgentController
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation, WrittenTargets, commands_of
+from ..relations import (
+    BoxRelation,
+    CoupledRelation,
+    ExactRelation,
+    LinearRelation,
+    Relation,
+    WrittenTargets,
+    commands_of,
+)
 from .aim_spans import aim_losses
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
@@ -279,7 +287,9 @@ def _wrong_means(
         return []
     choice = part.policy[t, q, cells]
     if isinstance(controller.relation, WrittenTargets):
-        off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(choice, 0)))
+        off = np.abs(
+            controller.relation.agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(choice, 0))
+        )
         if np.any(~(off <= execution.mean[:, None]) & (choice >= 0)):
             return ["its controller was seen to steer elsewhere than its policy says"]
         return []

@@ -37,9 +37,9 @@ from ..models import (
     TargetWindows,
     check_names,
     has_full_rank,
-    reaches_every_mean,
     join,
     models_of,
+    reaches_every_mean,
     start_of,
 )
 from ..search import MANY_TERMS, Limits, Relaxation, relax, relaxed_policies, sweep, upper_bound

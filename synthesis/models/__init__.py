@@ -10,8 +10,8 @@ from .abstraction import (
     check_names,
     check_settings,
     has_full_rank,
-    reaches_every_mean,
     models_of,
+    reaches_every_mean,
     relations_of,
 )
 from .affine_choices import AffineChoices, Choices

@@ -45,7 +45,15 @@ from ..cells import (
 from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation, written_targets
 from ..values import Residents
 from .affine_choices import Choices
-from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
+from .agent_models import (
+    STRANDED_CELLS,
+    SharedModel,
+    cheapest_model,
+    ellipsoid_model,
+    exact_model,
+    paper_model,
+    tube_model,
+)
 from .box_model import box_model
 from .kernel import Kernel
 from .linear_model import linear_model
@@ -344,8 +352,12 @@ def _shared_model(
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
-    # Agents whose dynamics are expressions are enclosed in boxes unless something else is asked for.
+    # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
+    if is_any and isinstance(agent, Agent) and reaches_every_mean(agent):
+        exact = exact_model(agent, grid, coordinates, per_cell)
+        if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
+            return exact
     if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:

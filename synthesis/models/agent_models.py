@@ -90,8 +90,10 @@ def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_pe
         tables.append(table)
         loss += missing
     points = tuple(lattice)
-    windows = written_windows if isinstance(relation, WrittenTargets) else target_windows
-    return relation, points, Kernel(tuple(tables), loss), windows(relation, grid, points)
+    kernel = Kernel(tuple(tables), loss)
+    if isinstance(relation, WrittenTargets):
+        return relation, points, kernel, written_windows(relation, grid, points)
+    return relation, points, kernel, target_windows(relation, grid, points)
 
 
 def _means_and_reach(
@@ -103,7 +105,9 @@ def _means_and_reach(
     asked = relation.asked_on(grid.edges)
     known = np.all(np.isfinite(asked.middle), axis=(0, 2)) & np.all(np.isfinite(asked.centre), axis=1)
     if not np.any(known):
-        raise RelationRefused(f"agent `{agent.name}`: the exact relation found no cell in which its inputs can be solved for")
+        raise RelationRefused(
+            f"agent `{agent.name}`: the exact relation found no cell in which its inputs can be solved for"
+        )
     return asked.centre[known], relation.reach(grid.centres[known]).max(axis=0)
 
 

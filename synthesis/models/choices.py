@@ -113,7 +113,7 @@ class TargetWindows:
         return self.relation.means(self.grid.centres)
 
     def leaves(self, share: float) -> bool:
-        """Return whether every cell leaves this share of all inputs for the target; what neighbours do is not counted."""
+        """Return whether every cell leaves this share of all inputs for the target; neighbours are not counted."""
         if isinstance(self.relation, WrittenTargets):
             return self.relation.leaves(share, self.grid.edges)
         return bool(np.all(self._reserve >= share * self.relation.input_half_width))

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from ...envs.agents import Agent, AnyAgent, counted, neighbour
 from ...envs.expressions import (
@@ -30,14 +29,12 @@ from ...envs.expressions import (
     affine_form,
     computed,
     enclosed,
-    names_in,
     operations_in,
-    replaced,
     solved,
-    split_at,
     substituted,
 )
 from ..cells import FloatArray, RelationRefused, sharpness
+from .input_forms import Turn, held, independent_columns, turned_inputs
 from .rounding import DENSITY, missed_cells, reading_of
 
 ROUNDED = 8.0 * 2.0**-53
@@ -49,23 +46,7 @@ OUTWARD = 1e-12
 MOST_GROWTH = 1e3
 """Largest entry of `|B^-1| |B|`: where B is nearer to singular, a cell has no targets."""
 
-SMALLEST = 1e-9
-"""Share of the largest pivot of B, at the middle of the workspace, below which inputs count as dependent."""
-
 ZERO = Number(0.0)
-
-
-@dataclass(frozen=True)
-class Turn:
-    """Two inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone, the angle all the way round."""
-
-    size: int
-    angle: int
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """Names of the two components in trees; no input has a name with a blank."""
-        return f"east {self.size}", f"north {self.size}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +153,14 @@ class WrittenTargets:
         middle, rest, slope, B = np.split(found, np.cumsum([d, d, d * d]), axis=2)
         slope, B = (entries.reshape(2, -1, d, d) for entries in (slope, B))
         with np.errstate(invalid="ignore", over="ignore"):
-            inverse, B, rest = (np.abs(ends).max(axis=0) for ends in (slope, B, rest))
-            growth = np.einsum("njk,nkl->njl", inverse, B).sum(axis=2).max(axis=1)
-            # v is off by a share of the parts of the solution, B times that is the mean; cofactors cancel by the growth.
-            parts = 2.0 * rest + B @ self._largest
-            off = self.computed_off * growth[:, None] * np.einsum("nkj,njl,nl->nk", B, inverse, parts)
-            middle = np.where((growth <= MOST_GROWTH)[:, None], middle, np.nan)
-        return Asked(centre, middle, slope, np.where(np.isfinite(middle).all(axis=(0, 2))[:, None], off, 0.0))
+            inverse, moved, parts = (np.abs(ends).max(axis=0) for ends in (slope, B, rest))
+            growth = np.einsum("njk,nkl->njl", inverse, moved).sum(axis=2).max(axis=1)
+            # v is off by a share of the parts of the solution, as cofactors cancel by the growth; B moves the mean.
+            parts = 2.0 * parts + moved @ self._largest
+            off = self.computed_off * growth[:, None] * np.einsum("nkj,njl,nl->nk", moved, inverse, parts)
+        known = np.isfinite(middle).all(axis=(0, 2)) & (growth <= MOST_GROWTH)
+        middle[:, ~known], off[~known] = np.nan, 0.0
+        return Asked(centre, middle, slope, off)
 
     def asked_on(self, edges: Sequence[FloatArray], around: bool = True) -> Asked:
         """Return what targets ask in the cells of a grid, remembered."""
@@ -212,7 +194,7 @@ class WrittenTargets:
         return np.array([abs(self.held(name)) + self.half_width(name) for name in self.columns])
 
     def _means(self, points: FloatArray) -> FloatArray:
-        """Return the means (n, d) from points (n, d) under v in the middle, others in the middle of their workspaces."""
+        """Return the means (n, d) from points (n, d) under v in the middle, others in the middle of workspaces."""
         values = dict(zip(self.agent.states, np.ascontiguousarray(points.T), strict=True))
         values |= {name: np.full(1, 0.5 * a + 0.5 * b) for name, (a, b) in self.agent.unknowns.items()}
         values |= {name: np.full(1, self.held(name)) for name in self.columns}
@@ -226,7 +208,7 @@ class WrittenTargets:
 
     def held(self, name: str) -> float:
         """Return the middle of an input, or of a component of a turn."""
-        return _held(self.agent, name)
+        return held(self.agent, name)
 
     def reach(self, centres: FloatArray) -> FloatArray:
         """Return upper bounds (n, d) on how far targets of cells with ``centres`` (n, d) may be from ``Asked.centre``.
@@ -313,7 +295,9 @@ class WrittenTargets:
             if name in agent.inputs:
                 inputs[agent.inputs.index(name)] = found[name].reshape(shape)
         for turn in self.turns:
-            east, north = (np.ascontiguousarray(found.get(name, np.zeros(np.atleast_1d(states[0]).shape))) for name in turn.names)
+            east, north = (
+                np.ascontiguousarray(found.get(name, np.zeros(np.atleast_1d(states[0]).shape))) for name in turn.names
+            )
             inputs[turn.size] = np.hypot(east, north).reshape(shape)
             inputs[turn.angle] = self._angle(turn, np.arctan2(north, east)).reshape(shape)
         low, high = (side.reshape(-1, *[1] * len(shape)) for side in (agent.input_low, agent.input_high))
@@ -358,13 +342,6 @@ class WrittenTargets:
         return tuple(np.frombuffer(text, dtype=np.uint8) for text in self.agent.motion_key)
 
 
-def _held(agent: Agent, name: str) -> float:
-    if name not in agent.inputs:
-        return 0.0
-    j = agent.inputs.index(name)
-    return 0.5 * float(agent.input_low[j]) + 0.5 * float(agent.input_high[j])
-
-
 def written_targets(agent: Agent, coordinates: FloatArray) -> WrittenTargets:
     """Return the exact relation of an agent with expressions.
 
@@ -384,79 +361,21 @@ def written_targets(agent: Agent, coordinates: FloatArray) -> WrittenTargets:
         raise refused(f"cancels what it is told, and the states of {', '.join(sorted(told))} are not `communicated`")
     if not np.array_equal(coordinates, np.eye(agent.n_states)):
         raise refused("of expressions is for noise that is independent along the states")
-    trees, turns = _turned(agent)
+    trees, turns = turned_inputs(agent)
     taken = {agent.inputs[j] for turn in turns for j in (turn.size, turn.angle)}
     names = [*(name for name in agent.inputs if name not in taken), *(name for turn in turns for name in turn.names)]
     form = affine_form(trees, names)
     if form is None:
         raise refused("of expressions needs means `a(x) + B(x) u`, which these are not seen to be")
-    columns = _independent(agent, form, names)
+    columns = independent_columns(agent, form, names)
     if columns is None:
         raise refused("needs as many independent inputs as states")
     kept = tuple(names[j] for j in columns)
     # All other inputs rest in the middle of their interval.
-    held = {name: Number(_held(agent, name)) for name in names if name not in kept}
-    square = affine_form([substituted(tree, held) for tree in trees], kept)
+    resting = {name: Number(held(agent, name)) for name in names if name not in kept}
+    square = affine_form([substituted(tree, resting) for tree in trees], kept)
     assert square is not None  # it was affine with more names
     relation = WrittenTargets(agent, square, kept, turns)
     if solved(square, relation.targets) is None:
         raise refused("of expressions solves up to three means at once, and more of these are tied together")
     return relation
-
-
-def _turned(agent: Agent) -> tuple[tuple[Tree, ...], tuple[Turn, ...]]:
-    """Return the dynamics with components of turns put in where two inputs occur as such alone, and the turns."""
-    trees, turns = agent.trees, list[Turn]()
-    for angle, name in enumerate(agent.inputs):
-        east, north = f"cosine of {name}", f"sine of {name}"
-        parts: dict[Tree, Tree] = {
-            Operation("cos", (Name(name),)): Name(east),
-            Operation("sin", (Name(name),)): Name(north),
-        }
-        turned = [replaced(tree, parts) for tree in trees]
-        # All the way round: up to the rounding of pi.
-        whole = agent.input_high[angle] - agent.input_low[angle] >= 2.0 * np.pi * (1.0 - 1e-15)
-        if not whole or any(name in names_in(tree) for tree in turned):
-            continue
-        for size in range(agent.n_inputs):
-            turn = Turn(size, angle)
-            found = [_with_components(tree, (east, north), agent.inputs[size], turn.names) for tree in turned]
-            if size != angle and agent.input_high[size] > 0.0 and all(tree is not None for tree in found):
-                if any(names_in(tree) & {*turn.names} for tree in found if tree is not None):
-                    trees, turns = tuple(tree for tree in found if tree is not None), [*turns, turn]
-                    break
-    return tuple(trees), tuple(turns)
-
-
-def _with_components(tree: Tree, directions: tuple[str, str], size: str, names: tuple[str, str]) -> Tree | None:
-    """Return a tree in which `size` times cosine or sine is named; None if one of the three occurs in another way."""
-    for direction, name in zip(directions, names, strict=True):
-        split = split_at(tree, direction)
-        if split is None:
-            return None
-        tree, factor = split
-        along = split_at(factor, size)
-        if along is None or along[0] != ZERO or names_in(along[1]) & {size, *directions}:
-            return None
-        if along[1] != ZERO:
-            tree = Operation("+", (tree, Operation("*", (along[1], Name(name)))))
-    return None if names_in(tree) & {size, *directions} else tree
-
-
-def _independent(agent: Agent, form: AffineForm, names: Sequence[str]) -> list[int] | None:
-    """Return the numbers of as many independent columns of B as there are states, those that move means farthest.
-
-    They are judged at the middle of the workspace, states in shares of its width, inputs in shares of theirs.
-    """
-    middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}
-    middle |= {name: np.array([0.5 * low + 0.5 * high]) for name, (low, high) in agent.unknowns.items()}
-    d, m = agent.n_states, len(names)
-    B = np.array([float(x[0]) for x in computed([tree for row in form.factors for tree in row], middle)]).reshape(d, m)
-    spans = [float(agent.input_high[j] - agent.input_low[j]) for j in range(agent.n_inputs)]
-    sizes = [spans[agent.inputs.index(name)] if name in agent.inputs else 1.0 for name in names]
-    scaled = B * np.array(sizes) / (agent.state_high - agent.state_low)[:, None]
-    if m < d or not np.all(np.isfinite(scaled)):
-        return None
-    *_, triangle, order = qr(scaled, mode="economic", pivoting=True)
-    pivots = np.abs(np.diag(triangle))
-    return sorted(order[:d].tolist()) if pivots[d - 1] > SMALLEST * pivots[0] else None

@@ -256,7 +256,7 @@ class Stage:
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
 
     def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: dict[object, FloatArray]) -> FloatArray:
-        """Return the factors of an agent under a policy; equal agents with equal tables are read once if it takes long."""
+        """Return the factors of an agent under a policy; where reading takes long, equal agents are read once."""
         model = self.models[i]
         if not isinstance(model.choices, AffineChoices | BoxChoices) or len(self.models) == 1:
             return read(model.choices, table, policy, self.rough)

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from ..models import JointModel, StepPolicy
 from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses, to_host
 
-
-MANY_ALIKE = 32
-"""Agents with one model from which equal numbers are looked for: comparing takes less than pushing then."""
+MANY_ALIKE = 2
+"""Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
 
 
 def push(
