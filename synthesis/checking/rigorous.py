@@ -106,7 +106,10 @@ def _refuse_others(certificate: Certificate) -> None:
     """Refuse certificates that ball arithmetic does not reach."""
     kinds = {part.relation["kind"] for part in certificate.agents}
     wrong = None
-    if certificate.rounding is not None:
+    others = [agent.name for agent in certificate.problem.agents if not isinstance(agent, LinearAgent)]
+    if others:
+        wrong = f"linear agents, got `{others[0]}` with expressions, which have no balls"
+    elif certificate.rounding is not None:
         wrong = "a value tree, got tensor trains, whose rounding has no balls"
     elif not kinds <= {"exact", "tube"}:
         wrong = f"the relations `exact` and `tube`, got {', '.join(sorted(kinds))}"
