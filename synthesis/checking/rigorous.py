@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import LinearAgent
 from ...envs.suite import as_problem
 from ..cells import linear_agent
 from ..certificates import AgentPart, Certificate, ProductCertificate, as_certificate

@@ -22,9 +22,9 @@ from .networks import (
 from .rounding import mean_loss
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
+from .solved_means import WrittenTargets, written_targets
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 from .written_means import WrittenMeans
-from .written_targets import WrittenTargets, written_targets
 
 __all__ = [
     "ACTIVATIONS",

@@ -24,9 +24,9 @@ from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
 from .networks import check_network
 from .scalar import paper_relation
+from .solved_means import WrittenTargets, written_targets
 from .tube import tube_relation
 from .written_means import WrittenMeans
-from .written_targets import WrittenTargets, written_targets
 
 Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation | WrittenTargets
 """What ties one agent to its cells."""

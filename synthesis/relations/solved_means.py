@@ -1,4 +1,6 @@
-"""The exact relation of agents with expressions whose inputs reach every mean (docs/theory/relations.md, "Exact targets of expressions").
+"""The exact relation of agents with expressions whose inputs reach every mean.
+
+The proof is in docs/theory/relations.md, "Exact targets of expressions".
 
 The mean is `a(x) + B(x) v`. The v are inputs, or pairs `r*cos(angle)`, `r*sin(angle)` of two inputs, which fill a disk
 where the angle goes all the way round (a ring where r stays above 0). The controller solves `a(x) + B(x) v = m` at the
