@@ -20,7 +20,8 @@ TRUSTED = {
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products "
-        "envs.expressions.affine_inputs envs.expressions.linear_systems envs.expressions.evaluation envs.expressions.reading "
+        "envs.expressions.affine_inputs envs.expressions.linear_systems "
+        "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
         "envs.problem.record envs.problem.specification"
     ),
