@@ -47,7 +47,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
         for a, p in pairs
     ]
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
+    masks, is_robust = [masks_of(part, part.masks) for part in certificate.agents], certificate.bound == "robust tree"
     ones = [np.ones((1, places_of(part))) for part in certificate.agents]
     deltas = [controller.relation.delta for controller in certificate.controller.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
@@ -81,21 +81,28 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 elif tables_of_boxes is not None:
                     values = box_values(certificate.problem.agents[i], part, tables_of_boxes, distinct, t, q)
                 else:
-                    points = part.points(t, q)
                     # Agents with one kernel whose factors are equal are smoothed once.
                     alike = (id(kernels[i]), distinct.tobytes())
                     if alike not in smoothed:
                         smoothed[alike] = smooth(distinct, kernels[i])
-                    values = smoothed[alike][:, np.maximum(points, 0)]
-                    if certificate.bound == "robust tree":
-                        values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
-                    values = values * (points >= 0)
+                    values = _at_targets(part, smoothed[alike], distinct, deltas[i] if is_robust else None, (t, q))
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(values)
         factors, index = [np.concatenate(s) for s in stacks], rows
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def _at_targets(
+    part: AgentPart, smoothed: FloatArray, factors: FloatArray, lost: float | None, when: tuple[int, int]
+) -> FloatArray:
+    """Smoothed factors (n, Z) at the lattice points of a policy; less what lost relations take from ``factors``."""
+    points = part.points(*when)
+    values = smoothed[:, np.maximum(points, 0)]
+    if lost is not None:
+        values = np.maximum(0.0, values - lost * factors.max(axis=1, initial=0.0)[:, None])
+    return np.asarray(values * (points >= 0))
 
 
 def _linear_tables_once(certificate: Certificate) -> list[LinearTables | WrittenTables | None]:

@@ -158,17 +158,11 @@ def find_policies(
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
     given = dict(given or {})
+    early = _without_sweeps(joint, start, search, relaxations, most) if not given or lossy else None
+    if early is not None:
+        return early
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
-        if len(joint.models) == 1:
-            return _alone(joint, start, relaxations)
-        found = _followed(joint, start, relaxations, most) if int((~joint.absorbing).sum()) == 1 else None
-        if found is not None:
-            return found
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
-    if len(joint.models) >= LARGE_TEAM and not given and not lossy and search.value != "train" and search.max_sweeps:
-        found = _followed(joint, start, relaxations, most)
-        if found is not None:
-            return found
     # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case.
     spread = start if lossy else spread_start(problem, joint)
     trees = _TreeAscent(joint, start, spread, search, most)
@@ -213,17 +207,27 @@ def find_policies(
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
 
 
-def _followed(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...], most: float) -> Found | None:
-    """Return what each agent does if the team follows, if that leaves next to nothing to gain; else None.
+def _without_sweeps(
+    joint: JointModel, start: Occupancy, search: Search, relaxations: tuple[Relaxation, ...], most: float
+) -> Found | None:
+    """Return what each agent does if the team follows, where that leaves next to nothing to gain; else None.
 
-    Sweeps over linear cells, and over large teams, are long: then one is often enough.
+    Sweeps over linear cells of expressions, and over large teams, are long: evaluating these policies is often enough.
     """
-    exact = all(model.is_additive for model in joint.models)
-    limits, room = (FINAL, LARGE_ROOM) if exact else (LINEAR_FINAL, WRITTEN_ROOM)
+    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+        if len(joint.models) == 1:
+            return _alone(joint, start, relaxations)
+        pays, limits, room = int((~joint.absorbing).sum()) == 1, LINEAR_FINAL, WRITTEN_ROOM
+    else:
+        is_additive = all(model.is_additive for model in joint.models)
+        pays = is_additive and len(joint.models) >= LARGE_TEAM and search.value != "train" and search.max_sweeps > 0
+        limits, room = FINAL, LARGE_ROOM
+    if not pays:
+        return None
     followed = sweep(joint, relaxed_policies(relaxations), start, limits, improve=False)
     if followed.value < most * (1 - room):
         return None
-    gain = max(0.0, most - followed.value) if exact else None
+    gain = max(0.0, most - followed.value) if limits is FINAL else None
     return Found(followed, [followed.value], {"relaxed start": followed.value}, relaxations, gain)
 
 
