@@ -191,7 +191,7 @@ MUTANTS = [
             "vertex[a] = first + second",
         ),
         ("if len(np.unique(origin, axis=0)) != len(origin):", "if False:"),
-        ("values = values * (points >= 0)", "values = values * 1.0"),
+        ("return np.asarray(values * (points >= 0))", "return np.asarray(values * 1.0)"),
     ),
     *_in(
         "synthesis/checking/guard_check.py",

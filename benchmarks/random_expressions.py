@@ -23,6 +23,59 @@ def written_spec(seed: int) -> Spec:
     return spec
 
 
+def aimed_spec(seed: int) -> Spec:
+    """A random problem of agents with expressions whose inputs reach every mean, for the relation ``exact``."""
+    spec = random_spec(seed, "exact")
+    rng = np.random.default_rng([20261123, seed])
+    for agent in spec["agents"]:
+        agent.pop("output_matrix", None)
+        agent["noise_covariance"] = np.diag(np.diag(agent["noise_covariance"])).tolist()
+        _write_aimed(rng, agent)
+    sizes = {agent["name"]: len(agent["state_low"]) for agent in spec["agents"]}
+    if any(len(region["low"]) != sizes[region["agent"]] for region in spec["propositions"].values()):
+        return aimed_spec(seed + 1_000_003)
+    spec["options"] = {"cells": spec["options"]["cells"], "relation": "exact"}
+    return spec
+
+
+def _write_aimed(rng: np.random.Generator, agent: Spec) -> None:
+    """Means ``a(x) + B(x) v``: inputs v one by one or tied, in the plane sometimes as size and angle."""
+    d, m = len(agent["A"]), len(agent["B"][0])
+    low, high = np.array(agent["state_low"]), np.array(agent["state_high"])
+    half, centre = 0.5 * (high - low), 0.5 * (high + low)
+    states, inputs = [f"x{k}" for k in range(d)], [f"u{j}" for j in range(m)]
+    scaled: list[Expression] = [("/", ("-", x, float(c)), float(h)) for x, c, h in zip(states, centre, half)]
+    moved: list[Expression] = list(inputs)
+    if d == 2 and m == 2 and rng.random() < 0.4:
+        size = float(max(np.abs(agent["input_high"]).max(), np.abs(agent["input_low"]).max()))
+        agent["input_low"] = [float(rng.choice([0.0, 0.2])) * size, -3.2]
+        agent["input_high"] = [size, 3.2]
+        moved = [("*", "u0", ("cos", "u1")), ("*", "u0", ("sin", "u1"))]
+    dynamics: list[Expression] = []
+    for k in range(d):
+        total: Expression = float(agent["offset"][k])
+        for j, x in enumerate(states):
+            if agent["A"][k][j] != 0.0:
+                total = ("+", total, ("*", float(agent["A"][k][j]), x))
+        for j, v in enumerate(moved):
+            gain: Expression = float(agent["B"][k][j])
+            if gain != 0.0 and rng.random() < 0.5:  # inputs push harder in some places
+                gain = ("*", gain, ("+", 1.0, ("*", 0.3, ("cos", ("*", 2.0, scaled[int(rng.integers(d))])))))
+            total = total if gain == 0.0 else ("+", total, ("*", gain, v))
+        for _ in range(int(rng.integers(0, 3))):
+            total = ("+", total, ("*", float(half[k] * rng.uniform(-0.1, 0.1)), _term(rng, scaled)))
+        dynamics.append(total)
+    agent["tuples"], agent["winds"] = dynamics, {}
+    keys = ("name", "state_low", "state_high", "input_low", "input_high", "noise_covariance")
+    starts = [key for key in agent if key.startswith("initial_")]
+    texts = [text_of(expression) for expression in dynamics]
+    agent["written"] = {key: agent[key] for key in (*keys, *starts)} | {
+        "states": states,
+        "inputs": inputs,
+        "dynamics": texts,
+    }
+
+
 def _write(rng: np.random.Generator, agent: Spec) -> None:
     """Bend the linear dynamics of an agent: the same matrices, and terms of every kind."""
     d, m = len(agent["A"]), len(agent["B"][0])

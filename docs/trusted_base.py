@@ -20,7 +20,8 @@ TRUSTED = {
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products "
-        "envs.expressions.affine_inputs envs.expressions.evaluation envs.expressions.reading "
+        "envs.expressions.affine_inputs envs.expressions.linear_systems "
+        "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
         "envs.problem.record envs.problem.specification"
     ),
@@ -45,6 +46,7 @@ TRUSTED = {
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
+        "synthesis.relations.input_forms synthesis.relations.solved_means "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
     ),
@@ -53,7 +55,8 @@ TRUSTED = {
         "synthesis.checking.certificate_check "
         "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
-        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.network_spans "
+        "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
+        "synthesis.checking.network_spans "
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
         "synthesis.checking.train_check "

@@ -30,6 +30,7 @@ from .models import (
     Settings,
     abstraction_of,
     join,
+    reaches_every_mean,
 )
 from .on_cells import Plan, compared, plain, searched, with_record
 from .search import Limits
@@ -59,8 +60,18 @@ def may_be_linear(problem: Problem, kinds: Sequence[str], plan: Plan) -> bool:
     if not all(map(has_linear_cells, problem.agents)):
         return False
     scalar = all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
-    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar
+    few = problem.n_agents <= MOST_LINEAR_AGENTS or scalar or has_few_written_terms(problem)
     return {*kinds} == {"auto"} and few and replace(plan.settings, targets_per_cell=None) == Settings()
+
+
+def has_few_written_terms(problem: Problem) -> bool:
+    """Return whether agents by expressions that are alike, but for a few, have a task of one undecided state.
+
+    Trees of such tasks mostly have a single term, and what is read for one agent holds for all that are alike.
+    """
+    written = all(isinstance(agent, Agent) for agent in problem.agents)
+    kinds = {agent.model_key for agent in problem.agents}
+    return written and len(kinds) <= MOST_LINEAR_AGENTS and int((~problem.automaton.absorbing).sum()) == 1
 
 
 def has_usual_search(plan: Plan) -> bool:
@@ -73,7 +84,7 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the better of what linear cells, made finer level by level, and the other relations certify."""
     began = time.perf_counter()
     run = _run_of_levels(problem, plan)
-    if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS:
+    if "auto" in kinds and problem.n_agents > MOST_LINEAR_AGENTS and not has_few_written_terms(problem):
         # The other relations are quick for single states, and show whether the tree grows many terms.
         first = compared(problem, None, kinds, plan)
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
@@ -123,8 +134,8 @@ def on_given_cells(problem: Problem, cells: CellCounts, kinds: Sequence[str], pl
     undecided = int((~problem.automaton.absorbing).sum())
     seconds = seconds_of(abstraction, problem.horizon, undecided, 1 if problem.n_agents == 1 else GUESSED_RANK)
     if seconds > MOST_SECONDS_GIVEN and not every:
-        refusal = f"about {seconds:.0f} s, not computed: ask for it by `relation`"
-        return with_record(first, {"relations_tried": tried | {"linear": refusal}}, began)
+        too_long = f"about {seconds:.0f} s, not computed: ask for it by `relation`"
+        return with_record(first, {"relations_tried": tried | {"linear": too_long}}, began)
     joint = join(problem, abstraction, plan.search.device)
     linear = searched(problem, abstraction, joint, plan.search, {})
     tried["linear"] = float(linear.certificate.lower_bound)
@@ -136,7 +147,10 @@ def on_given_cells(problem: Problem, cells: CellCounts, kinds: Sequence[str], pl
 def _others(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
     """Return the best of other relations; boxes of expressions have coarse cells that show whether they come near."""
     written = [isinstance(agent, Agent) for agent in problem.agents]
-    others = ["boxes" if flag else kind for flag, kind in zip(written, kinds, strict=True)]
+    others = [
+        kind if not isinstance(agent, Agent) else "exact" if reaches_every_mean(agent) else "boxes"
+        for agent, kind in zip(problem.agents, kinds, strict=True)
+    ]
     return compared(problem, first_cells(problem) if any(written) else None, others, plan)
 
 

@@ -66,8 +66,8 @@ def synthesize(
         Cells per axis. More cells cost time and raise the bound. The default depends on the dimension (see
         ``abstract``); it is doubled where relations are compared and none applies.
     relation : str, or mapping from agent name to str
-        ``"exact"`` (B of full row rank), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the caller's
-        choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
+        ``"exact"`` (inputs reach every mean), ``"tube"`` (stabilisable), ``"ellipsoid"`` (``delta`` >= 0 is the
+        caller's choice), ``"paper"`` (scalar agents), ``"path"`` (Gaussian noise, no cells, any number of states),
         ``"linear"`` and ``"boxes"`` (any agent). ``"auto"``, which also holds for agents that a mapping leaves out,
         takes ``exact`` where it leaves most of the inputs to the policy; elsewhere it tries those of ``exact``,
         ``tube`` and ``ellipsoid`` that apply, and ``linear`` where these leave much open, and keeps the largest bound

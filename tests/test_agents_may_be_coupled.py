@@ -84,7 +84,7 @@ def test_files_and_pickles_keep_the_coupling() -> None:
 def test_certificates_are_checked_and_hold(told: bool) -> None:
     """10,000 rollouts do not refute the bound, nor does a neighbour that does what it likes."""
     problem = ring(3, told)
-    result = cg.synthesize(problem, cells=32)
+    result = cg.synthesize(problem, cells=32, relation="boxes")
     assert cg.check(result.certificate)
     assert len({id(part.grid) for part in result.certificate.agents}) == 1
     assert ("room_0 by room_2, room_1" in repr(result.certificate)) is told
@@ -141,9 +141,10 @@ def test_targets_need_what_is_told() -> None:
     """A certificate that cancels what nobody tells is refused."""
     told, untold = ring(3), ring(3, told=False)
     assert len(commands_of(told.agents[0])) == 1 and not commands_of(untold.agents[0])  # type: ignore[arg-type]
-    certificate = cg.synthesize(told, cells=32).certificate
-    report = cg.check(replace(certificate, problem=untold))
-    assert not report and "cannot steer" in str(report)
+    for relation, reason in {"boxes": "cannot steer", "exact": "not `communicated`"}.items():
+        certificate = cg.synthesize(told, cells=32, relation=relation).certificate
+        report = cg.check(replace(certificate, problem=untold))
+        assert not report and reason in str(report)
 
 
 def test_a_range_of_neighbours_that_is_too_small_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -260,8 +260,12 @@ def test_forged_relations_are_refused(tmp_path: Path) -> None:
 
 def test_what_is_for_linear_agents_is_refused_in_words() -> None:
     problem = oscillator_reach(3)
-    for relation in ("exact", "tube", "ellipsoid"):
-        with pytest.raises(ValueError, match="is for linear dynamics"):
+    for relation, reason in {
+        "exact": "as many independent inputs",
+        "tube": "linear dyn",
+        "ellipsoid": "linear",
+    }.items():
+        with pytest.raises(ValueError, match=reason):
             cg.synthesize(problem, 10, relation=relation)
     with pytest.raises(ValueError, match="relations `exact` and `tube`, got boxes"):
         cg.check_rigorous(of_oscillator())

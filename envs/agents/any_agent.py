@@ -80,6 +80,12 @@ class AnyAgent(ABC):
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
 
     @property
+    def model_key(self) -> tuple[bytes, ...]:
+        """What determines finite models of the agent apart from relation, cells and labels, as bytes."""
+        arrays = (self.state_low, self.state_high, self.input_low, self.input_high)
+        return (*self.motion_key, *self.noise_key, *(array.tobytes() for array in arrays))
+
+    @property
     @abstractmethod
     def output_key(self) -> tuple[bytes, ...]:
         """What determines its outputs."""

@@ -3,12 +3,14 @@
 from .affine_inputs import split_at, substituted
 from .enclosure import Affine, enclosed, gradients
 from .evaluation import computed
-from .expression_tree import Name, Number, Operation, Tree, names_in, whole_exponent
+from .expression_tree import Name, Number, Operation, Tree, names_in, operations_in, whole_exponent
 from .intervals import Interval
+from .linear_systems import AffineForm, affine_form, replaced, solved
 from .reading import RESERVED, ExpressionError, checked_variable, read_expression
 
 __all__ = [
     "Affine",
+    "AffineForm",
     "ExpressionError",
     "Interval",
     "Name",
@@ -16,12 +18,16 @@ __all__ = [
     "Operation",
     "RESERVED",
     "Tree",
+    "affine_form",
     "checked_variable",
     "computed",
     "enclosed",
     "gradients",
     "names_in",
+    "operations_in",
     "read_expression",
+    "replaced",
+    "solved",
     "split_at",
     "substituted",
     "whole_exponent",

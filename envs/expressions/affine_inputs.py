@@ -28,21 +28,21 @@ def split_at(tree: Tree, name: str) -> tuple[Tree, Tree] | None:
     assert isinstance(tree, Operation)
     if tree.name == "negative":
         inner = split_at(tree.arguments[0], name)
-        return None if inner is None else (_minus(ZERO, inner[0]), _minus(ZERO, inner[1]))
+        return None if inner is None else (minus(ZERO, inner[0]), minus(ZERO, inner[1]))
     if tree.name not in ("+", "-", "*", "/"):
         return None
     first, second = (split_at(argument, name) for argument in tree.arguments)
     if first is None or second is None:
         return None
     if tree.name in ("+", "-"):
-        joined = _plus if tree.name == "+" else _minus
+        joined = plus if tree.name == "+" else minus
         return joined(first[0], second[0]), joined(first[1], second[1])
     # In products and quotients only one side may hold the name, and no denominator.
     if second[1] == ZERO:
-        by = _times if tree.name == "*" else _over
+        by = times if tree.name == "*" else over
         return by(first[0], second[0]), by(first[1], second[0])
     if tree.name == "*" and first[1] == ZERO:
-        return _times(first[0], second[0]), _times(first[0], second[1])
+        return times(first[0], second[0]), times(first[0], second[1])
     return None
 
 
@@ -55,19 +55,23 @@ def substituted(tree: Tree, trees: Mapping[str, Tree]) -> Tree:
     return Operation(tree.name, tuple(substituted(argument, trees) for argument in tree.arguments))
 
 
-def _plus(a: Tree, b: Tree) -> Tree:
+def plus(a: Tree, b: Tree) -> Tree:
+    """Return a sum; 0 is left out."""
     return b if a == ZERO else a if b == ZERO else Operation("+", (a, b))
 
 
-def _minus(a: Tree, b: Tree) -> Tree:
+def minus(a: Tree, b: Tree) -> Tree:
+    """Return a difference; 0 is left out."""
     return a if b == ZERO else Operation("negative", (b,)) if a == ZERO else Operation("-", (a, b))
 
 
-def _times(a: Tree, b: Tree) -> Tree:
+def times(a: Tree, b: Tree) -> Tree:
+    """Return a product; 0 and 1 are left out."""
     if ZERO in (a, b):
         return ZERO
     return b if a == ONE else a if b == ONE else Operation("*", (a, b))
 
 
-def _over(a: Tree, b: Tree) -> Tree:
-    return ZERO if a == ZERO else Operation("/", (a, b))
+def over(a: Tree, b: Tree) -> Tree:
+    """Return a quotient; 0 and 1 are left out."""
+    return a if a == ZERO or b == ONE else Operation("/", (a, b))

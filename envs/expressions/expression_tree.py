@@ -74,6 +74,11 @@ def names_in(tree: Tree) -> frozenset[str]:
     return frozenset().union(*(names_in(argument) for argument in tree.arguments))
 
 
+def operations_in(tree: Tree) -> int:
+    """Return the number of operations in a tree, and one for its leaves."""
+    return 1 + sum(map(operations_in, tree.arguments)) if isinstance(tree, Operation) else 1
+
+
 def with_numbers(tree: Tree, numbers: Mapping[str, float]) -> Tree:
     """Return a tree with names replaced by numbers; sums and products of numbers become numbers (rounded once each).
 

@@ -214,9 +214,11 @@ class Certificate:
 
 def _controller(certificate: Certificate) -> Controller:
     """Return controllers that carry out the policies of a certificate, their relations computed anew."""
-    controllers = []
+    controllers, known = [], dict[object, Relation]()
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        relation = part.relation_of(agent)
+        # Agents with equal dynamics and cells share the relation of the first of them.
+        key = (agent.model_key, id(part.grid), part.coordinates.tobytes(), repr(part.relation))
+        relation = known[key] = known.get(key) or part.relation_of(agent)
         controllers.append(AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.menu))
     return Controller(certificate.problem, tuple(controllers))
 

@@ -25,7 +25,16 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart
 from ..controllers import AgentController
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation, commands_of
+from ..relations import (
+    BoxRelation,
+    CoupledRelation,
+    ExactRelation,
+    LinearRelation,
+    Relation,
+    WrittenTargets,
+    commands_of,
+)
+from .aim_spans import aim_losses
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
 from .network_spans import network_modes, network_spans
@@ -96,6 +105,8 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
         return _affine(setting, part, relation)
     if isinstance(relation, BoxRelation):
         return _boxed(setting, relation)
+    if isinstance(relation, WrittenTargets):
+        return _aimed(setting, part, relation)
     return _coupled(setting, part, relation)
 
 
@@ -156,6 +167,13 @@ def _exact(s: _Setting, part: AgentPart, relation: ExactRelation) -> Execution:
         loss = min(1.0, DENSITY * distance)
     inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
     return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
+
+
+def _aimed(s: _Setting, part: AgentPart, relation: WrittenTargets) -> Execution:
+    """Expressions are solved for the inputs, and what these are off by moves the mean."""
+    off = aim_losses(part, relation)
+    shift = min(1.0, DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2))))
+    return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
 
 
 def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution:
@@ -268,6 +286,13 @@ def _wrong_means(
     if execution.loss >= 1.0:
         return []
     choice = part.policy[t, q, cells]
+    if isinstance(controller.relation, WrittenTargets):
+        off = np.abs(
+            controller.relation.agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(choice, 0))
+        )
+        if np.any(~(off <= execution.mean[:, None]) & (choice >= 0)):
+            return ["its controller was seen to steer elsewhere than its policy says"]
+        return []
     if not isinstance(agent, LinearAgent):
         chosen = np.where(choice >= 0, cells, -1), np.maximum(choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)

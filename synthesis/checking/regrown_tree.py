@@ -42,14 +42,14 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
     pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
     kernels = [axis_tables(a, p, tables) if p.is_additive else [] for a, p in pairs]
-    linear = [_linear_tables(a, p) if p.is_linear else None for a, p in pairs]
+    linear = _linear_tables_once(certificate)
     boxes = [
         box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
         for a, p in pairs
     ]
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
+    masks, is_robust = [masks_of(part, part.masks) for part in certificate.agents], certificate.bound == "robust tree"
     ones = [np.ones((1, places_of(part))) for part in certificate.agents]
-    deltas = [part.relation_of(a).delta for a, part in zip(certificate.problem.agents, certificate.agents, strict=True)]
+    deltas = [controller.relation.delta for controller in certificate.controller.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
@@ -59,6 +59,7 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 continue
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
+            smoothed, of_linear = dict[object, FloatArray](), dict[object, tuple[FloatArray, NDArray[np.bool_]]]()
             for i, (part, vertex) in enumerate(zip(certificate.agents, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
                 tables_of_agent, tables_of_boxes = linear[i], boxes[i]
@@ -69,7 +70,10 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                         distinct, where = vertex[kept], np.arange(len(kept))
                         stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
                     agent = certificate.problem.agents[i]
-                    values, proved = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
+                    read = (id(tables_of_agent), distinct.tobytes(), None if stored is None else stored.tobytes())
+                    if read not in of_linear:
+                        of_linear[read] = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
+                    values, proved = of_linear[read]
                     if not np.all(proved):
                         raise BrokenTreeError(
                             f"a stored factor of agent `{agent.name}` is not proved to be a lower bound"
@@ -77,17 +81,40 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 elif tables_of_boxes is not None:
                     values = box_values(certificate.problem.agents[i], part, tables_of_boxes, distinct, t, q)
                 else:
-                    points = part.points(t, q)
-                    values = smooth(distinct, kernels[i])[:, np.maximum(points, 0)]
-                    if certificate.bound == "robust tree":
-                        values = np.maximum(0.0, values - deltas[i] * distinct.max(axis=1, initial=0.0)[:, None])
-                    values = values * (points >= 0)
+                    # Agents with one kernel whose factors are equal are smoothed once.
+                    alike = (id(kernels[i]), distinct.tobytes())
+                    if alike not in smoothed:
+                        smoothed[alike] = smooth(distinct, kernels[i])
+                    values = _at_targets(part, smoothed[alike], distinct, deltas[i] if is_robust else None, (t, q))
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
                 stacks[i].append(values)
         factors, index = [np.concatenate(s) for s in stacks], rows
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
+
+
+def _at_targets(
+    part: AgentPart, smoothed: FloatArray, factors: FloatArray, lost: float | None, when: tuple[int, int]
+) -> FloatArray:
+    """Smoothed factors (n, Z) at the lattice points of a policy; less what lost relations take from ``factors``."""
+    points = part.points(*when)
+    values = smoothed[:, np.maximum(points, 0)]
+    if lost is not None:
+        values = np.maximum(0.0, values - lost * factors.max(axis=1, initial=0.0)[:, None])
+    return np.asarray(values * (points >= 0))
+
+
+def _linear_tables_once(certificate: Certificate) -> list[LinearTables | WrittenTables | None]:
+    """Tables of all agents under the relation ``linear``; those that are equal, policies included, share them."""
+    found, known = list[LinearTables | WrittenTables | None](), dict[object, LinearTables | WrittenTables]()
+    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
+        arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
+        key = (agent.model_key, repr(part.relation), *((a.shape, a.tobytes()) for a in arrays))
+        if part.is_linear and key not in known:
+            known[key] = _linear_tables(agent, part)
+        found.append(known[key] if part.is_linear else None)
+    return found
 
 
 def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:

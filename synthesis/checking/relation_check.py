@@ -25,11 +25,13 @@ from ..relations import (
     LinearRelation,
     Relation,
     WrittenRelation,
+    WrittenTargets,
     ellipsoid_factor,
     ellipsoid_failure,
     ellipsoid_is_invariant,
     ellipsoid_support,
 )
+from .aim_spans import wrong_aims
 from .execution import Execution
 from .geometry import cell_boxes
 
@@ -63,6 +65,8 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     if isinstance(relation, WrittenRelation):
         outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
         return ["its menu holds inputs beyond its input box"] if np.any(outside) else []
+    if isinstance(relation, WrittenTargets):
+        return wrong_aims(relation.agent, part, relation)
     if not isinstance(agent, LinearAgent):
         return ["its relation is for linear dynamics, which it has not"]
     if isinstance(relation, ExactRelation):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import LinearAgent
 from ...envs.suite import as_problem
 from ..cells import linear_agent
 from ..certificates import AgentPart, Certificate, ProductCertificate, as_certificate
@@ -106,10 +107,13 @@ def _refuse_others(certificate: Certificate) -> None:
     """Refuse certificates that ball arithmetic does not reach."""
     kinds = {part.relation["kind"] for part in certificate.agents}
     wrong = None
+    others = [agent.name for agent in certificate.problem.agents if not isinstance(agent, LinearAgent)]
     if certificate.rounding is not None:
         wrong = "a value tree, got tensor trains, whose rounding has no balls"
     elif not kinds <= {"exact", "tube"}:
         wrong = f"the relations `exact` and `tube`, got {', '.join(sorted(kinds))}"
+    elif others:
+        wrong = f"linear agents, got `{others[0]}` with expressions, which have no balls"
     elif any(not np.array_equal(part.coordinates, np.eye(len(part.coordinates))) for part in certificate.agents):
         wrong = "cells that are boxes of states, got those of correlated noise"
     if wrong is not None:

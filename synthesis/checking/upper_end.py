@@ -66,7 +66,13 @@ def attained(certificate: Certificate) -> float | None:
         If it should have tensor trains, but has none that can be grown again.
     """
     problem, agents = certificate.problem, certificate.agents
-    lost = sum(lost_to_rounding(a, p) for a, p in zip(problem.agents, agents, strict=True))
+    lost, known = 0.0, dict[object, float]()
+    for agent, part in zip(problem.agents, agents, strict=True):
+        # Agents with equal noise, cells and means lose alike.
+        key = (*agent.noise_key, id(part.grid), *(axis.tobytes() for axis in part.lattice))
+        if key not in known:
+            known[key] = lost_to_rounding(agent, part)
+        lost += known[key]
     lost *= problem.horizon
     if certificate.rounding is not None:
         value = regrown_trains(certificate, upper=True)

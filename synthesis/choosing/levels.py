@@ -10,6 +10,7 @@ estimate is counted from sizes, not taken from a clock: the same problem gives t
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any
@@ -31,7 +32,7 @@ from ..models import (
     TargetWindows,
     WrittenChoices,
     abstraction_of,
-    has_full_rank,
+    reaches_every_mean,
 )
 from .carrying import carried_over
 from .cell_budget import axis_weights, cells_at
@@ -81,6 +82,9 @@ LATTICE_PER_SECOND = 1.3e7
 
 READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 """How often cells are read in a level, more often with a menu, and the terms that double the time of a reading."""
+
+PAIR = 2
+"""Agents that are alike for which reading is counted one by one: pairs may have to stay together, or apart."""
 
 SURELY = 0.7
 """Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
@@ -145,11 +149,17 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
     Means of linear agents with two states fall on few lattice points if cells fit together, which default cells do not
     care for. Those of agents with expressions have default cells on no axis that would suit all of them.
     """
+    reached: dict[object, bool] = {}
+    for agent in problem.agents:
+        if agent.model_key not in reached:
+            reached[agent.model_key] = reaches_every_mean(agent)
+    if all(reached.values()):
+        return None
     fitting = cells_at(problem, 1.0 / FIRST_TUBE_WIDTH, ["tube"] * problem.n_agents)
     cells = {
         agent.name: fitting[agent.name].shape
         for agent in problem.agents
-        if isinstance(agent, Agent) or (agent.n_states == 2 and not has_full_rank(agent))
+        if not reached[agent.model_key] and (isinstance(agent, Agent) or agent.n_states == 2)
     }
     return cells or None
 
@@ -322,7 +332,7 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
 
     It is counted from sizes alone, so that it is the same on every machine.
     """
-    total, seen = 0.0, set[int]()
+    total, seen = 0.0, Counter[int]()
     for model in abstraction.models:
         places, points = model.kernel.shape, model.kernel.lattice_shape
         # Smoothing: one axis after the other, each lattice point meeting the cells within reach of the noise.
@@ -334,9 +344,11 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
         if isinstance(model.choices, WrittenChoices):
             # Agents that are alike have equal factors as a rule, which are smoothed once.
-            lattice = 0.0 if id(model) in seen else math.prod(points) / DIFFERENCES_PER_SECOND
-            total += rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
-            seen.add(id(model))
+            lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
+            # In teams with one undecided state they are read once, too; that does not change what pairs get.
+            if n_states > 1 or seen[id(model)] < PAIR:
+                total += rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
+            seen[id(model)] += 1
             continue
         smoothing *= LINEAR_TABLES if isinstance(model.choices, AffineChoices) else 1
         if isinstance(model.choices, BoxChoices):

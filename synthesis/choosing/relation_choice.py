@@ -35,11 +35,11 @@ from ..models import (
     JointModel,
     Settings,
     TargetWindows,
-    alike_arrays,
     check_names,
     has_full_rank,
     join,
     models_of,
+    reaches_every_mean,
     start_of,
 )
 from ..search import MANY_TERMS, Limits, Relaxation, relax, relaxed_policies, sweep, upper_bound
@@ -103,7 +103,7 @@ def groups_of(problem: Problem, cells: CellCounts, asked: Sequence[str], setting
     # Equal arrays, cells and wishes make equal models: compare once for all members.
     alike: dict[object, list[int]] = {}
     for i, agent in enumerate(problem.agents):
-        key = (asked[i], cells_of_agent(agent, cells), *alike_arrays(agent))
+        key = (asked[i], cells_of_agent(agent, cells), *agent.model_key)
         alike.setdefault(key, []).append(i)
     return [_on_cells(problem, cells, asked[members[0]], tuple(members), settings) for members in alike.values()]
 
@@ -136,7 +136,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
         is_smooth = problem.n_agents <= MOST_LINEAR_AGENTS and has_linear_cells(first)
-        wanted = dict.fromkeys(wanted, ("linear", "boxes") if is_smooth else ("boxes",))
+        first_try = ("exact",) if reaches_every_mean(first) else ()
+        wanted = dict.fromkeys(wanted, (*first_try, *(("linear", "boxes") if is_smooth else ("boxes",))))
     elif first.laws is not None:
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
     for relation in wanted.get(asked, (asked,)):
@@ -175,7 +176,7 @@ def is_settled(model: AgentModel) -> bool:
     choices = model.choices
     if not isinstance(choices, TargetWindows) or np.any(choices.resting_choice < 0):
         return False
-    return bool(np.all(choices.reserve >= (1.0 - SETTLED) * choices.relation.input_half_width))
+    return choices.leaves(1.0 - SETTLED)
 
 
 @dataclass(eq=False)

@@ -110,7 +110,7 @@ class AgentController:
             return self._menu_steering.inputs(memory, points, q, time)
         points = self.project(states)
         steering, cells = self._target_steering, self._cell_of(points)
-        if isinstance(steering, BoxSteering):
+        if not isinstance(steering, AffineSteering):
             return steering.inputs(cells, points, q, time, beside), None
         return steering.inputs(cells, points, q, time), None
 

@@ -27,6 +27,7 @@ from ..relations import (
     NetworkMeans,
     Row,
     WrittenMeans,
+    WrittenTargets,
     product,
     rows_of,
 )
@@ -88,18 +89,26 @@ class TargetSteering:
     table : PolicyTable
     lattice : tuple of (Z_k,) arrays
         Means per axis, in grid coordinates.
-    relation : ExactRelation
+    relation : ExactRelation or WrittenTargets
     """
 
     table: PolicyTable
     lattice: tuple[FloatArray, ...]
-    relation: ExactRelation
+    relation: ExactRelation | WrittenTargets
 
-    def inputs(self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
-        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
+    def inputs(
+        self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None
+    ) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M).
+
+        ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
+        """
         places = self.table.places(cells, q, time)
         aims = [axis.take(places) for axis in self._aims] if self._aims else self._aims_of(self.table.choices(places))
-        inputs = self.relation.inputs(aims, points)
+        if isinstance(self.relation, WrittenTargets):
+            inputs = self.relation.inputs(aims, points, beside)
+        else:
+            inputs = self.relation.inputs(aims, points)
         # Cells without a choice get the central input.
         if self.table.has_idle_cells(time):
             inputs[:, np.isnan(aims[0])] = self.relation.input_centre[:, None]

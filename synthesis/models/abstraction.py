@@ -28,6 +28,7 @@ from ..cells import (
     CellLabels,
     FloatArray,
     Grid,
+    RelationRefused,
     agent_grid,
     alike_text,
     cell_labels,
@@ -41,10 +42,18 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CoupledRelation, ExactRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation, written_targets
 from ..values import Residents
 from .affine_choices import Choices
-from .agent_models import SharedModel, cheapest_model, ellipsoid_model, exact_model, paper_model, tube_model
+from .agent_models import (
+    STRANDED_CELLS,
+    SharedModel,
+    cheapest_model,
+    ellipsoid_model,
+    exact_model,
+    paper_model,
+    tube_model,
+)
 from .box_model import box_model
 from .kernel import Kernel
 from .linear_model import linear_model
@@ -148,7 +157,7 @@ class AgentModel:
     @property
     def is_exact(self) -> bool:
         """Whether nothing is lost: exact relation, and one certain class per cell."""
-        return isinstance(self.relation, ExactRelation) and self.labels.is_certain
+        return self.relation.kind == "exact" and self.labels.is_certain
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -249,12 +258,13 @@ def abstract(
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str, or mapping from agent name to str
-        ``"exact"``: B of full row rank, delta = 0. ``"tube"``: stabilisable agents, delta = 0. ``"ellipsoid"``: any
-        agent for which an ellipsoid is found, delta >= 0 (needs the extra ``lmi``). ``"paper"``: scalar agents, delta
-        >= 0 in closed form. ``"linear"``: any agent, delta = 0, losses of second order. ``"boxes"``: any agent, delta =
-        0, nothing but boxes around means is used. ``"quick"``: for each agent ``exact`` where it applies and the inputs
-        are strong enough for the cells, else ``tube``; agents that a mapping leaves out get this, too. ``"auto"`` is
-        the same here: only a synthesis can tell which relation certifies most (see ``synthesize``).
+        ``"exact"``: inputs reach every mean (B of full row rank, or expressions like it), delta = 0. ``"tube"``:
+        stabilisable agents, delta = 0. ``"ellipsoid"``: any agent for which an ellipsoid is found, delta >= 0 (needs
+        the extra ``lmi``). ``"paper"``: scalar agents, delta >= 0 in closed form. ``"linear"``: any agent, delta = 0,
+        losses of second order. ``"boxes"``: any agent, delta = 0, nothing but boxes around means is used. ``"quick"``:
+        for each agent ``exact`` where it applies and the inputs are strong enough for the cells, else ``tube``; agents
+        that a mapping leaves out get this, too. ``"auto"`` is the same here: only a synthesis can tell which relation
+        certifies most (see ``synthesize``).
     **settings
         Settings of the relations, see ``Settings``.
 
@@ -317,7 +327,7 @@ def models_of(
         room = label_room(problem, i)
         # Agents with equal dynamics, grids and wishes share a model. The room of their labels matters only where a
         # feedback is chosen by it.
-        alike = (kind, *alike_arrays(agent), *(e.tobytes() for e in grid.edges))
+        alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
         wish = (*alike, room.tobytes() if depends_on_room else b"")
         if wish not in by_wish:
@@ -343,8 +353,12 @@ def _shared_model(
 ) -> SharedModel:
     """Return relation, lattice, kernel and choices of one agent."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
-    # Agents whose dynamics are expressions are enclosed in boxes unless something else is asked for.
+    # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
+    if is_any and isinstance(agent, Agent) and reaches_every_mean(agent):
+        exact = exact_model(agent, grid, coordinates, per_cell)
+        if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
+            return exact
     if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
@@ -352,9 +366,9 @@ def _shared_model(
         return _shared_model(agent, kind, grid, coordinates, room, settings)
     if kind == "linear" and isinstance(agent, Agent):
         return written_model(agent, grid, coordinates, settings.targets_per_cell)
-    agent = linear_agent(agent, kind)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
+    agent = linear_agent(agent, kind)
     if kind == "linear":
         return linear_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
@@ -386,13 +400,17 @@ def check_settings(settings: Mapping[str, object]) -> None:
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
 
 
-def alike_arrays(agent: AnyAgent) -> tuple[bytes, ...]:
-    """Return what determines the model of an agent apart from its relation, grid and labels, as bytes."""
-    box, inputs = agent.workspace, agent.input_box
-    arrays = (box.low, box.high, inputs.low, inputs.high)
-    return (*agent.motion_key, *agent.noise_key, *(array.tobytes() for array in arrays))
-
-
 def has_full_rank(agent: AnyAgent) -> bool:
     """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
     return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
+
+
+def reaches_every_mean(agent: AnyAgent) -> bool:
+    """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
+    if isinstance(agent, LinearAgent):
+        return has_full_rank(agent)
+    assert isinstance(agent, Agent)
+    try:
+        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
+    except RelationRefused:
+        return False

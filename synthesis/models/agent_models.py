@@ -11,19 +11,21 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import (
     CoupledRelation,
+    ExactRelation,
     Relation,
+    WrittenTargets,
+    aimed_relation,
     best_feedback,
     ellipsoid_relation,
-    exact_relation,
     paper_relation,
     tube_relation,
 )
 from .affine_choices import Choices
-from .choices import InputMenu, target_windows
+from .choices import InputMenu, target_windows, written_windows
 from .ellipsoid_search import find_ellipsoid
 from .kernel import Kernel, gaussian_table, law_table
 
@@ -73,12 +75,11 @@ def cheapest_model(
         return exact
 
 
-def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> SharedModel:
+def exact_model(agent: AnyAgent, grid: Grid, coordinates: FloatArray, targets_per_cell: int) -> SharedModel:
     """Return relation, lattice, kernel and choices under the ``exact`` relation."""
-    relation = exact_relation(agent, coordinates)
-    reach = np.abs(relation.B) @ relation.input_half_width
+    relation = aimed_relation(agent, coordinates)
     _refuse_many(agent.name, "targets_per_cell", grid.n_cells * targets_per_cell ** len(grid.edges))
-    means = relation.means(grid.centres)
+    means, reach = _means_and_reach(agent, relation, grid)
     laws = grid_laws(agent, coordinates)
     lattice, tables, loss = [], [], 0.0
     for k, edges in enumerate(grid.edges):
@@ -89,7 +90,25 @@ def exact_model(agent: LinearAgent, grid: Grid, coordinates: FloatArray, targets
         tables.append(table)
         loss += missing
     points = tuple(lattice)
-    return relation, points, Kernel(tuple(tables), loss), target_windows(relation, grid, points)
+    kernel = Kernel(tuple(tables), loss)
+    if isinstance(relation, WrittenTargets):
+        return relation, points, kernel, written_windows(relation, grid, points)
+    return relation, points, kernel, target_windows(relation, grid, points)
+
+
+def _means_and_reach(
+    agent: AnyAgent, relation: ExactRelation | WrittenTargets, grid: Grid
+) -> tuple[FloatArray, FloatArray]:
+    """Return the means (S, d) from centres of cells under central inputs, and how far (d,) inputs move means."""
+    if isinstance(relation, ExactRelation):
+        return relation.means(grid.centres), np.abs(relation.B) @ relation.input_half_width
+    asked = relation.asked_on(grid.edges)
+    known = np.all(np.isfinite(asked.middle), axis=(0, 2)) & np.all(np.isfinite(asked.centre), axis=1)
+    if not np.any(known):
+        raise RelationRefused(
+            f"agent `{agent.name}`: the exact relation found no cell in which its inputs can be solved for"
+        )
+    return asked.centre[known], relation.reach(grid.centres[known]).max(axis=0)
 
 
 def paper_model(agent: LinearAgent, grid: Grid, settings: Mapping[str, object]) -> SharedModel:

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import counted
+from ...envs.expressions import Number
 from ..cells import FloatArray, Grid, shape_text
-from ..relations import ExactRelation
+from ..relations import ExactRelation, WrittenTargets
 from ..values import Array, Residents, beside
 
 StepPolicy = NDArray[np.int32]
@@ -32,6 +33,11 @@ Policies = tuple[NDArray[np.int32], ...]
 
 BAND_BYTES = 200_000_000
 """Memory for remembered bands of admissible targets, per agent model."""
+
+AT_ONCE = 2_000_000
+"""Most numbers of inputs that are compared at once."""
+
+ZERO = Number(0.0)
 
 Band = tuple[NDArray[np.int64], NDArray[np.bool_]]
 """Lattice points (N,) that some of a block of cells can choose, and which of them each cell can, (cells, N)."""
@@ -69,7 +75,7 @@ class TargetWindows:
     grid : Grid
     lattice : tuple of (Z_k,) arrays
         Lattice axes; a point is numbered in C order.
-    relation : ExactRelation
+    relation : ExactRelation or WrittenTargets
     low, high : (S, d) int32 arrays
         Bounding box ``low <= index < high`` of the admissible targets of each cell.
     memory : WindowMemory
@@ -78,7 +84,7 @@ class TargetWindows:
 
     grid: Grid
     lattice: tuple[FloatArray, ...]
-    relation: ExactRelation
+    relation: ExactRelation | WrittenTargets
     low: NDArray[np.int32]
     high: NDArray[np.int32]
     memory: WindowMemory = field(default_factory=WindowMemory, repr=False)
@@ -95,14 +101,22 @@ class TargetWindows:
         return tuple(len(axis) for axis in self.lattice)
 
     @cached_property
-    def reserve(self) -> FloatArray:
+    def _reserve(self) -> FloatArray:
         """(S, m) input half widths left for the target in each cell."""
+        assert isinstance(self.relation, ExactRelation)
         return self.relation.reserve(self.grid.half_widths)
 
     @cached_property
-    def central_means(self) -> FloatArray:
+    def _central_means(self) -> FloatArray:
         """(S, d) mean from the cell centre under the central input."""
+        assert isinstance(self.relation, ExactRelation)
         return self.relation.means(self.grid.centres)
+
+    def leaves(self, share: float) -> bool:
+        """Return whether every cell leaves this share of all inputs for the target; neighbours are not counted."""
+        if isinstance(self.relation, WrittenTargets):
+            return self.relation.leaves(share, self.grid.edges)
+        return bool(np.all(self._reserve >= share * self.relation.input_half_width))
 
     def points(self, policy: StepPolicy) -> NDArray[Any]:
         """Return the lattice points of a policy: the policy itself."""
@@ -112,8 +126,10 @@ class TargetWindows:
         """Return whether flat lattice points ``policy`` are admissible targets of ``cells``; the two broadcast."""
         indices = np.unravel_index(policy, self.shape)
         targets = np.stack([axis[index] for axis, index in zip(self.lattice, indices, strict=True)], axis=-1)
-        wanted = np.abs((targets - self.central_means[cells]) @ self.relation.right_inverse.T)
-        return np.all(wanted <= self.reserve[cells], axis=-1)
+        if isinstance(self.relation, WrittenTargets):
+            return self.relation.fits(self.relation.asked_on(self.grid.edges).of(cells, targets))
+        wanted = np.abs((targets - self._central_means[cells]) @ self.relation.right_inverse.T)
+        return np.all(wanted <= self._reserve[cells], axis=-1)
 
     def blocks(self, size: int) -> list[NDArray[np.int64]]:
         """Return all cells, in bricks of about ``size``: their windows have more in common than those of a line."""
@@ -245,3 +261,49 @@ def target_windows(relation: ExactRelation, grid: Grid, lattice: tuple[FloatArra
                 index[:, k] += step * (np.abs(axis[edge] - means[:, k]) * gain > reserve[:, j])
     high = np.where(np.any(reserve < 0, axis=1)[:, None], low, high)
     return TargetWindows(grid, lattice, relation, low, high)
+
+
+def written_windows(relation: WrittenTargets, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows:
+    """Return the admissible targets of agents with expressions: first a box around them, then what fits in it.
+
+    Where every axis has an input of its own the admissible targets are a box: its sides are found axis by axis.
+    """
+    asked = relation.asked_on(grid.edges)
+    reach = relation.reach(grid.centres)
+    low, high = np.empty(asked.centre.shape, dtype=np.int32), np.empty(asked.centre.shape, dtype=np.int32)
+    for k, axis in enumerate(lattice):
+        low[:, k] = np.searchsorted(axis, asked.centre[:, k] - reach[:, k], side="left")
+        high[:, k] = np.searchsorted(axis, asked.centre[:, k] + reach[:, k], side="right")
+        if relation.is_box:
+            low[:, k], high[:, k] = _fitting(relation, grid, k, axis, low[:, k], high[:, k])
+    known = np.all(np.isfinite(asked.middle), axis=(0, 2))
+    high = np.where(known[:, None], high, low)
+    return TargetWindows(grid, lattice, relation, low, high)
+
+
+def _fitting(
+    relation: WrittenTargets,
+    grid: Grid,
+    k: int,
+    axis: FloatArray,
+    low: NDArray[np.int32],
+    high: NDArray[np.int32],
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the window (S,), (S,) of lattice points of one axis, between given ones, that the input of this axis fits.
+
+    Nothing is left of a window with a gap: enclosures of one input are affine on either side of the middle, so only
+    rounding can make one.
+    """
+    asked, width = relation.asked_on(grid.edges), int(np.max(high - low, initial=0))
+    j = int(np.flatnonzero([row[k] != ZERO for row in relation.inverse])[0])
+    first, last = low.copy(), low.copy()
+    for cells in np.array_split(np.arange(len(low)), 1 + len(low) * width * len(relation.inverse) ** 2 // AT_ONCE):
+        index = low[cells, None] + np.arange(width)
+        targets = np.repeat(asked.centre[cells, None], width, axis=1)
+        targets[..., k] = axis[np.minimum(index, len(axis) - 1)]
+        fits = (index < high[cells, None]) & relation.fits(asked.of(cells[:, None], targets), (j,))
+        if width:
+            begin, end = fits.argmax(axis=1), width - fits[:, ::-1].argmax(axis=1)
+            whole = fits.any(axis=1) & (fits.sum(axis=1) == end - begin)
+            first[cells], last[cells] = low[cells] + begin, np.where(whole, low[cells] + end, low[cells] + begin)
+    return first, last

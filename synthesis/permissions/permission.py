@@ -20,7 +20,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import Certificate, rounded_down
 from ..controllers import AgentController
-from ..relations import ExactRelation
+from ..relations import ExactRelation, WrittenTargets
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,15 +107,21 @@ class Permission:
             allowed[m, menus.choices[end - int(menus.counts[time, state, cell]) : end]] = True
         return allowed
 
-    def inputs(self, agent: str, states: Any, choices: Any) -> FloatArray:
-        """Return the inputs (M, m) that put the mean of the next state of an agent on lattice points (M,)."""
+    def inputs(self, agent: str, states: Any, choices: Any, beside: Any = None) -> FloatArray:
+        """Return the inputs (M, m) that put the mean of the next state of an agent on lattice points (M,).
+
+        ``beside`` (M, l) are the states of others that the dynamics of an agent with expressions name.
+        """
         i, controller = self._agent(agent)
         relation, lattice = controller.relation, self.certificate.agents[i].lattice
-        assert isinstance(relation, ExactRelation)
+        assert isinstance(relation, ExactRelation | WrittenTargets)
         index = np.unravel_index(np.asarray(choices, dtype=np.int64), tuple(len(axis) for axis in lattice))
         targets = np.stack([axis[k] for axis, k in zip(lattice, index, strict=True)])
         points = controller.project(np.atleast_2d(np.asarray(states, dtype=float)).T)
-        return relation.inputs(relation.aims(targets), points).T
+        if isinstance(relation, ExactRelation):
+            return relation.inputs(relation.aims(targets), points).T
+        others = None if beside is None else np.atleast_2d(np.asarray(beside, dtype=float)).T
+        return relation.inputs(relation.aims(targets), points, others).T
 
     def _agent(self, name: str) -> tuple[int, AgentController]:
         """Return number and controller of an agent; raise ValueError if there is none of this name."""

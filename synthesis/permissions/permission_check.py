@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
-from ..cells import FloatArray, linear_agent
+from ...envs.agents import AnyAgent
+from ..cells import FloatArray
 from ..certificates import AgentPart, axis_tables, smooth
 from ..checking import (
     BrokenTreeError,
@@ -43,7 +43,7 @@ def check_permission(permission: Permission) -> CheckReport:
     loss = 0.0
     if not failures:
         for agent, part, menus in zip(certificate.problem.agents, certificate.agents, permission.menus, strict=True):
-            wrong, lost = _wrong_menus(linear_agent(agent, "exact"), part, menus)
+            wrong, lost = _wrong_menus(agent, part, menus)
             failures += wrong
             loss += lost
     recomputed = float("nan")
@@ -76,7 +76,7 @@ def _wrong_form(permission: Permission) -> list[str]:
     return []
 
 
-def _wrong_menus(agent: LinearAgent, part: AgentPart, menus: Menus) -> tuple[list[str], float]:
+def _wrong_menus(agent: AnyAgent, part: AgentPart, menus: Menus) -> tuple[list[str], float]:
     """Choices that are not admissible on their whole cell, and what carrying them out costs per step."""
     places, n_points = np.arange(menus.counts.size) % part.grid.n_cells, int(np.prod(part.lattice_shape))
     pairs = np.unique(np.repeat(places, menus.counts.reshape(-1)) * n_points + menus.choices)

@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, as_certificate, axis_tables, rounded_down, smooth
 from ..checking import execution_of, masks_of, tree_start_value, vertices_of
-from ..relations import ExactRelation
+from ..relations import ExactRelation, WrittenTargets
 from ..values import Terms
 from .permission import Menus, Permission
+
+Aimed = ExactRelation | WrittenTargets
+"""Relations of exact targets."""
 
 HALVINGS = 14
 """Halvings of the tolerance: it is found to 1e-4."""
@@ -91,22 +94,29 @@ def _checked(certificate: Any) -> Certificate:
     return certificate
 
 
-def _pairs(certificate: Certificate) -> list[tuple[AgentPart, ExactRelation]]:
+def _pairs(certificate: Certificate) -> list[tuple[AgentPart, Aimed]]:
     """Return every agent's part and relation."""
     found = []
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         relation = part.relation_of(agent)
-        assert isinstance(relation, ExactRelation)
+        assert isinstance(relation, Aimed)
         found.append((part, relation))
     return found
 
 
-def _admissible(part: AgentPart, relation: ExactRelation) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _admissible(part: AgentPart, relation: Aimed) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return all pairs of cells (N,) and lattice points (N,) that inputs reach from the whole cell, cell by cell."""
-    means, reserve = relation.means(part.grid.centres), relation.reserve(part.grid.half_widths)
-    reach = np.maximum(reserve, 0.0) @ np.abs(relation.B).T
+    centres = part.grid.centres
+    if isinstance(relation, WrittenTargets):
+        asked = relation.asked_on(part.grid.edges)
+        means, reach = asked.centre, relation.reach(centres)
+        some = np.all(np.isfinite(asked.middle), axis=(0, 2))
+    else:
+        reserve = relation.reserve(part.grid.half_widths)
+        means, reach = relation.means(centres), np.maximum(reserve, 0.0) @ np.abs(relation.B).T
+        some = np.all(reserve > 0.0, axis=1)
     cells, points = [], []
-    for cell in np.flatnonzero(np.all(reserve > 0.0, axis=1)):
+    for cell in np.flatnonzero(some):
         # Lattice points in the box around all reachable means; then those that are reachable themselves.
         ranges = [
             np.arange(*np.searchsorted(axis, (m - r, m + r + 1e-300)))
@@ -114,8 +124,10 @@ def _admissible(part: AgentPart, relation: ExactRelation) -> tuple[NDArray[np.in
         ]
         index = [grid.ravel() for grid in np.meshgrid(*ranges, indexing="ij")]
         targets = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
-        asked = np.abs((targets - means[cell]) @ relation.right_inverse.T)
-        inside = np.all(asked <= reserve[cell], axis=1)
+        if isinstance(relation, WrittenTargets):
+            inside = relation.fits(asked.of(np.full(len(targets), cell), targets))
+        else:
+            inside = np.all(np.abs((targets - means[cell]) @ relation.right_inverse.T) <= reserve[cell], axis=1)
         flat = np.ravel_multi_index(tuple(index), part.lattice_shape)[inside]
         cells.append(np.full(len(flat), cell))
         points.append(flat)

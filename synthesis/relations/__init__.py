@@ -4,7 +4,7 @@ from .affine_means import AffineBoxes, AffineMeans, WrittenRelation, written_rel
 from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
-from .description import Relation, check_description, describe_relation, relation_from
+from .description import Relation, aimed_relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
@@ -22,6 +22,7 @@ from .networks import (
 from .rounding import mean_loss
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
+from .solved_means import WrittenTargets, written_targets
 from .tube import best_feedback, disturbance_of, tube_generators, tube_relation
 from .written_means import WrittenMeans
 
@@ -46,6 +47,8 @@ __all__ = [
     "Row",
     "WrittenMeans",
     "WrittenRelation",
+    "WrittenTargets",
+    "aimed_relation",
     "best_feedback",
     "commands_of",
     "box_relation",
@@ -75,4 +78,5 @@ __all__ = [
     "tube_relation",
     "write_task",
     "written_relation",
+    "written_targets",
 ]

@@ -24,10 +24,11 @@ from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
 from .networks import check_network
 from .scalar import paper_relation
+from .solved_means import WrittenTargets, written_targets
 from .tube import tube_relation
 from .written_means import WrittenMeans
 
-Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation
+Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation | WrittenTargets
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {
@@ -66,7 +67,7 @@ MOST_PARTS = 16
 
 def describe_relation(relation: Relation) -> dict[str, Any]:
     """Return the description of a relation; ``relation_from`` makes the same relation from it (exact)."""
-    if isinstance(relation, ExactRelation):
+    if isinstance(relation, ExactRelation | WrittenTargets):
         return {"kind": "exact"}
     if isinstance(relation, BoxRelation):
         written: dict[str, Any] = {}
@@ -114,9 +115,9 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
         menu = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
         return written_relation(agent, coordinates, menu, *numbers)
-    agent = linear_agent(agent, kind)
     if kind == "exact":
-        return exact_relation(agent, coordinates)
+        return aimed_relation(agent, coordinates)
+    agent = linear_agent(agent, kind)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
         return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
@@ -133,6 +134,13 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     )
 
 
+def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | WrittenTargets:
+    """Return the exact relation of an agent, or refuse it in words."""
+    if isinstance(agent, Agent):
+        return written_targets(agent, coordinates)
+    return exact_relation(linear_agent(agent, "exact"), coordinates)
+
+
 def check_description(description: Any, agent: AnyAgent) -> None:
     """Raise ValueError unless a value describes a relation of ``agent``.
 
@@ -147,11 +155,14 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     is_written = isinstance(agent, Agent)
-    named = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach")}.get(description["kind"])
+    known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
+    named = known.get(description["kind"])
     if is_written != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
+    if is_written and description["kind"] == "exact" and len(description) > 1:
+        raise ValueError("it has settings for a relation of exact targets, which has none")
     has_network = description["kind"] == "boxes" and "network" in description
-    in_parts = description["kind"] == "linear" or is_written or has_network
+    in_parts = description["kind"] == "linear" or (is_written and description["kind"] == "boxes") or has_network
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
     if has_network:
@@ -166,7 +177,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if is_written and description["kind"] == "linear":
         _check_maps(description, agent)
-    elif is_written:
+    elif is_written and description["kind"] == "boxes":
         steer = description["steer"]
         if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, alike_text
-from ..models import JointModel, Policies, StepPolicy
+from ..models import AffineChoices, BoxChoices, JointModel, Policies, StepPolicy
 from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
 from .best_response import best_choices
 from .ladder import Arrivals
@@ -154,7 +154,7 @@ def sweep(
         Whether terms of linear agents are united from below (``ladders``).
     """
     occupancies = [_nowhere(joint)] * joint.horizon if start is None else _forward(joint, policies, start, limits)
-    policies = tuple(policy.copy() for policy in policies)
+    policies = tuple(policy.copy() for policy in policies) if improve else policies
     terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
@@ -236,11 +236,11 @@ class Stage:
         self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
-        self.smoothed, self.values = [], []
+        self.smoothed, self.values, known = [], [], dict[object, FloatArray]()
         for i, policy in enumerate(self.policies):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
-            self.values.append(read(self.models[i].choices, table, policy, rough))
+            self.values.append(self._read_once(i, table, policy, known))
         self.mass_rows = occupancy.terms.index[q]
         self.is_met = len(self.mass_rows) > 0
         if self.is_met:
@@ -254,6 +254,16 @@ class Stage:
             pairs = zip(self.models, self.values, strict=True)
             self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), values) for m, values in pairs]
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
+
+    def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: dict[object, FloatArray]) -> FloatArray:
+        """Return the factors of an agent under a policy; where reading takes long, equal agents are read once."""
+        model = self.models[i]
+        if not isinstance(model.choices, AffineChoices | BoxChoices) or len(self.models) == 1:
+            return read(model.choices, table, policy, self.rough)
+        key = (id(model), to_host(table).tobytes(), policy.tobytes())
+        if key not in known:
+            known[key] = read(model.choices, table, policy, self.rough)
+        return known[key]
 
     def improve(self) -> None:
         """Let every agent answer once, in order.

@@ -10,13 +10,17 @@ Terms may be dropped; ``leftover`` then bounds the dropped mass from above, so t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models import JointModel, StepPolicy
-from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses
+from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses, to_host
+
+MANY_ALIKE = 2
+"""Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
 
 
 def push(
@@ -44,9 +48,18 @@ def push(
     # Pair every guard with every term of its source, push and mask the factors, and unite what is equal.
     rows = _pair(guards, terms)
     factors: list[NDArray] = []
-    for i in range(n_agents):
-        factors.append(_step(joint, i, policies[i], terms.factors[i], rows))
-        _, rows[:, 2 + i] = distinct(rows[:, 2 + i])
+    # Agents with one model whose numbers are the same, too, are pushed once.
+    users, known = Counter(id(model) for model in joint.models), dict[object, tuple[NDArray, NDArray[np.int64]]]()
+    for i, model in enumerate(joint.models):
+        key: object = i
+        if users[id(model)] >= MANY_ALIKE:
+            shared = (joint.masks[i], *policies[i], to_host(terms.factors[i]), rows[:, 2 + i])
+            key = id(model), *(array.tobytes() for array in shared), guards.mask[:, i].tobytes()
+        if key not in known:
+            pushed = _step(joint, i, policies[i], terms.factors[i], rows)
+            known[key] = pushed, distinct(rows[:, 2 + i])[1]
+        pushed, rows[:, 2 + i] = known[key]
+        factors.append(pushed)
     guard, index = rows[:, 0], rows[:, 2:].copy()
     target = guards.target[guard].astype(np.int64)
     remaining, index, _ = merge_rows(factors, index, target)

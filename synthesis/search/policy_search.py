@@ -158,9 +158,10 @@ def find_policies(
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
     given = dict(given or {})
+    early = _without_sweeps(joint, start, search, relaxations, most) if not given or lossy else None
+    if early is not None:
+        return early
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
-        if len(joint.models) == 1:
-            return _alone(joint, start, relaxations)
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
     # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case.
     spread = start if lossy else spread_start(problem, joint)
@@ -206,6 +207,30 @@ def find_policies(
     return Found(frozen, trees.values, trees.starts, relaxations, gain)
 
 
+def _without_sweeps(
+    joint: JointModel, start: Occupancy, search: Search, relaxations: tuple[Relaxation, ...], most: float
+) -> Found | None:
+    """Return what each agent does if the team follows, where that leaves next to nothing to gain; else None.
+
+    Sweeps over linear cells of expressions, and over large teams, are long: evaluating these policies is often enough.
+    """
+    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+        if len(joint.models) == 1:
+            return _alone(joint, start, relaxations)
+        pays, limits, room = int((~joint.absorbing).sum()) == 1, LINEAR_FINAL, WRITTEN_ROOM
+    else:
+        is_additive = all(model.is_additive for model in joint.models)
+        pays = is_additive and len(joint.models) >= LARGE_TEAM and search.value != "train" and search.max_sweeps > 0
+        limits, room = FINAL, LARGE_ROOM
+    if not pays:
+        return None
+    followed = sweep(joint, relaxed_policies(relaxations), start, limits, improve=False)
+    if followed.value < most * (1 - room):
+        return None
+    gain = max(0.0, most - followed.value) if limits is FINAL else None
+    return Found(followed, [followed.value], {"relaxed start": followed.value}, relaxations, gain)
+
+
 def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> Found:
     """Return the policies of a single agent: its relaxation is dynamic programming, losses counted."""
     best = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
@@ -238,6 +263,13 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
     gains = [0.0]
     outcome = sweep(joint, policies, start, FINAL, improve=False, watch=lambda stage: gains.append(stage.gain()))
     return outcome, max(gains)
+
+
+WRITTEN_ROOM = 1e-4
+"""Relative distance from the product of the relaxations, which is no bound under linear cells, that ends the search."""
+
+LARGE_TEAM, LARGE_ROOM = 200, 1e-6
+"""Agents from which the policies of the relaxations are tried before all others, and what may be left to gain then."""
 
 
 class _TreeAscent:

@@ -1,0 +1,141 @@
+"""Exact targets of agents with expressions, verified: inputs put the mean there from the whole cell.
+
+For every cell and every target that some policy chooses in it, the solution of ``mean = target`` is read on the closed
+cell with the spans of ``own_intervals``. The ranges that the search put together from a middle target and slopes are
+not used. That solutions solve is tested where the controller acts (``execution``).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import Agent
+from ...envs.expressions import Tree, operations_in
+from ..cells import FloatArray
+from ..certificates import AgentPart
+from ..relations import WrittenTargets
+from .geometry import cell_boxes
+from .mean_spans import leaves_of
+from .own_intervals import Span, bounds, span
+
+AT_ONCE = 100_000
+"""Pairs of cells and targets that are verified at once."""
+
+ROUNDED = 4.0 * 2.0**-53
+"""Share of their size by which each operation of an expression may put inputs off."""
+
+PARTS = 4
+"""Parts into which cells are cut along each axis at most: the sums of the search are sometimes tighter."""
+
+
+def wrong_aims(agent: Agent, part: AgentPart, relation: WrittenTargets) -> list[str]:
+    """Targets of the policies that some state of their cell does not reach with inputs of the box."""
+    low, high = cell_boxes(part)
+    n_points = int(np.prod([len(axis) for axis in part.lattice]))
+    rows = part.policy.reshape(-1, part.policy.shape[-1])
+    chosen = np.where(rows >= 0, rows.astype(np.int64) + np.arange(rows.shape[1]) * n_points, -1)
+    pairs = np.unique(chosen)
+    pairs = pairs[pairs >= 0]
+    for some in np.array_split(pairs, len(pairs) // AT_ONCE + 1):
+        cells, points = np.divmod(some, n_points)
+        index = np.unravel_index(points, tuple(len(axis) for axis in part.lattice))
+        targets = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=1)
+        left = np.arange(len(some))
+        parts = 1
+        while len(left) and parts <= PARTS:
+            inside = _inside(relation, low[cells[left]], high[cells[left]], targets[left], parts)
+            left, parts = left[~inside], 2 * parts
+        if len(left):
+            return ["it is asked for inputs beyond its input box"]
+    return []
+
+
+def aim_losses(part: AgentPart, relation: WrittenTargets) -> FloatArray:
+    """Upper bounds (d,) on how far means are off their targets, as inputs are rounded, in cells with a choice.
+
+    A share of the parts of the solution, as often as its operations cancel, times the factors of the inputs.
+    """
+    agent, d = relation.agent, relation.agent.n_states
+    low, high = cell_boxes(part)
+    used = np.any(part.policy.reshape(-1, part.policy.shape[-1]) >= 0, axis=0)
+    low, high = low[used], high[used]
+    trees = [
+        *relation.form.rests,
+        *(tree for rows in (relation.inverse, relation.form.factors) for row in rows for tree in row),
+    ]
+    with np.errstate(all="ignore"):
+        ends = bounds(partial(_spans, relation, trees, np.zeros((len(low), d))), _variables(agent, low, high))
+    sizes = np.abs(np.stack(ends, axis=-1)).max(axis=0)
+    rest, inverse, factors = np.split(sizes, [d, d + d * d], axis=1)
+    inverse, factors = inverse.reshape(-1, d, d), factors.reshape(-1, d, d)
+    largest = np.array([_largest(relation, name) for name in relation.columns])
+    parts = 2.0 * rest + factors @ largest
+    growth = np.einsum("njk,nkl->njl", inverse, factors).sum(axis=2).max(axis=1)
+    off = _computed_off(relation) * growth[:, None] * np.einsum("nkj,njl,nl->nk", factors, inverse, parts)
+    return np.asarray(np.where(np.isfinite(off), off, np.inf).max(axis=0, initial=0.0))
+
+
+def _computed_off(relation: WrittenTargets) -> float:
+    return ROUNDED * sum(map(operations_in, (*relation.agent.trees, *relation.trees)))
+
+
+def _largest(relation: WrittenTargets, name: str) -> float:
+    """Largest size of an input, or of a component of a turn."""
+    agent = relation.agent
+    turned = [turn.size for turn in relation.turns if name in turn.names]
+    j = turned[0] if turned else agent.inputs.index(name)
+    return max(abs(float(agent.input_low[j])), abs(float(agent.input_high[j])))
+
+
+def _variables(agent: Agent, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Boxes (v, 2, n): the axes of cells, and the neighbours that are communicated, anywhere in their workspaces."""
+    around = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
+    return np.array([*zip(low.T, high.T, strict=True), *around])
+
+
+def _spans(
+    relation: WrittenTargets, trees: Sequence[Tree], targets: FloatArray, on: FloatArray, with_slopes: bool = False
+) -> list[Span]:
+    agent = relation.agent
+    leaves = leaves_of(agent, on, np.zeros((on.shape[2], 0)), np.eye(agent.n_states), with_slopes)
+    some = next(iter(leaves.values()))
+    leaves |= {name: Span.of(row, row, some) for name, row in zip(relation.targets, targets.T, strict=True)}
+    return [span(tree, leaves) for tree in trees]
+
+
+def _inside(
+    relation: WrittenTargets, low: FloatArray, high: FloatArray, targets: FloatArray, parts: int
+) -> NDArray[np.bool_]:
+    """Whether the solutions for targets (n, d) are inputs of the box on all of the closed cells (n, d)."""
+    inside, cuts = np.ones(len(low), dtype=bool), [low + (high - low) * (k / parts) for k in range(parts)] + [high]
+    for part in itertools.product(range(parts), repeat=low.shape[1]):
+        first, last = (np.stack([cuts[k + side][:, axis] for axis, k in enumerate(part)], axis=1) for side in (0, 1))
+        with np.errstate(all="ignore"):
+            ends = bounds(partial(_spans, relation, relation.trees, targets), _variables(relation.agent, first, last))
+            inside &= _admissible(relation, dict(zip(relation.columns, ends, strict=True)))
+    return inside
+
+
+def _admissible(relation: WrittenTargets, ends: dict[str, FloatArray]) -> NDArray[np.bool_]:
+    """Whether inputs lie in their intervals, and turns between their smallest and largest size; ends are (2, n)."""
+    agent, inside = relation.agent, np.ones(next(iter(ends.values())).shape[1], dtype=bool)
+    for name in agent.inputs:
+        if name in ends:
+            j = agent.inputs.index(name)
+            spare = _computed_off(relation) * (abs(agent.input_low[j]) + abs(agent.input_high[j]))
+            inside &= (ends[name][0] - spare >= agent.input_low[j]) & (ends[name][1] + spare <= agent.input_high[j])
+    for turn in relation.turns:
+        least, most = agent.input_low[turn.size], agent.input_high[turn.size]
+        spare = _computed_off(relation) * (abs(least) + abs(most))
+        sides = [ends[name] for name in turn.names if name in ends]
+        farthest = np.sqrt(sum(np.abs(side).max(axis=0) ** 2 for side in sides))
+        inside &= farthest + spare <= most
+        if least > 0.0:
+            apart = (np.where(side[0] * side[1] <= 0.0, 0.0, np.abs(side).min(axis=0)) for side in sides)
+            inside &= np.sqrt(sum(distance**2 for distance in apart)) - spare >= least
+    return inside
