@@ -92,8 +92,8 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
 
 def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:
     """Tables of an agent under the relation ``linear``."""
-    if isinstance(agent, Agent):
-        return written_tables(agent, part)
+    if isinstance(agent, Agent) or "network" in part.relation:
+        return written_tables(agent, part, execution_of(agent, part, part.relation_of(agent)).mean)
     return linear_tables(linear_agent(agent, "linear"), part)
 
 

@@ -1,4 +1,4 @@
-"""The relation ``linear`` of agents with expressions, once more, by code of the check's own.
+"""The relation ``linear`` of agents with expressions, and of networks, once more, by code of the check's own.
 
 In a cell with centre c, under the input of a choice, the mean from x is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``;
 what is left of it is enclosed with the spans of ``own_intervals``, under every disturbance. On the lattice the
@@ -17,12 +17,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent
-from ..cells import FloatArray
+from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, normal_hats
 from .mean_spans import spans_of_means
+from .network_spans import network_maps
 from .own_intervals import Span, bounds, products
 from .uniform_noise import Ends, uniform_ends
 
@@ -62,6 +63,28 @@ class Maps:
 
 
 @dataclass(frozen=True, eq=False)
+class NetworkMaps:
+    """The same under the modes of a network, made when they are asked for: every step asks for one mode.
+
+    ``off`` (d,) is what means are off by in floating point besides the network.
+    """
+
+    agent: LinearAgent
+    part: AgentPart
+    off: FloatArray
+
+    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The maps with some numbers (C,)."""
+        cells, modes = np.divmod(numbers, len(self.part.relation["menu"]))
+        d = len(self.off)
+        z, gain, rho = np.zeros((len(cells), d)), np.zeros((len(cells), d, d)), np.zeros((len(cells), d))
+        for mode in np.unique(modes).tolist():
+            here = modes == mode
+            z[here], gain[here], rho[here] = network_maps(self.agent, self.part, cells[here], mode)
+        return z, gain, rho + self.off
+
+
+@dataclass(frozen=True, eq=False)
 class WrittenTables:
     """What a step needs of one agent.
 
@@ -70,14 +93,14 @@ class WrittenTables:
     """
 
     masses: list[FloatArray]
-    maps: Maps
+    maps: Maps | NetworkMaps
     slack: float
     normal: list[bool]
     ends: Ends | None
 
 
-def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
-    """Compute the tables of one agent anew.
+def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> WrittenTables:
+    """Compute the tables of one agent with expressions, or with a network, anew; ``off`` is as for ``NetworkMaps``.
 
     Raises
     ------
@@ -110,7 +133,8 @@ def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
         )
         if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
-    return WrittenTables(masses, _maps(agent, part), slack, normal, ends)
+    maps = _maps(agent, part) if isinstance(agent, Agent) else NetworkMaps(linear_agent(agent, "linear"), part, off)
+    return WrittenTables(masses, maps, slack, normal, ends)
 
 
 def _maps(agent: Agent, part: AgentPart) -> Maps:

@@ -178,10 +178,14 @@ def mean_bounds(
                 ends = _means(policy, moves, coordinates, (centre, half), mode)
                 np.minimum(first[block, mode], ends[0], out=first[block, mode])
                 np.maximum(last[block, mode], ends[1], out=last[block, mode])
-    box = policy.input_box
-    absolute = ABSOLUTE + 2.0 * _double_rounding(policy)
-    spare = OUTWARD * (last - first) + absolute * (np.abs(moves[1]) @ (np.abs(box.low) + np.abs(box.high)))
+    spare = OUTWARD * (last - first) + widening(policy, moves[1])
     return first - spare, last + spare
+
+
+def widening(policy: NetworkPolicy, B: FloatArray) -> FloatArray:
+    """Return an upper bound (d,) on what means are off by in double precision."""
+    box = policy.input_box
+    return np.asarray((ABSOLUTE + 2.0 * _double_rounding(policy)) * (np.abs(B) @ (np.abs(box.low) + np.abs(box.high))))
 
 
 def _double_rounding(policy: NetworkPolicy) -> float:
@@ -204,6 +208,26 @@ def _means(
     mode: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return ends (N, d) of the means from cells with centres and half widths (N, d)."""
+    form, actions = mean_form(policy, moves, coordinates, cells, mode)
+    (A, B, offset), (centre, half), box = moves, cells, policy.input_box
+    ends, still = form.ends(half), centre @ A.T + B @ (0.5 * box.low + 0.5 * box.high) + offset
+    plain, reach = _interval(B * box.half_width, *actions), half @ np.abs(A).T
+    rounding = np.abs(B) @ (2.0**-50 * (np.abs(box.low) + np.abs(box.high)))
+    lowest = np.maximum(ends[0], still - reach + plain[0]) - rounding
+    return lowest, np.minimum(ends[1], still + reach + plain[1]) + rounding
+
+
+def mean_form(
+    policy: NetworkPolicy,
+    moves: tuple[FloatArray, FloatArray, FloatArray],
+    coordinates: FloatArray,
+    cells: tuple[FloatArray, FloatArray],
+    mode: int,
+) -> tuple[Form, tuple[FloatArray, FloatArray]]:
+    """Return affine forms of the means from cells with centres and half widths (N, d), and ends (N, m) of actions.
+
+    Double precision is not paid for: ``widening`` says what is to be added.
+    """
     (A, B, offset), (centre, half), network = moves, cells, policy.network
     m = policy.input_box.dimension
     weights = [w.astype(float) for w in network.weights]
@@ -231,14 +255,9 @@ def _means(
         values = _values(kind, low, high)
     # The mean is A x + B (middle + half width * action) + offset.
     box = policy.input_box
-    gain, constant = B * box.half_width, B @ (0.5 * box.low + 0.5 * box.high) + offset
-    form = bounds.pulled_back(gain, len(kinds) - 1)
-    still = centre @ A.T + constant
-    ends = Form(form.slopes + A, form.centre + still, form.radius).ends(half)
-    plain, reach = _interval(gain, *values), half @ np.abs(A).T
-    rounding = np.abs(B) @ (2.0**-50 * (np.abs(box.low) + np.abs(box.high)))
-    lowest = np.maximum(ends[0], still - reach + plain[0]) - rounding
-    return lowest, np.minimum(ends[1], still + reach + plain[1]) + rounding
+    form = bounds.pulled_back(B * box.half_width, len(kinds) - 1)
+    still = centre @ A.T + (B @ (0.5 * box.low + 0.5 * box.high) + offset)
+    return Form(form.slopes + A, form.centre + still, form.radius), values
 
 
 def _first_layer(
