@@ -40,10 +40,10 @@ KINKS = {"relu": (0.0,), "clip": (-1.0, 1.0)}
 WIDER = 1.0 + 1e-7
 """Factor on what single precision is off by: the rounding of this file is 2e-9 of that, for each of a few sums."""
 
-OUTWARD, ABSOLUTE = 1e-9, 4e-11
-"""Share by which boxes are wider than computed, and what is added in units of the largest move of an input: the sums
-that are pulled back through all layers. More than the check adds, so that its boxes lie inside, and hardly more, since
-what is left after unions from below depends on boxes in both directions."""
+OUTWARD, ABSOLUTE, MORE = 1e-12, 2.01e-11, 1.001
+"""Share by which boxes are wider than computed; what is added in units of the largest move of an input, for the sums
+that are pulled back through all layers; and a factor on what these may be off by. More than the check adds, so that its
+boxes lie inside, and hardly more, since what is left after unions from below depends on boxes in both directions."""
 
 CELLS_AT_ONCE = 1024
 """Cells that are enclosed at once: arrays of some megabytes."""
@@ -185,7 +185,8 @@ def mean_bounds(
 def widening(policy: NetworkPolicy, B: FloatArray) -> FloatArray:
     """Return an upper bound (d,) on what means are off by in double precision."""
     box = policy.input_box
-    return np.asarray((ABSOLUTE + 2.0 * _double_rounding(policy)) * (np.abs(B) @ (np.abs(box.low) + np.abs(box.high))))
+    absolute = ABSOLUTE + MORE * _double_rounding(policy)
+    return np.asarray(absolute * (np.abs(B) @ (np.abs(box.low) + np.abs(box.high))))
 
 
 def _double_rounding(policy: NetworkPolicy) -> float:
