@@ -302,8 +302,9 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     save_actor(actor, tmp_path / "a.npz")
     file, out, picture = str(tmp_path / "a.npz"), str(tmp_path / "c.npz"), str(tmp_path / "weak.svg")
     common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
-    assert main(["certify", file, "--raw", "--out", out, *common]) == 0
-    assert "holds for the deployed network" in capsys.readouterr().out
+    assert main(["certify", file, "--raw", "--above", "--out", out, *common]) == 0
+    printed = capsys.readouterr().out
+    assert "holds for the deployed network" in printed and "succeeds with P <= " in printed
     stored = cg.load_certificate(out)
     assert stored.lower_bound == cg.certify(problem, actor, 60, raw=True).certificate.lower_bound
     options = ["certify", "reach-avoid-v0", "--policy", file, "--repair", "0.9", "--plot", picture]
@@ -314,6 +315,8 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     # Mistakes are one line and status 2.
     assert main(["certify", "reach-avoid-v0", *common]) == 2
     assert "--policy" in capsys.readouterr().err
+    assert main(["certify", file, "--above", *common]) == 2
+    assert "--raw" in capsys.readouterr().err
     assert main(["certify", file, "--raw", "--relation", "exact", *common]) == 2
 
 
