@@ -9,9 +9,11 @@ from typing import Any
 
 from ..envs.agents import Agent
 from ..envs.problem import Problem
+from .cells import CellCounts, RelationRefused
 from .certificates import Synthesis
 from .choosing import (
     GOOD,
+    GUESSED_RANK,
     MOST_LINEAR_AGENTS,
     SOLVED,
     Run,
@@ -20,11 +22,13 @@ from .choosing import (
     has_linear_cells,
     least_above,
     linear_levels,
+    seconds_of,
 )
 from .models import (
     Abstraction,
     Policies,
     Settings,
+    abstraction_of,
     join,
 )
 from .on_cells import Plan, compared, plain, searched, with_record
@@ -34,6 +38,9 @@ from .values import HOST
 MOST_LINEAR_TERMS = 32
 """Terms of the value trees of further agents up to which linear cells, which pay for every term, are tried."""
 
+
+MOST_SECONDS_GIVEN = 60.0
+"""Estimate up to which linear cells are tried on cells that were given, next to other relations."""
 
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
@@ -91,6 +98,35 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
             best = replace(best, stats={**best.stats, **least_above(linear, other)})
     more = {"levels": record} if best.certificate is linear.certificate else {}
     return with_record(best, {**more, "relations_tried": tried}, began)
+
+
+def on_given_cells(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the best that relations certify on given cells; linear ones are tried where the others leave much open."""
+    began = time.perf_counter()
+    first = compared(problem, cells, kinds, plan)
+    usual = ["auto" if kind == "best" else kind for kind in kinds]
+    every = "best" in kinds
+    if not may_be_linear(problem, usual, plan) or (first.certificate.lower_bound >= GOOD and not every):
+        return first
+    kind = first.certificate.settings["relation"]
+    tried: dict[str, Any] = dict(first.stats.get("tried", {kind: first.certificate.lower_bound}))  # type: ignore[call-overload]
+    if "linear" in tried:
+        return first
+    try:
+        abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
+    except RelationRefused as refusal:
+        return with_record(first, {"relations_tried": tried | {"linear": " ".join(str(refusal).split())}}, began)
+    undecided = int((~problem.automaton.absorbing).sum())
+    seconds = seconds_of(abstraction, problem.horizon, undecided, 1 if problem.n_agents == 1 else GUESSED_RANK)
+    if seconds > MOST_SECONDS_GIVEN and not every:
+        refusal = f"about {seconds:.0f} s, not computed: ask for it by `relation`"
+        return with_record(first, {"relations_tried": tried | {"linear": refusal}}, began)
+    joint = join(problem, abstraction, plan.search.device)
+    linear = searched(problem, abstraction, joint, plan.search, {})
+    tried["linear"] = float(linear.certificate.lower_bound)
+    best = max(first, linear, key=lambda result: result.certificate.lower_bound)
+    best = replace(best, stats={**best.stats, **least_above(first, linear)})
+    return with_record(best, {"relations_tried": tried}, began)
 
 
 def _others(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .by_levels import by_levels, finer, has_usual_search, may_be_linear
+from .by_levels import by_levels, finer, has_usual_search, may_be_linear, on_given_cells
 from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, Synthesis, checked_certificate
 from .choosing import (
@@ -188,7 +188,7 @@ def _on_grids(
     if cells is None and {*kinds} == {"auto"} and has_usual_search(plan):
         return finer(problem, kinds, plan)
     if {"auto", "best"} & {*kinds}:
-        return compared(problem, cells, kinds, plan)
+        return on_given_cells(problem, cells, kinds, plan)
     return plain(problem, cells, kinds, plan)
 
 

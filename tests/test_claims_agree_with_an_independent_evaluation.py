@@ -150,15 +150,13 @@ def test_claims_agree_everywhere(case: tuple[Callable[[], dict[str, Any]], dict[
     wanted = np.maximum([oracle.claim(s, certificate.delta) for s in cells], 0.0)
     claimed, mean = certificate.at(states), certificate.mean(low, high)
     assert np.all(claimed <= wanted + 1e-12) and mean <= float(np.mean(wanted)) + 1e-12
-    if certificate.terms is None:  # trains know nothing of starts from which they were not grown
-        (here,) = np.flatnonzero(claimed > 0)
-        beside = certificate.mean(states[here] - 0.01, states[here] + 0.01)
-        assert 0.5 < min(claimed[here], beside) and max(claimed[here], beside) <= wanted[here] + 1e-12
-        return
     if united:  # terms of different depths became one, which pays for the largest
         assert np.max(claimed) > 0.5
         return
-    np.testing.assert_allclose(claimed, wanted, atol=2e-6)
+    # Trains of two agents are grown from starts everywhere, and say what they may be off by.
+    within = 2e-6 if certificate.terms is not None else 2 * certificate.rounding.tolerance
+    assert within < 1e-4
+    np.testing.assert_allclose(claimed, wanted, atol=within)
     if certificate.delta == 0.0:  # the mean is cut off at 0 once, not cell by cell
-        assert mean == pytest.approx(float(np.mean(wanted)), abs=2e-6)
+        assert mean == pytest.approx(float(np.mean(wanted)), abs=within)
     assert cg.check(certificate)

@@ -2,12 +2,13 @@
 
 from .cell_choice import Budget, refine
 from .given_start import policies_from
-from .levels import GOOD, SOLVED, Run, finer_levels, first_cells, linear_levels
+from .levels import GOOD, GUESSED_RANK, SOLVED, Run, finer_levels, first_cells, linear_levels, seconds_of
 from .relation_choice import MOST_LINEAR_AGENTS, Tries, groups_of, has_linear_cells, least_above
 
 __all__ = [
     "Budget",
     "GOOD",
+    "GUESSED_RANK",
     "MOST_LINEAR_AGENTS",
     "Run",
     "SOLVED",
@@ -20,4 +21,5 @@ __all__ = [
     "linear_levels",
     "policies_from",
     "refine",
+    "seconds_of",
 ]

@@ -45,6 +45,9 @@ FIRST_TUBE_WIDTH = 2.0
 FINER = (2.0, 1.5, 1.25)
 """By how much cells are made finer: the most that time allows for; less than the first is tried only once."""
 
+LAST = (3.0, 2.5, 2.0, 1.5, 1.25)
+"""The same for a level that is surely the last one."""
+
 MOST_LEVELS = 7
 """Levels, at most: cells of the last are a twentieth of a standard deviation wide, and nothing is left to gain."""
 
@@ -81,12 +84,8 @@ READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
 SURELY = 0.7
 """Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
-MOST_SECONDS = 40.0
-"""Estimate up to which a level is begun: all levels together then take about a minute at most."""
-
-MOST_SECONDS_WRITTEN = 60.0
-"""Estimate up to which levels of linear cells of agents with expressions are begun, all of them together: by how much a
-level takes longer than the last depends on the states of an agent and on where regions lie."""
+MOST_SECONDS = 60.0
+"""Estimate up to which levels are begun, all of them together: they then take about a minute."""
 
 CHEAP_SECONDS = 0.5
 """Estimate below which a level is begun whatever the last one gained."""
@@ -248,8 +247,13 @@ class _Levels:
         # Time grows with the cells at least, so that most levels that take too long need not be built to know it.
         d = min(agent.n_states for agent in self.problem.agents)
         least = 0.0 if self.before is None else SURELY * self.seconds(self.before[0])
-        most = MOST_SECONDS_WRITTEN - self.spent if self.is_written else MOST_SECONDS
-        for finer in FINER if self.before is not None else (1.0,):
+        most = MOST_SECONDS - self.spent
+        factors: tuple[float, ...] = (1.0,)
+        if self.before is not None:
+            # Where there is time for two more levels, one of them now; else the finest cells that time allows for.
+            goes_on = least * (FINER[0] ** d + FINER[0] ** (2 * d)) <= most
+            factors = FINER if goes_on or self.is_written else LAST
+        for finer in factors:
             if least * finer**d > most:
                 continue
             try:

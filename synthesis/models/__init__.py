@@ -21,7 +21,7 @@ from .box_choices import BoxChoices
 from .box_kernel import BoxKernel
 from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
-from .joint import JointModel, join, start_of
+from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import HatKernel, LinearKernel, hat_table
 from .network_model import NetworkChoices, network_abstraction, network_tables
@@ -64,5 +64,6 @@ __all__ = [
     "network_abstraction",
     "network_tables",
     "relations_of",
+    "spread_start",
     "start_of",
 ]

@@ -120,6 +120,24 @@ def start_of(problem: Problem, joint: JointModel) -> Occupancy:
     return _read_first_letter(problem, joint, factors)
 
 
+POINT_SHARE = 0.99
+"""Share of the mass of a search's start that lies on the true start; the rest is spread over the workspaces."""
+
+
+def spread_start(problem: Problem, joint: JointModel) -> Occupancy:
+    """Return the start that a search weighs decisions with: each agent at its start with .99, in any cell with .01.
+
+    Cells beside the path then matter a little, and their values are worth something to learners and shields.
+    """
+    factors = []
+    for agent, model in zip(problem.agents, joint.models, strict=True):
+        here = model.share(agent.initial.low, agent.initial.high)
+        inside = model.spread(model.labels.number >= 0)
+        anywhere = inside / max(1, np.count_nonzero(inside))
+        factors.append(POINT_SHARE * here + (1.0 - POINT_SHARE) * anywhere)
+    return _read_first_letter(problem, joint, factors)
+
+
 def point_start(problem: Problem, joint: JointModel, states: Sequence[FloatArray]) -> Occupancy:
     """Return the occupancy at time 0 for one joint state, a sequence of (d_i,) vectors; its true letter is read."""
     automaton = problem.automaton

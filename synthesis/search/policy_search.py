@@ -19,9 +19,10 @@ import numpy as np
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
-from ..models import JointModel, Policies, WrittenChoices, start_of
+from ..models import JointModel, Policies, WrittenChoices, spread_start, start_of
 from ..values import Occupancy
-from .ascent import Sweep, resting_policies, sweep
+from ..values import start_value as train_start_value
+from .ascent import Sweep, resting_policies, start_value, sweep
 from .limits import Limits
 from .paths import staged_starts
 from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
@@ -161,7 +162,9 @@ def find_policies(
         if len(joint.models) == 1:
             return _alone(joint, start, relaxations)
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
-    trees = _TreeAscent(joint, start, search, most)
+    # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case.
+    spread = start if lossy else spread_start(problem, joint)
+    trees = _TreeAscent(joint, start, spread, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)
     if search.value != "tree":
@@ -176,7 +179,8 @@ def find_policies(
         starts = given | {"relaxed start": relaxed_policies(relaxations)}
         if naive is not None:
             starts["naive start"] = naive.policies
-        trains = _TrainAscent(joint, start, search, most)
+        # Beyond two agents trains leave out the cells beside the path: with them their ranks grow too large.
+        trains = _TrainAscent(joint, start, spread if len(joint.models) <= 2 else start, search, most)
         best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
@@ -192,7 +196,7 @@ def find_policies(
     for _ in range(POLISHING if search.max_sweeps else 0):
         if gain <= LEAST_GAIN_SHARE * frozen.value:
             break
-        better = sweep(joint, frozen.policies, start, FINAL, improve=True)
+        better = _answered(joint, frozen.policies, start, spread, FINAL)
         trees.values.append(better.value)
         search.tell("polishing", max(better.value, frozen.value))
         polished, polished_gain = _frozen(joint, better.policies, start)
@@ -223,6 +227,12 @@ def most_terms(joint: JointModel) -> int:
     return int(np.clip(TREE_BYTES / (8.0 * FINAL_TERMS * points), 2, MANY_TERMS))
 
 
+def _answered(joint: JointModel, policies: Policies, start: Occupancy, spread: Occupancy, limits: Limits) -> Sweep:
+    """Return a sweep in which agents answer, weighed with the ``spread`` start; its value is that at the true one."""
+    outcome = sweep(joint, policies, spread, limits, improve=True)
+    return replace(outcome, value=start_value(start, outcome.terms))
+
+
 def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sweep, float]:
     """Return the value of given policies, pruned as little as possible, and what one agent alone could gain."""
     gains = [0.0]
@@ -233,8 +243,8 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
 class _TreeAscent:
     """Ascent on value trees; the best policies are kept, whatever pruning did to a later sweep."""
 
-    def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
-        self.joint, self.start, self.how, self.most = joint, start, search, most
+    def __init__(self, joint: JointModel, start: Occupancy, spread: Occupancy, search: Search, most: float) -> None:
+        self.joint, self.start, self.spread, self.how, self.most = joint, start, spread, search, most
         self.progress = LEAST_PROGRESS if all(model.is_additive for model in joint.models) else LINEAR_PROGRESS
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
@@ -289,7 +299,9 @@ class _TreeAscent:
         """Sweep from ``policies``, whose value is ``last`` if known, until nothing improves; return the last sweep."""
         outcome = None
         for _ in range(sweeps):
-            outcome = sweep(self.joint, policies, self.start, self.how.limits, improve=True)
+            # The first sweep finds the way; those after it also look beside it, where more cells have to be weighed.
+            weighed = self.start if last < 0.0 else self.spread
+            outcome = _answered(self.joint, policies, self.start, weighed, self.how.limits)
             self.values.append(outcome.value)
             self.starts[name] = max(outcome.value, self.starts.get(name, 0.0))
             self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
@@ -307,8 +319,8 @@ class _TreeAscent:
 class _TrainAscent:
     """Ascent on tensor trains, evaluated with a fine rounding in the end."""
 
-    def __init__(self, joint: JointModel, start: Occupancy, search: Search, most: float) -> None:
-        self.joint, self.start, self.how, self.most = joint, start, search, most
+    def __init__(self, joint: JointModel, start: Occupancy, spread: Occupancy, search: Search, most: float) -> None:
+        self.joint, self.start, self.spread, self.how, self.most = joint, start, spread, search, most
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
         self.gain = 0.0
@@ -340,9 +352,9 @@ class _TrainAscent:
         # Not a share of the tolerance alone: that may be more than the fine rounding where the value is next to 0.
         limits = TrainLimits(tolerance, LEFT_OUT_SHARE * min(self.fine, tolerance / value))
         gains = [0.0]
-        outcome = sweep_trains(self.joint, policies, self.start, limits, improve=False, watch=gains.append)
+        outcome = sweep_trains(self.joint, policies, self.spread, limits, improve=False, watch=gains.append)
         self.gain = max(gains)
-        return outcome
+        return replace(outcome, value=train_start_value(self.start, outcome.terms))
 
     def run(self, name: str, policies: Policies, sweeps: int) -> TrainSweep:
         """Sweep from ``policies`` until nothing improves; return the last sweep."""
@@ -350,7 +362,8 @@ class _TrainAscent:
         for _ in range(sweeps):
             # A margin of one cell: answers may move the mass a little beyond the cells it visits now.
             limits = TrainLimits(self.tolerance, margin=1)
-            outcome = sweep_trains(self.joint, policies, self.start, limits, improve=True)
+            outcome = sweep_trains(self.joint, policies, self.spread, limits, improve=True)
+            outcome = replace(outcome, value=train_start_value(self.start, outcome.terms))
             self.values.append(outcome.value)
             self.starts[name] = max(outcome.value, self.starts.get(name, 0.0))
             self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
