@@ -56,8 +56,8 @@ def learned(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any]
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the table for the page."""
     lines = [
-        "| problem | seed | world steps | p | training episodes that failed, alone | shielded | actor afterwards, trained alone | "
-        "trained shielded | the same behind the shield: alone | shielded |",
+        "| problem | seed | world steps | p | training episodes that failed, alone | shielded | "
+        "actor afterwards, trained alone | trained shielded | the same behind the shield: alone | shielded |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
