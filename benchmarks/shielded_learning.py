@@ -56,9 +56,9 @@ def learned(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any]
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the table for the page."""
     lines = [
-        "| problem | seed | p | training episodes that failed, alone | shielded | actor afterwards, trained alone | "
-        "trained shielded | the same behind the shield: alone | shielded |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| problem | seed | world steps | p | training episodes that failed, alone | shielded | "
+        "actor afterwards, trained alone | trained shielded | the same behind the shield: alone | shielded |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         a, s = row["alone"], row["shielded"]
@@ -66,7 +66,8 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"{way['failures']} of {way['episodes']:.0f} ({way['failures'] / way['episodes']:.3f})" for way in (a, s)
         ]
         ends = [f"{number:.4f}" for number in (a["actor"], s["actor"], a["behind"], s["behind"])]
-        lines.append(f"| {row['problem']} | {row['seed']} | {row['p']:.4f} | {' | '.join([*failed, *ends])} |")
+        start = f"{row['problem']} | {row['seed']} | {row['steps']:,} | {row['p']:.4f}"
+        lines.append(f"| {start} | {' | '.join([*failed, *ends])} |")
     return "\n".join(lines) + "\n"
 
 
@@ -96,15 +97,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ids", nargs="*", default=list(IDS))
     parser.add_argument("--steps", type=int, default=100_000)
-    parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1])
+    parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--page", action="store_true", help="only write table and picture from the numbers")
     parser.add_argument("--certificates", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/how-to/shielded_learning.json"))
     options = parser.parse_args()
     rows: list[dict[str, Any]] = json.loads(options.out.read_text("utf-8")) if options.out.is_file() else []
     for name in () if options.page else options.ids:
-        rows = [row for row in rows if row["problem"] != name]
+        rows = [row for row in rows if (row["problem"], row["seed"]) not in {(name, seed) for seed in options.seeds}]
         rows += [learned(name, seed, options) for seed in options.seeds]
+        rows.sort(key=lambda row: (IDS.index(row["problem"]), row["seed"]))
         options.out.write_text(json.dumps(rows) + "\n", encoding="utf-8")
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN, 1)

@@ -67,7 +67,7 @@ TRUSTED = {
 
 VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
-    "synthesis.relations.network_bounds "
+    "synthesis.relations.network_bounds synthesis.relations.network_maps "
     "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""

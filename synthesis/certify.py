@@ -78,7 +78,7 @@ def certify(
     relation : str, or mapping from agent name to str
         As for ``abstract``. Relations are not compared.
     raw : bool
-        Whether to certify a trained actor as it is, not wrapped: the relation is ``boxes`` then.
+        Whether to certify a trained actor as it is, not wrapped: the relation is ``linear`` or ``boxes`` then.
     **settings
         Further settings of the relation, passed to ``abstract``.
 
@@ -94,9 +94,10 @@ def certify(
         If the policy has an unknown form or returns inputs that are not finite, or the relation does not apply.
     """
     if raw:
-        if relation not in ("auto", "quick", "boxes"):
-            raise ValueError(f"`relation`: expected `boxes` with `raw`, got {relation!r}; leave it out")
-        return certify_network(problem, policy, cells, **settings)
+        if not isinstance(relation, str):
+            raise ValueError("`relation`: expected one for all agents with `raw`, got a mapping; leave it out")
+        kind = "auto" if relation == "quick" else relation
+        return certify_network(problem, policy, cells, relation=kind, **settings)
     clock, problem = _Clock(), as_problem(problem)
     wrapped = _wrapped(problem, policy, cells, relation, settings)
     clock.abstracted()

@@ -1,7 +1,8 @@
 """Certificates of networks as they are deployed, and repairs of networks where they are poor.
 
-From every point of a cell the network leads to a mean within a known box (``relations.network_bounds``), and the value
-tree takes the least value over it. What is certified is the deployed network itself (docs/theory/networks.md).
+From every point of a cell the network leads to a mean within a known box, or near a known affine map of the state
+(``relations.network_bounds``, ``relations.network_maps``), and the value tree takes the least value over what remains
+unknown. What is certified is the deployed network itself (docs/theory/networks.md).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from ..envs.agents import counted, tree_text
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts, FloatArray
+from .cells import CellCounts, FloatArray, RelationRefused
 from .certificates import Certificate, Synthesis
 from .certification import certificate_of
 from .models import (
@@ -31,6 +32,12 @@ from .models import (
 from .relations import NetworkPolicy
 from .search import FINAL, Limits, Stage, sweep
 from .values import to_host
+
+RELATIONS = ("linear", "boxes")
+"""How the means under networks are enclosed, in the order in which they are tried."""
+
+FEW_BOXES = 300_000
+"""Cells, automaton states and times up to which boxes are compared with maps: some seconds."""
 
 COVERED = 0.99
 """Share of all that a network loses that repairs make up for, by default: the rest is spread over many cells."""
@@ -90,7 +97,12 @@ class WeakPlaces:
 
 
 def certify_network(
-    problem: Any, actor: Any, cells: CellCounts = None, *, targets_per_cell: int | None = None
+    problem: Any,
+    actor: Any,
+    cells: CellCounts = None,
+    *,
+    relation: str = "auto",
+    targets_per_cell: int | None = None,
 ) -> Synthesis:
     """Compute a certified lower bound on the satisfaction probability of networks as they are deployed.
 
@@ -102,6 +114,9 @@ def certify_network(
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
         Cells per axis; the bound rises with their number.
+    relation : "auto", "linear" or "boxes"
+        Affine maps around the network in every cell, or boxes around means. By default maps; boxes where maps do not
+        apply, or where they are so few that they cost seconds, and certify more: in cells wide against the noise.
     targets_per_cell : int, optional
         Lattice points per cell and axis at which values are read.
 
@@ -115,11 +130,23 @@ def certify_network(
     ValueError
         If a network sees more than its agent's own state, or dynamics are not linear.
     """
-    problem, began = as_problem(problem), time.perf_counter()
-    abstraction = network_abstraction(problem, _policies(problem, actor), cells, targets_per_cell)
-    middle = time.perf_counter()
-    tables = network_tables(problem, abstraction)
-    return _certified(problem, abstraction, tables, "networks as they are", {}, (began, middle))
+    problem = as_problem(problem)
+    if relation not in (*RELATIONS, "auto"):
+        raise ValueError(f"`relation`: expected `linear` or `boxes` for networks as they are, got {relation!r}")
+    policies, found = _policies(problem, actor), list[Synthesis]()
+    for kind in RELATIONS if relation == "auto" else (relation,):
+        if found and _boxes_of(found[0].certificate) > FEW_BOXES:
+            break
+        began = time.perf_counter()
+        try:
+            abstraction = network_abstraction(problem, policies, cells, targets_per_cell, kind)
+        except RelationRefused:
+            if kind == relation or (kind == RELATIONS[-1] and not found):
+                raise
+            continue
+        middle, tables = time.perf_counter(), network_tables(problem, abstraction)
+        found.append(_certified(problem, abstraction, tables, "networks as they are", {}, (began, middle)))
+    return max(found, key=lambda synthesis: synthesis.certificate.lower_bound)
 
 
 def repair_network(
@@ -147,7 +174,8 @@ def repair_network(
     problem, began = as_problem(problem), time.perf_counter()
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share <= 1.0:
         raise ValueError(f"`share`: expected a number from 0 to 1, got {share!r}")
-    abstraction = network_abstraction(problem, _policies(problem, actor), cells, targets_per_cell, with_menu=True)
+    policies = _policies(problem, actor)
+    abstraction = network_abstraction(problem, policies, cells, targets_per_cell, "boxes", with_menu=True)
     middle = time.perf_counter()
     joint, tables = join(problem, abstraction), network_tables(problem, abstraction)
     start, better = start_of(problem, joint), tables
@@ -161,6 +189,11 @@ def repair_network(
     facts = {"share": float(share), "repaired": changed}
     name = "networks, repaired where they lose most"
     return _certified(problem, abstraction, mixed, name, facts, (began, middle)), places
+
+
+def _boxes_of(certificate: Certificate) -> int:
+    """Return the number of cells, automaton states and times of all agents: as many boxes there would be."""
+    return sum(part.policy.size for part in certificate.agents)
 
 
 def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
@@ -222,9 +255,10 @@ def _certified(
 ) -> Synthesis:
     """Return certificate and statistics of policy tables."""
     joint = join(problem, abstraction)
-    # Whether unions from below pay is not known before; the policies are the same.
     start = start_of(problem, joint)
-    tries = [sweep(joint, tables, start, FINAL, improve=False, climb=climb) for climb in (True, False)]
+    # Whether unions from below pay is not known before; the policies are the same. With linear cells they hardly lose.
+    climbs = (True,) if abstraction.settings["relation"] == "linear" else (True, False)
+    tries = [sweep(joint, tables, start, FINAL, improve=False, climb=climb) for climb in climbs]
     best = max(tries, key=lambda found: found.value)
     settings = {**abstraction.settings, **facts, "final_limits": vars(FINAL)}
     certificate = certificate_of(problem, abstraction, joint, best, settings, name)

@@ -60,10 +60,14 @@ def episodes(
     seed: int,
     following: Following = promised,
     first: Array | None = None,
+    disturbance: Any = "zero",
 ) -> dict[str, Array]:
-    """Run episodes under a shield; return success, last budgets, and the least slack ``V - b`` that was met."""
+    """Run episodes under a shield, against a disturbance.
+
+    Return success, last budgets, and the least slack ``V - b`` that was met.
+    """
     problem, rng = shield.problem, np.random.default_rng(seed)
-    dynamics = Dynamics.of(problem)
+    dynamics = Dynamics.of(problem, disturbance)
     worlds = core.initial(dynamics, rng, count)
     budget = shield.first_budget(states_of(dynamics, worlds), worlds.q)[0] if first is None else first
     slack, overridden, steps = np.inf, 0, 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Affine, ExpressionError, computed, enclosed, read_expression
 from certigym.envs.expressions.expression_tree import Name, Number, Tree, whole_exponent
-from certigym.synthesis.checking.mean_spans import mean_spans
+from certigym.synthesis.checking.mean_spans import enclosed_means
 from certigym.synthesis.relations import WrittenMeans
 
 TEXTS = (
@@ -103,7 +103,7 @@ def test_true_values_lie_in_both_enclosures(text: str) -> None:
     agent = agent_of(text, "y")
     tree, (low, high), rng = agent.trees[0], boxes(1), np.random.default_rng(2)
     first, last = WrittenMeans(agent, np.eye(2), 1).around(low, high, np.zeros((1, 1)), np.zeros((1, 1, 2)))
-    own_first, own_last = mean_spans(agent, low, high, np.zeros((len(low), 1)), np.eye(2), 1)
+    own_first, own_last = enclosed_means(agent, low, high, np.zeros((len(low), 1)), np.eye(2), 1)
     unknown = np.isnan(first[:, 0, 0])
     assert not unknown.all() and np.array_equal(unknown, np.isnan(own_first[:, 0]))
     for s in np.flatnonzero(~unknown):
@@ -158,7 +158,7 @@ def test_parts_and_rotations_hold_the_means() -> None:
         first, last = WrittenMeans(agent, coordinates, parts).around(low, high, menu, np.zeros((2, 1, 2)))
         widths.append(float((last - first).mean()))
         for choice, u in enumerate(menu[:, 0]):
-            own = mean_spans(agent, low, high, np.full((200, 1), u), coordinates, parts)
+            own = enclosed_means(agent, low, high, np.full((200, 1), u), coordinates, parts)
             assert np.all(first[:, choice] <= own[0]) and np.all(own[1] <= last[:, choice])
             for _ in range(40):
                 share = rng.random((200, 2)) if rng.random() < 0.5 else rng.integers(0, 2, (200, 2))

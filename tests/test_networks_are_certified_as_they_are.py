@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 import certigym as cg
 from certigym.cli.main import main
-from certigym.envs.agents import LinearAgent
 from certigym.synthesis.checking.network_spans import network_spans
 from certigym.synthesis.models import network_abstraction
 from certigym.synthesis.models.network_model import NetworkChoices
@@ -24,45 +22,8 @@ from certigym.synthesis.relations.network_bounds import line_around, mean_bounds
 from certigym.validation.figures import network_figure
 from certigym.validation.policies.actors import CentralActor, SharedActor, TeamActor, load_actor, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
+from network_problems import RNG, changed, means_at, network, proportional, reach
 from problems import cart, linear, scalar_agent
-
-RNG = np.random.default_rng(0)
-
-
-def network(sizes: list[int], activation: str = "tanh", squashed: bool = False, scale: float = 1.5) -> Network:
-    """A random network whose outputs reach both ends of the input box."""
-    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
-    weights = tuple((scale * RNG.normal(size=(b, a)) / np.sqrt(a)).astype(np.float32) for a, b in pairs)
-    biases = tuple((0.3 * RNG.normal(size=b)).astype(np.float32) for _, b in pairs)
-    return Network(weights, biases, activation, squashed)
-
-
-def reach(*agents: LinearAgent, horizon: int = 4) -> cg.Problem:
-    """All agents are to be in [1, 3] on their first axes at the same time."""
-    regions = {}
-    for agent in agents:
-        low, high = np.array(agent.workspace.low), np.array(agent.workspace.high)
-        low[0], high[0] = 1.0, 3.0
-        regions[f"p_{agent.name}"] = cg.Proposition(agent.name, low.tolist(), high.tolist())
-    return cg.Problem(
-        name="reach",
-        horizon=horizon,
-        agents=list(agents),
-        propositions=regions,
-        specification=cg.Specification(f"F ({' & '.join(regions)})", "co-safe"),
-    )
-
-
-def proportional(problem: cg.Problem, hidden: int = 8) -> SharedActor:
-    """A sensible policy: every agent goes to 2 on its first axis, by a tanh network with two hidden layers."""
-    view = SharedView(problem)
-    width = np.zeros((hidden, view.size), dtype=np.float32)
-    width[:, 0] = RNG.uniform(0.5, 1.0, hidden)
-    bias = (-0.5 * width[:, 0]).astype(np.float32)  # the goal is half way from the middle to the upper end
-    deep = (np.eye(hidden) + 0.02 * RNG.normal(size=(hidden, hidden))).astype(np.float32)
-    out = np.full((view.n_actions, hidden), -4.0 / hidden, dtype=np.float32)
-    zeros = np.zeros(hidden, dtype=np.float32), np.zeros(view.n_actions, dtype=np.float32)
-    return SharedActor(problem, Network((width, deep, out), (bias, *zeros), "tanh", False))
 
 
 @pytest.fixture(scope="module")
@@ -71,12 +32,6 @@ def certified() -> tuple[cg.Problem, SharedActor, cg.Synthesis]:
     problem = reach(scalar_agent("a"), scalar_agent("b"))
     actor = proportional(problem)
     return problem, actor, certify_network(problem, actor, 100)
-
-
-def means_at(problem: cg.Problem, actor: Any, agent: int, states: NDArray, q: int, t: int) -> NDArray:
-    """Means (d, N) under the deployed network, in single precision."""
-    inputs = actor.inputs(agent, states, np.full(states.shape[1], q), t)
-    return np.asarray(problem.agents[agent].mean(states, inputs))
 
 
 SHAPES = [
@@ -97,9 +52,9 @@ def test_no_point_of_a_cell_leaves_its_box(hidden: list[int], activation: str, s
     problem, d = reach(agent, horizon=2), agent.n_states
     view = SharedView(problem)
     actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
-    abstraction = network_abstraction(problem, [actor.agent_policy(0)], 12 if d == 1 else 6)
+    abstraction = network_abstraction(problem, [actor.agent_policy(0)], 12 if d == 1 else 6, relation="boxes")
     model = abstraction.models[0]
-    synthesis = certify_network(problem, actor, 12 if d == 1 else 6)
+    synthesis = certify_network(problem, actor, 12 if d == 1 else 6, relation="boxes")
     part = synthesis.certificate.agents[0]
     found = model.relation.mean_boxes(model.grid.low, model.grid.high)  # type: ignore[union-attr]
     shares = np.concatenate([RNG.random((200, d)), np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T])
@@ -229,20 +184,11 @@ def test_correlated_noise_and_two_inputs(certified: Any) -> None:
     assert 0.0 < synthesis.certificate.lower_bound < rate
 
 
-def changed(certificate: cg.Certificate, **facts: Any) -> cg.Certificate:
-    """The certificate with other facts about its networks."""
-    parts = []
-    for part in certificate.agents:
-        relation = {**part.relation, "network": {**part.relation["network"], **facts}}
-        parts.append(dataclasses.replace(part, relation=relation))
-    return dataclasses.replace(certificate, agents=tuple(parts))
-
-
 def test_enclosures_that_are_too_small_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a hundredth; the bound is then larger than what the check finds."""
     problem = reach(scalar_agent("a"))
     actor, true = proportional(problem), boxes.mean_bounds
-    synthesis = certify_network(problem, actor, 100)
+    synthesis = certify_network(problem, actor, 100, relation="boxes")
     assert cg.check(synthesis)
 
     def smaller(*arguments: Any) -> Any:
@@ -250,7 +196,7 @@ def test_enclosures_that_are_too_small_are_refused(monkeypatch: pytest.MonkeyPat
         return low + 0.005 * (high - low), high - 0.005 * (high - low)
 
     monkeypatch.setattr(boxes, "mean_bounds", smaller)
-    wrong = certify_network(problem, actor, 100).certificate
+    wrong = certify_network(problem, actor, 100, relation="boxes").certificate
     monkeypatch.undo()
     assert wrong.lower_bound > synthesis.certificate.lower_bound
     report = cg.check(wrong)
@@ -308,7 +254,7 @@ def test_repairs_raise_the_bound_where_networks_lose() -> None:
     actor = proportional(problem)
     flat = actor.network.weights[-1] * np.float32(0.05)  # nearly no effort
     weak = SharedActor(problem, dataclasses.replace(actor.network, weights=(*actor.network.weights[:-1], flat)))
-    poor = certify_network(problem, weak, 100).certificate.lower_bound
+    poor = certify_network(problem, weak, 100, relation="boxes").certificate.lower_bound
     repaired, places = repair_network(problem, weak, 100)
     best = cg.synthesize(problem, 100).certificate.lower_bound
     assert poor < 0.5 * best
@@ -335,7 +281,7 @@ def test_losses_are_those_of_a_step() -> None:
     actor = proportional(problem)
     idle = np.zeros_like(actor.network.weights[-1])
     actor = SharedActor(problem, dataclasses.replace(actor.network, weights=(*actor.network.weights[:-1], idle)))
-    abstraction = network_abstraction(problem, [actor.agent_policy(0)], 50, with_menu=True)
+    abstraction = network_abstraction(problem, [actor.agent_policy(0)], 50, relation="boxes", with_menu=True)
     model = abstraction.models[0]
     assert isinstance(model.choices, NetworkChoices)
     _, places = repair_network(problem, actor, 50)
@@ -356,8 +302,9 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     save_actor(actor, tmp_path / "a.npz")
     file, out, picture = str(tmp_path / "a.npz"), str(tmp_path / "c.npz"), str(tmp_path / "weak.svg")
     common = ["--cells", "60", "--episodes", "100", "--horizon", "2"]
-    assert main(["certify", file, "--raw", "--out", out, *common]) == 0
-    assert "holds for the deployed network" in capsys.readouterr().out
+    assert main(["certify", file, "--raw", "--above", "--out", out, *common]) == 0
+    printed = capsys.readouterr().out
+    assert "holds for the deployed network" in printed and "succeeds with P <= " in printed
     stored = cg.load_certificate(out)
     assert stored.lower_bound == cg.certify(problem, actor, 60, raw=True).certificate.lower_bound
     options = ["certify", "reach-avoid-v0", "--policy", file, "--repair", "0.9", "--plot", picture]
@@ -368,6 +315,8 @@ def test_the_command_line_certifies_and_repairs(tmp_path: Path, capsys: pytest.C
     # Mistakes are one line and status 2.
     assert main(["certify", "reach-avoid-v0", *common]) == 2
     assert "--policy" in capsys.readouterr().err
+    assert main(["certify", file, "--above", *common]) == 2
+    assert "--raw" in capsys.readouterr().err
     assert main(["certify", file, "--raw", "--relation", "exact", *common]) == 2
 
 

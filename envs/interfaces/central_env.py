@@ -96,6 +96,7 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             "scale": scale,
             "automaton": automaton,
             "sensor_noise": sensor_noise,
+            "disturbance": disturbance,
         }
         self._form = Form(scale, automaton, dtype)
         self.sensors = Sensors(self.problem, sensor_noise)

@@ -122,6 +122,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
             "actions": actions,
             "infos": infos,
             "caption": caption,
+            "disturbance": disturbance,
         }
         self.possible_agents = list(problem.agent_names)
         self.agents: list[str] = []

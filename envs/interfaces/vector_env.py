@@ -111,6 +111,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "automaton": automaton,
             "sensor_noise": sensor_noise,
             "spread": spread,
+            "disturbance": disturbance,
         }
         self._form = Form(scale, automaton, dtype)
         self.sensors = Sensors(self.problem, sensor_noise)

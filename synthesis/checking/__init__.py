@@ -7,6 +7,8 @@ from .hull_check import wrong_hull
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
+from .mean_spans import enclosed_means
+from .opposite_task import wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
@@ -25,6 +27,7 @@ __all__ = [
     "claimed_values",
     "execution_of",
     "masks_of",
+    "enclosed_means",
     "greedy_disturbance",
     "regrow",
     "safety_rate",
@@ -33,4 +36,5 @@ __all__ = [
     "verify_relation",
     "vertices_of",
     "wrong_hull",
+    "wrong_opposite",
 ]

@@ -25,7 +25,7 @@ from ..cells import FloatArray
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, smooth
 from ..relations import commands_of
 from .geometry import cell_boxes
-from .mean_spans import mean_spans, steered_spans
+from .mean_spans import enclosed_means, steered_spans
 from .network_spans import network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -92,7 +92,7 @@ class WrittenBoxes:
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], menu[choice[some]]
             parts = int(part.relation["parts"])
-            first, last = mean_spans(agent, low[here], high[here], inputs, part.coordinates, parts)
+            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts)
             steered = np.array(part.relation["steer"], dtype=bool)[choice[some]]
             if np.any(steered):
                 corner = low[here][steered], high[here][steered]

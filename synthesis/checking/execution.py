@@ -37,7 +37,7 @@ from ..relations import (
 from .aim_spans import aim_losses
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
-from .network_spans import network_modes, network_spans
+from .network_spans import network_maps, network_modes, network_spans
 
 UNIT = 2.0**-53
 
@@ -101,10 +101,12 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
     setting = _setting(agent, part)
     if isinstance(relation, ExactRelation):
         return _exact(setting, part, relation)
+    if "network" in part.relation and isinstance(relation, LinearRelation):
+        return _boxed(setting, np.zeros((1, agent.n_inputs, agent.n_states)))
     if isinstance(relation, LinearRelation):
         return _affine(setting, part, relation)
     if isinstance(relation, BoxRelation):
-        return _boxed(setting, relation)
+        return _boxed(setting, relation.gains)
     if isinstance(relation, WrittenTargets):
         return _aimed(setting, part, relation)
     return _coupled(setting, part, relation)
@@ -193,9 +195,9 @@ def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution
     return Execution(off, np.zeros(len(s.x)), np.zeros(len(s.u)), added + _misread(s, s.read) + s.law)
 
 
-def _boxed(s: _Setting, relation: BoxRelation) -> Execution:
-    """Inputs of a menu, and what is fed back inside a cell; what means are off by goes into their boxes."""
-    fed = np.abs(relation.gains).max(axis=0)
+def _boxed(s: _Setting, gains: FloatArray) -> Execution:
+    """Inputs of a menu, and what is fed back inside a cell (A, m, d); what means are off by goes into their boxes."""
+    fed = np.abs(gains).max(axis=0)
     # Grid coordinates are read by the controller, and once more where its means are compared.
     inputs = 2.0 * fed @ (s.read + s.unit * s.x) + s.unit * np.any(fed, axis=1) * (s.u + fed @ s.x)
     off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + np.abs(s.B) @ inputs + s.read
@@ -300,7 +302,7 @@ def _wrong_means(
     networked = choice < network_modes(part)
     for mode in np.unique(choice[networked & (choice >= 0)]):
         here = np.flatnonzero(choice == mode)[:NETWORKED]
-        low, high = network_spans(agent, part, cells[here], int(mode))
+        low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
         beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
         if np.any(beyond):
             return ["its network was seen to lead beyond the means that it can lead to"]
@@ -308,6 +310,19 @@ def _wrong_means(
     if np.any((off > execution.mean[:, None]) & (choice >= 0) & ~networked):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
+
+
+def _network_means(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int, states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d) between which a network may lead, in grid coordinates, from states (d, C) in cells."""
+    if part.relation["kind"] == "boxes":
+        return network_spans(agent, part, cells, mode)
+    z, gain, rho = network_maps(agent, part, cells, mode)
+    low, high = cell_boxes(part)
+    offsets = np.linalg.solve(part.coordinates, states).T - 0.5 * (low + high)[cells]
+    at = z + np.einsum("ckj,cj->ck", gain, offsets)
+    return at - rho, at + rho
 
 
 def _anywhere(agent: AnyAgent, count: int, rng: Generator) -> FloatArray | None:

@@ -25,8 +25,14 @@ COMPUTED = 1e-13
 """Share of their size by which targets may be missed, and inputs be off, as they are computed: a thousand roundings."""
 
 
-def mean_spans(
-    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, coordinates: FloatArray, parts: int
+def enclosed_means(
+    agent: Agent,
+    low: FloatArray,
+    high: FloatArray,
+    inputs: FloatArray,
+    coordinates: FloatArray,
+    parts: int,
+    beside: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
 
@@ -41,12 +47,16 @@ def mean_spans(
         Grid coordinates to state.
     parts : int
         Parts into which cells are cut along each axis.
+    beside : (l, n) array, optional
+        States of others that the dynamics name; by default they are anywhere.
     """
     shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
     rows = None if plain else np.linalg.inv(coordinates)
     first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
+    if beside is not None:
+        calm[len(agent.disturbances) :] = [(row, row) for row in beside]
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
@@ -65,8 +75,8 @@ def steered_spans(
     """Corners (n, d) of boxes around the means under choices that steer; not numbers where an input may leave its box.
 
     A commanded axis, with mean ``a + b u``, gets the target that the input of the menu has at the centre of the cell:
-    ``u = (target - a) / b``. All other axes are enclosed with this u. Parameters as for ``mean_spans``; cells are boxes
-    of states.
+    ``u = (target - a) / b``. All other axes are enclosed with this u. Parameters as for ``enclosed_means``; cells are
+    boxes of states.
     """
     centre = 0.5 * (low + high)
     targets = agent.mean(centre.T, inputs.T)

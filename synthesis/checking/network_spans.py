@@ -1,4 +1,4 @@
-"""Boxes around the means under networks, written a second time: the search's are not used (``relations``).
+"""Boxes and affine maps around the means under networks, written a second time: nothing of the search's is used.
 
 Affine forms go forward through the network, from the state to the mean. A number of a layer is ``a e + b + sum_j p_j
 y_j`` with the offset e of the state from the centre of its cell, and symbols y_j between -1 and 1, one for each number
@@ -55,7 +55,9 @@ class Forms:
 
     def through(self, matrix: FloatArray, shift: FloatArray) -> Forms:
         """Forms of ``matrix @ numbers + shift``."""
-        symbols = np.concatenate([matrix @ self.symbols, matrix * self.own[:, None, :]], axis=2)
+        symbols = matrix @ self.symbols
+        if np.any(self.own):  # rows are known, so that the first layer has no symbols
+            symbols = np.concatenate([symbols, matrix * self.own[:, None, :]], axis=2)
         constants = self.constants @ matrix.T + shift
         return Forms(matrix @ self.slopes, constants, symbols, np.zeros(constants.shape))
 
@@ -90,10 +92,56 @@ def network_spans(
     return first, last
 
 
+def network_maps(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], mode: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """z (C, d), G (C, d, d) and rho (C, d) of closed cells, in grid coordinates, under a mode of the network.
+
+    The mean from x in a cell with middle c is ``z + G (x - c)``, give or take rho; what means are off by in floating
+    point besides the network is not in it. G is the same for all pieces into which a cell is cut.
+    """
+    low, high = (corner[cells] for corner in cell_boxes(part))
+    pieces, d = int(part.relation["cuts"]), low.shape[1]
+    z, gain, rho = np.zeros(low.shape), np.zeros((*low.shape, d)), np.zeros(low.shape)
+    for some in np.array_split(np.arange(len(cells)), len(cells) // BOXES_AT_ONCE + 1):
+        left, right = low[some], high[some]
+        form, spare = _mean_forms(agent, part, left, right, mode)[:2]
+        gain[some] = form.slopes
+        whole = np.abs(form.symbols).sum(axis=2) + form.own
+        first, last = form.constants - whole, form.constants + whole
+        if pieces > 1:
+            least, most = np.full(left.shape, np.inf), np.full(left.shape, -np.inf)
+            for which in itertools.product(range(pieces), repeat=d):
+                begin = left + (right - left) * np.array(which) / pieces
+                end = left + (right - left) * (np.array(which) + 1) / pieces
+                own = _mean_forms(agent, part, begin, end, mode)[0]
+                # What the map of the cell leaves of the one of the piece: its value there, and the other slopes.
+                moved = np.einsum("ckj,cj->ck", form.slopes, 0.5 * (begin + end) - 0.5 * (left + right))
+                rest = Forms(own.slopes - form.slopes, own.constants - moved, own.symbols, own.own)
+                ends = rest.between(0.5 * (end - begin) * (1.0 + 1e-13))
+                least, most = np.minimum(least, ends[0]), np.maximum(most, ends[1])
+            first, last = np.maximum(first, least), np.minimum(last, most)
+        z[some] = 0.5 * (first + last)
+        rho[some] = np.maximum(last - z[some], z[some] - first) + spare
+    return z, gain, rho
+
+
 def _mean_between(
     agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
 ) -> tuple[FloatArray, FloatArray]:
     """Least and largest means (C, d) from boxes of states with corners (C, d) in grid coordinates."""
+    total, spare, plain = _mean_forms(agent, part, left, right, mode)
+    least, most = total.between(0.5 * (right - left) * (1.0 + 1e-13))
+    return np.maximum(least, plain[0]) - spare, np.minimum(most, plain[1]) + spare
+
+
+def _mean_forms(
+    agent: LinearAgent, part: AgentPart, left: FloatArray, right: FloatArray, mode: int
+) -> tuple[Forms, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Forms of the means from boxes of states with corners (C, d) in grid coordinates.
+
+    Also what double precision may be off by (d,), and ends (C, d) of the means by plain intervals.
+    """
     network, inverse = part.relation["network"], np.linalg.inv(part.coordinates)
     if np.array_equal(part.coordinates, np.eye(len(inverse))):
         inverse = np.eye(len(inverse))
@@ -124,11 +172,10 @@ def _mean_between(
     box = agent.input_box
     gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
     total = forms.through(gain, np.zeros(len(gain)))
-    least, most = Forms(total.slopes + A, total.constants + still, total.symbols, total.own).between(half)
     up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
     spare = np.abs(B) @ ((LATER + _cancelled(layers)) * (np.abs(box.low) + np.abs(box.high)))
-    least = np.maximum(least, still - moved + low @ up.T + high @ down.T) - spare
-    return least, np.minimum(most, still + moved + high @ up.T + low @ down.T) + spare
+    plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
+    return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
 
 
 def _cancelled(layers: list[tuple[Any, Any]]) -> float:
@@ -225,7 +272,7 @@ def wrong_networks(certificate: Certificate) -> list[str]:
         network = part.relation.get("network")
         if network is None:
             continue
-        if not isinstance(agent, LinearAgent) or part.relation["kind"] != "boxes":
+        if not isinstance(agent, LinearAgent) or part.relation["kind"] not in ("boxes", "linear"):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
         elif any(network[name] != value for name, value in (expected | {"agent": i} | alone(network)).items()):
             failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")

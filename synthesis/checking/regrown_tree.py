@@ -119,8 +119,8 @@ def _linear_tables_once(certificate: Certificate) -> list[LinearTables | Written
 
 def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:
     """Tables of an agent under the relation ``linear``."""
-    if isinstance(agent, Agent):
-        return written_tables(agent, part)
+    if isinstance(agent, Agent) or "network" in part.relation:
+        return written_tables(agent, part, execution_of(agent, part, part.relation_of(agent)).mean)
     return linear_tables(linear_agent(agent, "linear"), part)
 
 

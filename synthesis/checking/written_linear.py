@@ -1,4 +1,4 @@
-"""The relation ``linear`` of agents with expressions, once more, by code of the check's own.
+"""The relation ``linear`` of agents with expressions, and of networks, once more, by code of the check's own.
 
 In a cell with centre c, under the input of a choice, the mean from x is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``;
 what is left of it is enclosed with the spans of ``own_intervals``, under every disturbance. On the lattice the
@@ -17,12 +17,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent
-from ..cells import FloatArray
+from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, normal_hats
 from .mean_spans import spans_of_means
+from .network_spans import network_maps
 from .own_intervals import Span, bounds, products
 from .uniform_noise import Ends, uniform_ends
 
@@ -62,6 +63,28 @@ class Maps:
 
 
 @dataclass(frozen=True, eq=False)
+class NetworkMaps:
+    """The same under the modes of a network, made when they are asked for: every step asks for one mode.
+
+    ``off`` (d,) is what means are off by in floating point besides the network.
+    """
+
+    agent: LinearAgent
+    part: AgentPart
+    off: FloatArray
+
+    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The maps with some numbers (C,)."""
+        cells, modes = np.divmod(numbers, len(self.part.relation["menu"]))
+        d = len(self.off)
+        z, gain, rho = np.zeros((len(cells), d)), np.zeros((len(cells), d, d)), np.zeros((len(cells), d))
+        for mode in np.unique(modes).tolist():
+            here = modes == mode
+            z[here], gain[here], rho[here] = network_maps(self.agent, self.part, cells[here], mode)
+        return z, gain, rho + self.off
+
+
+@dataclass(frozen=True, eq=False)
 class WrittenTables:
     """What a step needs of one agent.
 
@@ -70,14 +93,14 @@ class WrittenTables:
     """
 
     masses: list[FloatArray]
-    maps: Maps
+    maps: Maps | NetworkMaps
     slack: float
     normal: list[bool]
     ends: Ends | None
 
 
-def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
-    """Compute the tables of one agent anew.
+def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> WrittenTables:
+    """Compute the tables of one agent with expressions, or with a network, anew; ``off`` is as for ``NetworkMaps``.
 
     Raises
     ------
@@ -110,7 +133,8 @@ def written_tables(agent: Agent, part: AgentPart) -> WrittenTables:
         )
         if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
-    return WrittenTables(masses, _maps(agent, part), slack, normal, ends)
+    maps = _maps(agent, part) if isinstance(agent, Agent) else NetworkMaps(linear_agent(agent, "linear"), part, off)
+    return WrittenTables(masses, maps, slack, normal, ends)
 
 
 def _maps(agent: Agent, part: AgentPart) -> Maps:
@@ -197,39 +221,50 @@ def written_values(part: AgentPart, tables: WrittenTables, factors: FloatArray) 
     values = applied(factors, tables.masses).reshape(len(factors), *shape)
     values[values < NOTHING] = 0.0
     found = []
-    for k in range(d):
-        up, down = np.roll(values, -1, axis=k + 1), np.roll(values, 1, axis=k + 1)
-        found.append(_without_ends(np.maximum(up + down - 2.0 * values, 0.0), k, (0, -1)))
-    for i, j in itertools.combinations(range(d), 2):
-        up = np.roll(values, -1, axis=i + 1)
-        mixed = np.roll(up, -1, axis=j + 1) - up - np.roll(values, -1, axis=j + 1) + values
-        found.append(_without_ends(_without_ends(np.abs(mixed), i, (-1,)), j, (-1,)))
-    for k in range(d):
-        found.append(_without_ends(np.abs(np.roll(values, -1, axis=k + 1) - values), k, (-1,)))
+    for k in range(1, d + 1):
+        found.append(_placed(np.maximum(np.diff(values, 2, axis=k), 0.0), values.shape, (k,), 1))
+    for i, j in itertools.combinations(range(1, d + 1), 2):
+        found.append(_placed(np.abs(np.diff(np.diff(values, axis=i), axis=j)), values.shape, (i, j), 0))
+    for k in range(1, d + 1):
+        found.append(_placed(np.abs(np.diff(values, axis=k)), values.shape, (k,), 0))
     if tables.ends is not None:
         found.append(tables.ends.added(tables.masses, factors))
     return [values, *(_largest(table, part.relation["reach"]) for table in found)]
 
 
-def _without_ends(table: FloatArray, axis: int, ends: tuple[int, ...]) -> FloatArray:
-    """The same with 0 where neighbours are missing."""
-    for end in ends:
-        table[(slice(None),) * (axis + 1) + (end,)] = 0.0
-    return table
+def _placed(table: FloatArray, shape: tuple[int, ...], axes: tuple[int, ...], first: int) -> FloatArray:
+    """Differences along some axes, the first of them standing at number ``first``; 0 where neighbours are missing."""
+    result = np.zeros(shape)
+    where = tuple(slice(first, first + n) if k in axes else slice(None) for k, n in enumerate(table.shape))
+    result[where] = table
+    return result
 
 
 def _largest(table: FloatArray, reach: list[int]) -> FloatArray:
     """The largest of the numbers (n, Z_1, ..) around every block of points: of it, and of all blocks within reach."""
+    # Blocks along all axes first: what is left is small.
     for axis, radius in enumerate(reach, start=1):
         size, count = block_size(radius), table.shape[axis]
-        table = np.moveaxis(table, axis, -1)
-        table = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, -count % size)])
-        table = table.reshape(*table.shape[:-1], -1, size).max(axis=-1)
-        around, blocks = -(-radius // size), table.shape[-1]
-        wide = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(around, around)])
-        table = np.max([wide[..., k : k + blocks] for k in range(2 * around + 1)], axis=0)
-        table = np.moveaxis(table, -1, axis)
+        blocks = _along(table, axis, slice(0, None, size)).copy()
+        for k in range(1, min(size, count)):
+            others = _along(table, axis, slice(k, None, size))
+            front = _along(blocks, axis, slice(0, others.shape[axis]))
+            np.maximum(front, others, out=front)
+        table = blocks
+    for axis, radius in enumerate(reach, start=1):
+        around, count = -(-radius // block_size(radius)), table.shape[axis]
+        wide = table.copy()
+        for k in range(1, min(around, count - 1) + 1):
+            for here, there in ((slice(0, -k), slice(k, None)), (slice(k, None), slice(0, -k))):
+                front = _along(wide, axis, here)
+                np.maximum(front, _along(table, axis, there), out=front)
+        table = wide
     return table
+
+
+def _along(table: FloatArray, axis: int, part: slice) -> FloatArray:
+    """The view of a part along one axis."""
+    return table[(slice(None),) * axis + (part,)]
 
 
 def block_size(reach: int) -> int:

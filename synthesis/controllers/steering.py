@@ -28,6 +28,7 @@ from ..relations import (
     Row,
     WrittenMeans,
     WrittenTargets,
+    network_of,
     product,
     rows_of,
 )
@@ -149,7 +150,11 @@ class AffineSteering:
         choices = self.table.choices(self.table.places(cells, q, time))
         if not self.relation.steers:
             # The last column of the table is for cells without a choice: the mean of all inputs.
-            return looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
+            inputs = looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
+            network = network_of(self.relation)
+            if network is None:
+                return inputs
+            return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
         gains, targets = np.divmod(np.maximum(choices, 0), self._n_points)
         steer = self.relation.steers[0]
         aims = steer.aims(lattice_means(self.lattice, targets))
@@ -206,7 +211,7 @@ class BoxSteering:
             centres = looked_up(self._centres, cells)
             inputs = self.relation.means.steered(chosen, points, centres, inputs, beside)
         if isinstance(self.relation.means, NetworkMeans):
-            inputs = self.relation.means.replaced(chosen, points, q, time, inputs)
+            inputs = self.relation.means.policy.replaced(chosen, self.relation.coordinates, points, (q, time), inputs)
         # Cells without a choice get the mean of all inputs.
         if self.table.has_idle_cells(time):
             inputs[:, choices < 0] = self.relation.menu.mean(axis=0)[:, None]

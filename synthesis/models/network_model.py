@@ -1,7 +1,7 @@
-"""Finite models of agents that networks move, under the relation ``boxes``.
+"""Finite models of agents that networks move, under the relations ``linear`` and ``boxes``.
 
-The choices are the modes of the network, and the inputs that the relation offers by default: with these a network can
-be repaired where it is poor.
+The choices are the modes of the network. Under ``linear`` there are no others. Under ``boxes`` there may be the inputs
+that the relation offers by default: with these a network can be repaired where it is poor.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import CellCounts, FloatArray, Grid, RelationRefused, agent_grid, cell_labels, cells_of_agent
-from ..relations import BoxRelation, NetworkPolicy, box_relation
+from ..relations import BoxRelation, NetworkPolicy, box_relation, network_linear_relation
 from .abstraction import Abstraction, AgentModel
 from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
 from .choices import Policies, StepPolicy
+from .written_model import lattice_model
 
 DEFAULT_CELLS = {1: 1000, 2: 100}
-"""Cells per axis by dimension: more than elsewhere, since boxes lose first order in the cells and are cheap."""
+"""Cells per axis by dimension: more than elsewhere, since networks bend within cells and are cheap to enclose."""
 
 LEAST_SHRINKAGE = 0.1
 """By how much boxes must shrink, on average, for cells to be cut into more parts."""
@@ -70,6 +71,7 @@ def network_abstraction(
     policies: Sequence[NetworkPolicy],
     cells: CellCounts = None,
     targets_per_cell: int | None = None,
+    relation: str = "linear",
     with_menu: bool = False,
 ) -> Abstraction:
     """Return finite models of agents that networks move.
@@ -84,15 +86,19 @@ def network_abstraction(
         Cells per axis. Default: 1000 for scalar agents, 100 per axis for two dimensions, 24 for three.
     targets_per_cell : int, optional
         Lattice points per cell and axis at which values are read; by default as many as noise and cells ask for.
+    relation : "linear" or "boxes"
+        Affine maps with what they leave, or boxes around means.
     with_menu : bool
-        Whether inputs are offered besides the modes.
+        Whether inputs are offered besides the modes, which needs ``boxes``.
 
     Raises
     ------
     ValueError
-        If the dynamics of an agent are not linear, or there are too many boxes.
+        If the dynamics of an agent are not linear, if there are too many boxes or maps, or if its noise has laws that
+        the relation does not know.
     """
     models = []
+    idle = np.flatnonzero(problem.automaton.absorbing).tolist()
     for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
         if not isinstance(agent, LinearAgent):
             raise RelationRefused(
@@ -101,14 +107,19 @@ def network_abstraction(
             )
         asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
-        relation = network_relation(agent, grid, coordinates, policy, with_menu)
-        parts = box_model(agent, grid, coordinates, targets_per_cell, relation)
+        labels = cell_labels(problem, i, grid, coordinates)
+        if relation == "linear":
+            maps = network_linear_relation(agent, coordinates, policy, (1, 1, (0,) * agent.n_states), idle)
+            affine = lattice_model(agent, grid, maps, targets_per_cell)
+            models.append(AgentModel(grid, affine[1], affine[0], affine[2], affine[3], labels, labels))
+            continue
+        boxes = network_relation(agent, grid, coordinates, policy, with_menu)
+        parts = box_model(agent, grid, coordinates, targets_per_cell, boxes)
         shared = {field.name: getattr(parts[3], field.name) for field in fields(BoxChoices)}
         choices = NetworkChoices(**shared, n_modes=policy.n_modes)
-        labels = cell_labels(problem, i, grid, coordinates)
-        models.append(AgentModel(grid, parts[1], relation, parts[2], choices, labels, labels))
+        models.append(AgentModel(grid, parts[1], boxes, parts[2], choices, labels, labels))
     settings: dict[str, object] = {
-        "relation": "boxes",
+        "relation": relation,
         "cells": [list(model.grid.shape) for model in models],
         "targets_per_cell": targets_per_cell,
         "raw": True,
@@ -119,7 +130,7 @@ def network_abstraction(
 def network_relation(
     agent: LinearAgent, grid: Grid, coordinates: FloatArray, policy: NetworkPolicy, with_menu: bool
 ) -> BoxRelation:
-    """Return the relation whose first choices are the modes of a network.
+    """Return the relation of boxes whose first choices are the modes of a network.
 
     Cells are cut into as many parts as make boxes noticeably smaller: where the network bends within a cell.
     """

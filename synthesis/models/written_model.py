@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...envs.agents import Agent, Gaussian, Law, Uniform
+from ...envs.agents import Agent, AnyAgent, Gaussian, Law, Uniform
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import AffineBoxes, WrittenRelation, written_relation
 from .bends import SECOND
@@ -64,16 +64,30 @@ def written_model(
     RelationRefused
         If its noise has laws for which nothing is known between lattice points, or there are too many maps or points.
     """
-    laws, d = grid_laws(agent, coordinates), agent.n_states
+    menu, d = with_rest(agent.input_box), agent.n_states
+    relation = written_relation(agent, coordinates, menu, 1, CUTS.get(d, 1), (0,) * d)
+    return lattice_model(agent, grid, relation, per_cell)
+
+
+def lattice_model(
+    agent: AnyAgent, grid: Grid, relation: WrittenRelation, per_cell: int | None
+) -> tuple[WrittenRelation, tuple[FloatArray, ...], LatticeKernel, WrittenChoices]:
+    """Return a relation of affine maps with the parts and the reach that suit its maps, and what goes with it.
+
+    Raises
+    ------
+    RelationRefused
+        As for ``written_model``.
+    """
+    laws, d = grid_laws(agent, relation.coordinates), agent.n_states
     _refuse_laws(agent, laws)
-    menu, points = with_rest(agent.input_box), _points_per_cell(grid, laws, per_cell)
+    points, n_maps = _points_per_cell(grid, laws, per_cell), grid.n_cells * len(relation.menu)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
-    if grid.n_cells * len(menu) > MOST_MAPS or count > MOST_LATTICE:
+    if n_maps > MOST_MAPS or count > MOST_LATTICE:
         raise RelationRefused(
             f"agent `{agent.name}`: the relation `linear` needs at most {MOST_MAPS} maps and {MOST_LATTICE} lattice "
-            f"points, got {grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
+            f"points, got {n_maps} and {count}; ask for fewer `cells` or `targets_per_cell`"
         )
-    relation = written_relation(agent, coordinates, menu, 1, CUTS.get(d, 1), (0,) * d)
     maps = _maps(relation, grid)
     half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)
     low, high = (_end(maps.centre, half + maps.rest, sign) for sign in (-1.0, 1.0))
@@ -90,7 +104,7 @@ def written_model(
     return relation, lattice, kernel, choices
 
 
-def _refuse_laws(agent: Agent, laws: Sequence[Law]) -> None:
+def _refuse_laws(agent: AnyAgent, laws: Sequence[Law]) -> None:
     """Refuse noise of which nothing is known between lattice points."""
     uniform = [law for law in laws if isinstance(law, Uniform)]
     if len(uniform) > 1 or not all(isinstance(law, Gaussian | Uniform) for law in laws):

@@ -9,6 +9,7 @@ from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
+from .network_maps import NetworkMaps, network_linear_relation, network_of
 from .networks import (
     ACTIVATIONS,
     Network,
@@ -40,6 +41,7 @@ __all__ = [
     "LinearRelation",
     "MeanBoxes",
     "Network",
+    "NetworkMaps",
     "NetworkMeans",
     "NetworkPolicy",
     "OwnView",
@@ -67,6 +69,8 @@ __all__ = [
     "joint_delta",
     "linear_relation",
     "mean_loss",
+    "network_linear_relation",
+    "network_of",
     "network_policy",
     "paper_relation",
     "product",

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 
@@ -58,6 +59,21 @@ class AffineBoxes:
     centre: FloatArray
     gain: FloatArray
     rest: FloatArray
+
+
+class AffineMaps(Protocol):
+    """What makes affine maps; nothing else is asked of an agent."""
+
+    @property
+    def cuts(self) -> int:
+        """Parts into which cells are cut along each axis to enclose what maps leave."""
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that maps depend on, for comparing relations."""
+
+    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+        """Return the maps of the closed cells ``[low, high]``, (n, d) each, under choices (A, m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,17 +203,17 @@ class AffineMeans:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WrittenRelation(LinearRelation):
-    """The relation ``linear`` of agents with expressions: inputs of a menu, and affine maps with what they leave.
+    """The relation ``linear`` of agents with expressions, or networks: choices, and affine maps with what they leave.
 
     Parameters
     ----------
-    means : AffineMeans
+    means : AffineMeans or NetworkMaps
         What makes the maps; ``A``, ``B`` and ``offset`` stand for nothing.
     reach : tuple of int
         Lattice steps along each axis around the mean of a centre within which the lattice is looked at.
     """
 
-    means: AffineMeans | None = None
+    means: AffineMaps | None = None
     reach: tuple[int, ...] = ()
 
     @property

@@ -138,20 +138,6 @@ class NetworkMeans:
         first[:, :modes], last[:, :modes] = ends[0] - self.linear.rounding, ends[1] + self.linear.rounding
         return first, last
 
-    def replaced(
-        self, choices: NDArray[np.intp], points: FloatArray, q: NDArray[Any], time: int, inputs: FloatArray
-    ) -> FloatArray:
-        """Return ``inputs`` (m, n, M) with those of the network where it is chosen, at points (d, n, M) of the grid."""
-        asked = choices < self.policy.n_modes
-        states = points[:, asked]
-        if not np.array_equal(self.coordinates, np.eye(len(self.coordinates))):
-            states = self.coordinates @ states
-        own_q = np.broadcast_to(q, choices.shape)[asked]
-        result = np.array(inputs)
-        if states.size:
-            result[:, asked] = self.policy.inputs(states, own_q, min(time, self.policy.view.horizon - 1))
-        return result
-
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All that boxes depend on, for comparing relations."""
@@ -310,14 +296,15 @@ def box_relation(
         if steer.shape != (len(menu),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")
     else:
-        means = _linear_means(linear_agent(agent, "boxes"), coordinates, gains)
+        means = linear_means(linear_agent(agent, "boxes"), coordinates, gains)
         if written and "network" in written:
             policy = network_policy(written["network"], agent)
             means = NetworkMeans(means, policy, coordinates, int(written["parts"]))
     return BoxRelation(means, coordinates, menu, gains, box.low, box.high)
 
 
-def _linear_means(agent: LinearAgent, coordinates: FloatArray, gains: FloatArray) -> LinearMeans:
+def linear_means(agent: LinearAgent, coordinates: FloatArray, gains: FloatArray) -> LinearMeans:
+    """Return what boxes of a linear agent are made of, with the feedbacks (A, m, d) of its choices."""
     sizes = sizes_of(agent, coordinates)
     # Of the input: the centre of a cell, the difference to it, and a product for each state.
     largest = np.abs(gains).max(axis=0)

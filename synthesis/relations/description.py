@@ -1,8 +1,9 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions, with ``"parts"`` and ``"network"`` where networks move agents),
-``{"kind": "linear", "menu", "parts"}``, ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
+expressions, with ``"parts"`` and ``"network"`` where networks move agents), ``{"kind": "linear", "menu", "parts"}``
+(with ``"cuts"`` and ``"reach"`` where dynamics are expressions, and ``"network"`` besides where networks move agents),
+``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
 is trusted.
@@ -22,7 +23,8 @@ from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, exact_relation
 from .linear import LinearRelation, linear_relation
-from .networks import check_network
+from .network_maps import network_linear_relation, network_of
+from .networks import check_network, network_policy
 from .scalar import paper_relation
 from .solved_means import WrittenTargets, written_targets
 from .tube import tube_relation
@@ -80,6 +82,8 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
     if isinstance(relation, WrittenRelation):
         assert relation.means is not None
         written = {"parts": relation.parts, "cuts": relation.means.cuts, "reach": [*relation.reach]}
+        network = network_of(relation)
+        written |= {} if network is None else {"network": network.description}
         return {"kind": "linear", "menu": relation.menu.tolist(), **written}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
@@ -118,6 +122,9 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     if kind == "exact":
         return aimed_relation(agent, coordinates)
     agent = linear_agent(agent, kind)
+    if kind == "linear" and "network" in description:
+        numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
+        return network_linear_relation(agent, coordinates, network_policy(description["network"], agent), numbers)
     if kind == "linear":
         menu = np.array(description["menu"], dtype=float)
         return linear_relation(agent, coordinates, menu if len(menu) else None, int(description["parts"]))
@@ -155,13 +162,16 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     if any(isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= LARGEST for x in numbers):
         raise ValueError("a relation has settings that are not numbers")
     is_written = isinstance(agent, Agent)
+    has_network = description["kind"] in ("boxes", "linear") and "network" in description
     known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])
+    if has_network and not is_written:
+        # Networks move linear agents; as linear cells they have maps all the same.
+        named = None
     if is_written != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
     if is_written and description["kind"] == "exact" and len(description) > 1:
         raise ValueError("it has settings for a relation of exact targets, which has none")
-    has_network = description["kind"] == "boxes" and "network" in description
     in_parts = description["kind"] == "linear" or (is_written and description["kind"] == "boxes") or has_network
     if in_parts and description["parts"] not in range(1, MOST_PARTS + 1):
         raise ValueError(f"a relation reads images in {description['parts']} parts, expected 1 to {MOST_PARTS}")
@@ -175,8 +185,9 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
     ):
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
-    if is_written and description["kind"] == "linear":
+    if (is_written or has_network) and description["kind"] == "linear":
         _check_maps(description, agent)
+        _check_modes(description)
     elif is_written and description["kind"] == "boxes":
         steer = description["steer"]
         if not isinstance(steer, list) or not all(isinstance(flag, bool) for flag in steer):
@@ -194,6 +205,13 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
+
+
+def _check_modes(description: dict[str, Any]) -> None:
+    """Raise ValueError if a relation of affine maps has a network, and other choices than its modes."""
+    network = description.get("network")
+    if network is not None and len(description["menu"]) != network["horizon"] * network["states"]:
+        raise ValueError("a relation of maps has other choices than the modes of its network")
 
 
 def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:

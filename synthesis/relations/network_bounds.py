@@ -40,10 +40,10 @@ KINKS = {"relu": (0.0,), "clip": (-1.0, 1.0)}
 WIDER = 1.0 + 1e-7
 """Factor on what single precision is off by: the rounding of this file is 2e-9 of that, for each of a few sums."""
 
-OUTWARD, ABSOLUTE = 1e-9, 4e-11
-"""Share by which boxes are wider than computed, and what is added in units of the largest move of an input: the sums
-that are pulled back through all layers. More than the check adds, so that its boxes lie inside, and hardly more, since
-what is left after unions from below depends on boxes in both directions."""
+OUTWARD, ABSOLUTE, MORE = 1e-12, 2.01e-11, 1.001
+"""Share by which boxes are wider than computed; what is added in units of the largest move of an input, for the sums
+that are pulled back through all layers; and a factor on what these may be off by. More than the check adds, so that its
+boxes lie inside, and hardly more, since what is left after unions from below depends on boxes in both directions."""
 
 CELLS_AT_ONCE = 1024
 """Cells that are enclosed at once: arrays of some megabytes."""
@@ -178,10 +178,15 @@ def mean_bounds(
                 ends = _means(policy, moves, coordinates, (centre, half), mode)
                 np.minimum(first[block, mode], ends[0], out=first[block, mode])
                 np.maximum(last[block, mode], ends[1], out=last[block, mode])
-    box = policy.input_box
-    absolute = ABSOLUTE + 2.0 * _double_rounding(policy)
-    spare = OUTWARD * (last - first) + absolute * (np.abs(moves[1]) @ (np.abs(box.low) + np.abs(box.high)))
+    spare = OUTWARD * (last - first) + widening(policy, moves[1])
     return first - spare, last + spare
+
+
+def widening(policy: NetworkPolicy, B: FloatArray) -> FloatArray:
+    """Return an upper bound (d,) on what means are off by in double precision."""
+    box = policy.input_box
+    absolute = ABSOLUTE + MORE * _double_rounding(policy)
+    return np.asarray(absolute * (np.abs(B) @ (np.abs(box.low) + np.abs(box.high))))
 
 
 def _double_rounding(policy: NetworkPolicy) -> float:
@@ -204,6 +209,26 @@ def _means(
     mode: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return ends (N, d) of the means from cells with centres and half widths (N, d)."""
+    form, actions = mean_form(policy, moves, coordinates, cells, mode)
+    (A, B, offset), (centre, half), box = moves, cells, policy.input_box
+    ends, still = form.ends(half), centre @ A.T + B @ (0.5 * box.low + 0.5 * box.high) + offset
+    plain, reach = _interval(B * box.half_width, *actions), half @ np.abs(A).T
+    rounding = np.abs(B) @ (2.0**-50 * (np.abs(box.low) + np.abs(box.high)))
+    lowest = np.maximum(ends[0], still - reach + plain[0]) - rounding
+    return lowest, np.minimum(ends[1], still + reach + plain[1]) + rounding
+
+
+def mean_form(
+    policy: NetworkPolicy,
+    moves: tuple[FloatArray, FloatArray, FloatArray],
+    coordinates: FloatArray,
+    cells: tuple[FloatArray, FloatArray],
+    mode: int,
+) -> tuple[Form, tuple[FloatArray, FloatArray]]:
+    """Return affine forms of the means from cells with centres and half widths (N, d), and ends (N, m) of actions.
+
+    Double precision is not paid for: ``widening`` says what is to be added.
+    """
     (A, B, offset), (centre, half), network = moves, cells, policy.network
     m = policy.input_box.dimension
     weights = [w.astype(float) for w in network.weights]
@@ -231,14 +256,9 @@ def _means(
         values = _values(kind, low, high)
     # The mean is A x + B (middle + half width * action) + offset.
     box = policy.input_box
-    gain, constant = B * box.half_width, B @ (0.5 * box.low + 0.5 * box.high) + offset
-    form = bounds.pulled_back(gain, len(kinds) - 1)
-    still = centre @ A.T + constant
-    ends = Form(form.slopes + A, form.centre + still, form.radius).ends(half)
-    plain, reach = _interval(gain, *values), half @ np.abs(A).T
-    rounding = np.abs(B) @ (2.0**-50 * (np.abs(box.low) + np.abs(box.high)))
-    lowest = np.maximum(ends[0], still - reach + plain[0]) - rounding
-    return lowest, np.minimum(ends[1], still + reach + plain[1]) + rounding
+    form = bounds.pulled_back(B * box.half_width, len(kinds) - 1)
+    still = centre @ A.T + (B @ (0.5 * box.low + 0.5 * box.high) + offset)
+    return Form(form.slopes + A, form.centre + still, form.radius), values
 
 
 def _first_layer(

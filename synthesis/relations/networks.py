@@ -119,6 +119,38 @@ class NetworkPolicy:
         actions = self.network.actions(self.view.rows(self.workspace, states, q, time))
         return inputs_of(self.input_box, actions[:, : self.input_box.dimension].T.astype(float))
 
+    def replaced(
+        self,
+        choices: NDArray[Any],
+        coordinates: FloatArray,
+        points: FloatArray,
+        moment: tuple[NDArray[Any], int],
+        inputs: FloatArray,
+    ) -> FloatArray:
+        """Return ``inputs`` (m, n, M) with those of the network where one of its modes is chosen.
+
+        Parameters
+        ----------
+        choices : (n, M) int array
+            Modes are the first ones; -1 for none.
+        coordinates : (d, d) array
+            Grid coordinates to state.
+        points : (d, n, M) array
+            In grid coordinates.
+        moment : automaton states (M,), time
+        inputs : (m, n, M) array
+        """
+        q, time = moment
+        asked = (choices >= 0) & (choices < self.n_modes)
+        states = points[:, asked]
+        if not np.array_equal(coordinates, np.eye(len(coordinates))):
+            states = coordinates @ states
+        own_q = np.broadcast_to(q, choices.shape)[asked]
+        result = np.array(inputs)
+        if states.size:
+            result[:, asked] = self.inputs(states, own_q, min(time, self.view.horizon - 1))
+        return result
+
     def constants(self, mode: int) -> FloatArray:
         """Return what the network sees in a mode besides the state: a row (size - width,), exact."""
         t, q = divmod(mode, self.view.states)

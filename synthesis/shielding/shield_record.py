@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, tree_text
+from ...envs.agents import Gaussian, tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down, shown_bound
@@ -118,8 +118,12 @@ class Shield:
     def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
         """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""
         same = np.full(states[0].shape[1], q)
-        controllers = self.values.certificate.controller.agents
-        return tuple(c.act(x[:, None], same, time, None)[0][:, 0] for c, x in zip(controllers, states, strict=True))
+        found = []
+        for i, controller in enumerate(self.values.certificate.controller.agents):
+            beside = self.values.beside(i, states)
+            others = None if beside is None else beside[:, None]
+            found.append(controller.act(states[i][:, None], same, time, None, None, others)[0][:, 0])
+        return tuple(found)
 
     def next_budget(
         self, ratio: FloatArray, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any]
@@ -212,10 +216,10 @@ def _check_certificate(certificate: Certificate) -> None:
         )
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         relation = part.relation_of(agent)
-        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+        if agent.laws is not None and not all(isinstance(law, Gaussian) for law in agent.laws):
             raise ValueError(
-                f"`certificate`: expected linear agents with Gaussian noise, got agent `{agent.name}`, which is not; "
-                "a shield does not compute what the inputs of others are worth where they are"
+                f"`certificate`: expected Gaussian noise, got another law for agent `{agent.name}`; a shield does not "
+                "compute what inputs are worth under other laws"
             )
         if relation.delta > 0.0:
             raise ValueError(

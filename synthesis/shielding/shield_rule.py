@@ -168,10 +168,7 @@ def decentralised_choice(values: ActionValues, case: Case) -> Choice:
     worth, overridden = np.empty(len(case.budget)), np.zeros((count, len(case.budget)), dtype=bool)
     for some in pieces(np.arange(len(worth)), count * values.work(case.time, case.q)):
         here = case.selected(some)
-        base = [
-            values.smoothed(here.time, here.q, i, values.mean(i, here.states[i], here.certified[i]))
-            for i in range(count)
-        ]
+        base = [values.expected(here.time, here.q, i, here.states, here.certified[i]) for i in range(count)]
         threshold = _share_of_each(np.prod(base, axis=0).sum(axis=0), here.budget, count)
         product: Any = 1.0
         for i in range(count):
@@ -201,7 +198,7 @@ def _agents_choice(
 
     def judge(tried: FloatArray, which: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Take the inputs that are allowed among those tried in the worlds ``which``; return kappa, and which are."""
-        found = values.smoothed(case.time, case.q, i, values.mean(i, case.states[i][:, which], tried))
+        found = values.expected(case.time, case.q, i, tuple(x[:, which] for x in case.states), tried)
         ratio = kappa(found, base[:, which])
         # What is no number has no ratio where the certified factors are all 0: it is refused by itself.
         allowed = (ratio >= threshold[which]) & np.isfinite(tried).all(axis=0)

@@ -7,7 +7,8 @@ of the team the mean of agent i is ``m_i = A_i x_i + B_i u_i + c_i``, and
     Q_t(x, u) = sum_r prod_i E v_ri(m_i + w_i)  <=  E V_{t+1}(x').
 
 The inputs are continuous, and the mean is that of the true state, not of its cell (docs/theory/shields.md, "What an
-action is worth").
+action is worth"). Of agents with expressions a box is known that holds it, whatever disturbances do, and the least
+expectation over it is taken (``unknown_means``).
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import tree_text
+from ...envs.agents import Agent, place_of, tree_text
 from ..cells import FloatArray, linear_agent
 from ..certificates import Certificate, grid_noise
 from ..checking import masks_of, regrow, vertices_of
 from ..relations import Relation, mean_loss
 from ..values import Terms
 from .noise_masses import NoiseAxis
+from .unknown_means import MeanBox
 
 UNIT = 2.0**-53
 
@@ -106,6 +108,31 @@ class ActionValues:
             product *= read[which]
         return np.asarray(product.sum(axis=0))
 
+    def expected(self, time: int, q: int, i: int, states: tuple[FloatArray, ...], inputs: FloatArray) -> FloatArray:
+        """Return agent i's factors of all terms (R, M), expected from states (d_i, M) of all agents; lower bounds.
+
+        ``inputs`` (m, M) are its own.
+        """
+        agent = self.certificate.problem.agents[i]
+        if not isinstance(agent, Agent):
+            return self.smoothed(time, q, i, self.mean(i, states[i], inputs))
+        points, deviations = self.relations[i].to_grid(states[i]), np.array([a.deviation for a in self.axes[i]])
+        moving, beside = (points, inputs), self.beside(i, states)
+        box = MeanBox.of(agent, self.certificate.agents[i].coordinates, deviations, moving, beside)
+        least = np.minimum.reduce([self.smoothed(time, q, i, means) for means in box.points])
+        vertices = self.vertices[time][q]
+        largest = vertices.distinct[i].max(axis=1, initial=0.0)[vertices.which[i]]
+        return np.asarray(np.maximum(least - largest[:, None] * box.charge, 0.0))
+
+    def beside(self, i: int, states: tuple[FloatArray, ...]) -> FloatArray | None:
+        """Return the states (l, M) of others that the dynamics of agent i name; None if there are none."""
+        agents = self.certificate.problem.agents
+        agent = agents[i]
+        if not isinstance(agent, Agent) or not agent.others:
+            return None
+        places = [place_of(name, agents) for name in agent.others]
+        return np.array([states[owner][k] for owner, k in places])
+
     def mean(self, i: int, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the mean (d, M) of the next state of agent i at states (d, M) under inputs (m, M), grid coordinates.
 
@@ -136,8 +163,9 @@ class ActionValues:
         total = np.empty(states[0].shape[1])
         for some in pieces(np.arange(len(total)), self.work(time, q)):
             product = np.ones((self.vertices[time][q].rank, len(some)))
-            for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
-                product *= self.smoothed(time, q, i, self.mean(i, x[:, some], u[:, some]))
+            here = tuple(x[:, some] for x in states)
+            for i, u in enumerate(inputs):
+                product *= self.expected(time, q, i, here, u[:, some])
             total[some] = product.sum(axis=0)
         return total
 
@@ -174,6 +202,8 @@ class ActionValues:
         triples = zip(self.certificate.problem.agents, self.certificate.agents, self.relations, strict=True)
         for agent, part, relation in triples:
             per_step += relation.execution_loss(agent, part.grid.edges)
+            if isinstance(agent, Agent):
+                continue  # what means are off by is in their boxes
             per_step += mean_loss(linear_agent(agent, "exact"), part.coordinates, part.grid.edges)
         return per_step * len(self.certificate.skeleton) * (1.0 + 1e-9)
 

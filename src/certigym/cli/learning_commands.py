@@ -189,6 +189,10 @@ def certify(options: Namespace) -> int:
     policy = policy_of_file(problem, file)
     if options.raw or options.repair is not None:
         return certify_raw(options, problem, policy)
+    if options.above:
+        raise ValueError(
+            "`--above`: expected `--raw` beside it, which says that the network itself is certified; add it"
+        )
     cells = cells_of(options)
     # All forms of the policy are simulated beside each other; the last one is saved.
     policies: dict[str, Any] = {"raw": policy}

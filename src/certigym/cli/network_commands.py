@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from ..synthesis.certificates import save_certificate
+from ..synthesis.certificates import rounded_up, save_certificate
 from ..synthesis.certify import certify as certify_policy
+from ..synthesis.network_above import bound_network_above
 from ..synthesis.raw_networks import WeakPlaces, repair_network
 from ..validation.figures import network_figure, save_figure
 from ..validation.policies import compare as compare_policies
@@ -55,12 +56,18 @@ def certify_raw(options: Namespace, problem: Problem, policy: Any) -> int:
     with trials(options, options.episodes * len(policies)) as plan:
         result = compare_policies(problem, policies, plan)
     lines = [str(result), "The bound of `certified` holds for the deployed network: it is the same policy."]
+    above: float | None = None
+    if options.above:
+        end = bound_network_above(problem, policy, cells, **settings)
+        above = end.upper_bound
+        lines.append(f"The deployed network succeeds with P <= {rounded_up(above, 6)}.")
     weakest = [] if places is None else places.worst(PLACES_SHOWN)
     if places is not None:
         lines.append(f"replaced in {last.stats['repaired']} places; where the network loses most:")
         lines += [_place_text(place) for place in weakest]
-    show(options, "\n".join(lines), {**result.to_dict(), "weak_places": weakest})
-    return int(any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
+    show(options, "\n".join(lines), {**result.to_dict(), "weak_places": weakest, "above": above})
+    too_low = above is not None and any(e.name == "deployed" and e.ci_low > above for e in result.entries)
+    return int(too_low or any(e.lower_bound is not None and e.ci_high < e.lower_bound for e in result.entries))
 
 
 def _place_text(place: dict[str, Any]) -> str:

@@ -262,6 +262,9 @@ def _add_comparing(commands: Any) -> None:
     )
     certify.add_argument("--raw", action="store_true", help="certify the network itself as it is deployed")
     certify.add_argument(
+        "--above", action="store_true", help="with --raw: bound it from above, too (takes as long again)"
+    )
+    certify.add_argument(
         "--repair",
         nargs="?",
         type=float,

@@ -1,0 +1,238 @@
+"""Affine maps around networks hold every mean, lose second order, and no changed map passes the check."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.agents import LinearAgent
+from certigym.synthesis.checking.network_spans import network_maps
+from certigym.synthesis.models.network_model import network_abstraction
+from certigym.synthesis.raw_networks import certify_network, differences
+from certigym.synthesis.relations import AffineBoxes, NetworkMaps, NetworkPolicy, WrittenRelation, check_description
+from certigym.synthesis.relations.boxes import linear_means
+from certigym.validation.policies.actors import SharedActor
+from certigym.validation.policies.views import SharedView
+from network_problems import RNG, changed, means_at, network, proportional, reach
+from problems import cart, linear, scalar_agent
+
+SHAPES = [
+    ([8], "tanh", False),
+    ([16, 16], "tanh", True),
+    ([16, 16], "relu", False),
+    ([8, 8, 8], "relu", True),
+]
+
+
+def turned() -> LinearAgent:
+    """An agent whose noise is correlated, so that its cells are no boxes of states."""
+    return cart(
+        B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0],
+        noise_covariance=[[0.04, 0.02], [0.02, 0.05]], initial_state=[-1.0, 0.0],
+    )  # fmt: skip
+
+
+def maps_of(policy: NetworkPolicy, agent: LinearAgent, cuts: int) -> NetworkMaps:
+    """Maps in the coordinates of the state."""
+    still = np.zeros((1, agent.n_inputs, agent.n_states))
+    return NetworkMaps(linear_means(agent, np.eye(agent.n_states), still), policy, np.eye(agent.n_states), cuts)
+
+
+@pytest.mark.parametrize("hidden, activation, squashed", SHAPES)
+@pytest.mark.parametrize("make", [lambda: scalar_agent("a"), cart, turned])
+@pytest.mark.parametrize("cuts", [1, 2])
+def test_no_point_of_a_cell_leaves_its_map(
+    hidden: list[int], activation: str, squashed: bool, make: Callable[[], LinearAgent], cuts: int
+) -> None:
+    """Dense samples of closed cells, corners among them, lie within what maps leave: in the search and in the check."""
+    agent = make()
+    problem, d = reach(agent, horizon=2), agent.n_states
+    view = SharedView(problem)
+    actor = SharedActor(problem, network([view.size, *hidden, view.n_actions], activation, squashed))
+    part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.agents[0]
+    part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
+    relation = part.relation_of(agent)
+    assert isinstance(relation, WrittenRelation) and relation.means is not None
+    low, high = part.grid.low, part.grid.high
+    maps = relation.means.around(low, high, relation.menu)
+    corners = np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T
+    shares = np.concatenate([RNG.random((100, d)), corners])
+    inverse, space = np.linalg.inv(part.coordinates), agent.workspace
+    middle, half = space.center[:, None], space.half_width[:, None]
+    for mode in range(2 * problem.automaton.n_states):
+        t, q = divmod(mode, problem.automaton.n_states)
+        z, gain, rho = network_maps(linear(agent), part, np.arange(part.grid.n_cells), mode)
+        # Both are the same maps; the check is widened by less.
+        assert np.allclose(z, maps.centre[:, mode], atol=1e-9) and np.allclose(gain, maps.gain[:, mode], atol=1e-9)
+        assert np.all(rho <= maps.rest[:, mode])
+        offsets = (shares - 0.5) * (high - low)[:, None]
+        points = 0.5 * (low + high)[:, None] + offsets
+        states = part.coordinates @ points.reshape(-1, d).T
+        # A state outside the workspace has failed, and what the network sees of it is not affine.
+        inside = np.all(np.abs(states - middle) <= half, axis=0).reshape(points.shape[:2])
+        means = (inverse @ means_at(problem, actor, 0, states, q, t)).T.reshape(points.shape)
+        for centre, slope, rest in ((z, gain, rho), (maps.centre[:, mode], maps.gain[:, mode], maps.rest[:, mode])):
+            left = means - centre[:, None] - np.einsum("skj,spj->spk", slope, offsets)
+            # The agent's own sum is rounded in double precision, which is not part of the maps of the check.
+            assert np.all((np.abs(left) <= rest[:, None] + 1e-12)[inside])
+
+
+@pytest.mark.parametrize("cuts", [1, 2])
+def test_what_maps_leave_is_of_second_order(cuts: int) -> None:
+    """With cells half as wide, what maps leave falls to about a quarter; cut cells leave less than whole ones."""
+    problem = reach(scalar_agent("a"))
+    actor = SharedActor(problem, network([SharedView(problem).size, 16, 16, 1], "tanh", True))
+    agent, rests = linear(problem.agents[0]), []
+    for cells in (24, 48):
+        edges = np.linspace(-4.0, 4.0, cells + 1)[:, None]
+        menu = np.zeros((problem.automaton.n_states, 1))
+        boxes = [
+            maps_of(actor.agent_policy(0), agent, k).around(edges[:-1], edges[1:], menu).rest[:, 0] for k in (1, cuts)
+        ]
+        assert np.all(boxes[1] <= boxes[0])
+        rests.append(boxes[1].mean())
+    assert rests[1] < 0.35 * rests[0]
+
+
+def test_stable_relus_leave_rounding() -> None:
+    """Where no relu has its kink in a cell, and nothing is clipped, the closed loop is affine."""
+    problem = reach(scalar_agent("a"))
+    net = network([SharedView(problem).size, 8, 1], "relu", scale=0.2)
+    boxes = maps_of(SharedActor(problem, net).agent_policy(0), linear(problem.agents[0]), 1)
+    edges = np.linspace(-4.0, 4.0, 401)[:, None]
+    rest = boxes.around(edges[:-1], edges[1:], np.zeros((1, 1))).rest[:, 0, 0]
+    assert np.sum(rest > 1e-5) <= 8 + 2  # one cell for each kink, and the two ends of clipping
+    assert np.median(rest) < 1e-6
+
+
+def test_linear_cells_certify_more_than_boxes() -> None:
+    """On the same cells, and both below rollouts of the network (20,000, seed 1, false alarm 1e-6)."""
+    problem = reach(scalar_agent("a"), scalar_agent("b"))
+    actor = proportional(problem)
+    by_maps, by_boxes = (certify_network(problem, actor, 100, relation=kind) for kind in ("linear", "boxes"))
+    assert by_maps.certificate.lower_bound > by_boxes.certificate.lower_bound + 0.02
+    assert certify_network(problem, actor, 100).certificate.lower_bound == by_maps.certificate.lower_bound
+    report = cg.validate(by_maps, episodes=20_000, seed=1, confidence=1.0 - 1e-6)
+    assert report.ci_high >= by_maps.certificate.lower_bound
+    # What is left is small: a quarter of the cells loses the network little more.
+    coarse = certify_network(problem, actor, 25, relation="linear").certificate.lower_bound
+    assert coarse > by_boxes.certificate.lower_bound
+
+
+def test_boxes_are_taken_where_they_certify_more() -> None:
+    """Cells that are wide against the noise bend too much for maps."""
+    problem = reach(turned(), horizon=3)
+    actor = proportional(problem)
+    kinds = {kind: certify_network(problem, actor, 20, relation=kind).certificate for kind in ("linear", "boxes")}
+    best = certify_network(problem, actor, 20).certificate
+    assert best.lower_bound == max(c.lower_bound for c in kinds.values()) == kinds["boxes"].lower_bound > 0.0
+
+
+def test_certificates_travel_and_fly(tmp_path: Path) -> None:
+    """Saved, loaded and checked; the controllers of the file are the network, also where cells are turned."""
+    problem = reach(turned(), horizon=2)
+    actor = proportional(problem)
+    synthesis = certify_network(problem, actor, 50, relation="linear")
+    assert synthesis.certificate.lower_bound > 0.01
+    cg.save_certificate(synthesis.certificate, tmp_path / "c.npz")
+    loaded = cg.load_certificate(tmp_path / "c.npz")
+    assert cg.check(loaded) and differences(loaded, actor) == []
+    ours = cg.rollout(problem, loaded.controller, episodes=5000, seed=1)
+    deployed = cg.rollout(problem, cg.as_controller(problem, actor), episodes=5000, seed=1)
+    assert np.array_equal(ours.success, deployed.success)
+    assert ours.success.mean() > loaded.lower_bound
+
+
+def smaller(boxes: AffineBoxes) -> AffineBoxes:
+    return dataclasses.replace(boxes, rest=0.99 * boxes.rest)
+
+
+def nothing_left(boxes: AffineBoxes) -> AffineBoxes:
+    return dataclasses.replace(boxes, rest=0.0 * boxes.rest)
+
+
+def of_the_next_cell(boxes: AffineBoxes) -> AffineBoxes:
+    return dataclasses.replace(boxes, gain=np.roll(boxes.gain, 1, axis=0))
+
+
+def no_slope(boxes: AffineBoxes) -> AffineBoxes:
+    return dataclasses.replace(boxes, gain=0.0 * boxes.gain)
+
+
+@pytest.mark.parametrize("change", [smaller, nothing_left, of_the_next_cell, no_slope])
+def test_maps_that_are_wrong_are_refused(
+    change: Callable[[AffineBoxes], AffineBoxes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bounds that rest on wrong maps: what is left too small by a hundredth, slopes of another cell, or none."""
+    problem = reach(scalar_agent("a"))
+    actor, true = proportional(problem), NetworkMaps.around
+    right = certify_network(problem, actor, 40, relation="linear")
+    assert cg.check(right)
+    monkeypatch.setattr(NetworkMaps, "around", lambda self, *arguments: change(true(self, *arguments)))
+    wrong = certify_network(problem, actor, 40, relation="linear").certificate
+    monkeypatch.undo()
+    assert change is of_the_next_cell or wrong.lower_bound > right.certificate.lower_bound
+    report = cg.check(wrong)
+    assert not report, change.__name__
+
+
+def test_squashing_weights_and_times_matter() -> None:
+    """A network that is clipped, other weights, another time, and a reach that is too small."""
+    problem = reach(scalar_agent("a"))
+    actor = proportional(problem)
+    certificate = certify_network(problem, actor, 60, relation="linear").certificate
+    assert cg.check(certificate)
+    assert not cg.check(changed(certificate, squashed=True))
+    last = [bias.tolist() for bias in actor.network.biases]
+    last[-1] = [-0.2]
+    assert not cg.check(changed(certificate, biases=last))
+    part = certificate.agents[0]
+    shifted = part.policy.copy()
+    shifted[0] = part.policy[1]
+    others: list[Any] = [dataclasses.replace(part, policy=shifted)]
+    others += [dataclasses.replace(part, relation={**part.relation, "reach": [2]})]
+    for other in others:
+        assert not cg.check(dataclasses.replace(certificate, agents=(other,)))
+
+
+def test_squashing_that_was_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Maps of the search that clip where the network is squashed, so that it seems to act more strongly."""
+    problem = reach(scalar_agent("a"))
+    clipped = proportional(problem)
+    actor = SharedActor(problem, dataclasses.replace(clipped.network, squashed=True))
+    right, true = certify_network(problem, actor, 60, relation="linear"), NetworkMaps.around
+
+    def unsquashed(self: NetworkMaps, *arguments: Any) -> AffineBoxes:
+        plain = dataclasses.replace(self.policy, network=dataclasses.replace(self.policy.network, squashed=False))
+        return true(dataclasses.replace(self, policy=plain), *arguments)
+
+    monkeypatch.setattr(NetworkMaps, "around", unsquashed)
+    wrong = certify_network(problem, actor, 60, relation="linear").certificate
+    monkeypatch.undo()
+    assert wrong.agents[0].relation["network"]["squashed"] and wrong.lower_bound > right.certificate.lower_bound
+    assert cg.check(right) and not cg.check(wrong)
+
+
+def test_files_with_other_choices_than_modes_are_refused() -> None:
+    """A menu that is longer than there are times and automaton states."""
+    problem = reach(scalar_agent("a"))
+    part = certify_network(problem, proportional(problem), 30, relation="linear").certificate.agents[0]
+    check_description(part.relation, problem.agents[0])
+    with pytest.raises(ValueError, match="other choices"):
+        check_description({**part.relation, "menu": [*part.relation["menu"], [0.0]]}, problem.agents[0])
+    with pytest.raises(ValueError, match="reach"):
+        check_description({**part.relation, "reach": [10**9]}, problem.agents[0])
+
+
+def test_relations_that_are_not_known_are_refused() -> None:
+    problem = reach(scalar_agent("a"))
+    with pytest.raises(ValueError, match="relation"):
+        certify_network(problem, proportional(problem), 30, relation="tube")
+    model = network_abstraction(problem, [proportional(problem).agent_policy(0)], 30).models[0]
+    assert model.relation.kind == "linear"
