@@ -13,10 +13,11 @@ from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
 from .checked_laws import law_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
-from .given_certificate import any_certificate, as_certificate, of_one_task
+from .given_certificate import any_certificate, as_certificate, of_one_task, speaks_of_one_start
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
+from .path_tube import KEPT, Tube, tube_along
 from .product import ProductCertificate, nameless, product_certificate, relations_tried
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
@@ -31,12 +32,14 @@ __all__ = [
     "Certificate",
     "Claim",
     "EXACT_GAP",
+    "KEPT",
     "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
     "StartHull",
     "Synthesis",
     "TeamCertificate",
+    "Tube",
     "UNREADABLE",
     "any_certificate",
     "as_certificate",
@@ -60,5 +63,7 @@ __all__ = [
     "shown_bound",
     "significant_down",
     "significant_up",
+    "speaks_of_one_start",
     "smooth",
+    "tube_along",
 ]

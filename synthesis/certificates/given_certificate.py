@@ -11,6 +11,7 @@ from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
 from .result import Synthesis
+from .start_hull import StartHull
 from .team_certificate import TeamCertificate
 
 
@@ -33,13 +34,19 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
             "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other states; "
             "it can be checked, validated, simulated, compared and reported"
         )
-    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    if any(isinstance(part, PathCertificate) for part in parts):
+    if speaks_of_one_start(certificate):
         raise ValueError(
-            "`certificate`: expected one on grids, got one along a path, which says nothing of other states; it can be "
-            "checked, validated, simulated and compared"
+            "`certificate`: expected one on grids, got one along a path, which says nothing of other states and times; "
+            "it can be checked, validated, stressed, simulated, compared and reported, and `certified_starts` "
+            "certifies a set of starts around its own"
         )
     return certificate
+
+
+def speaks_of_one_start(certificate: Any) -> bool:
+    """Whether a certificate claims something about the start of its problem alone: of pairs, of a team, or a path."""
+    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
+    return any(isinstance(part, PathCertificate | PairsCertificate | TeamCertificate) for part in parts)
 
 
 def any_certificate(value: Any) -> Any:
@@ -47,7 +54,12 @@ def any_certificate(value: Any) -> Any:
     if isinstance(value, Synthesis):
         return value.certificate
     if isinstance(value, str | Path):
-        return load_certificate(value)
+        value = load_certificate(value)
+    if isinstance(value, StartHull):
+        raise ValueError(
+            "`certificate`: expected one of one start, got a set of starts; it can be checked, and `hull.at(start)` is "
+            "the certificate of a start in it (on the command line: `certigym validate HULL --initial-state X`)"
+        )
     if not isinstance(value, AnyCertificate):
         raise ValueError(
             f"`certificate`: expected a Synthesis, a certificate or the path of one, got {type(value).__name__}; make "

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,13 @@ class PathCertificate:
     def fingerprint(self) -> str:
         """Fingerprint of the problem."""
         return self.problem.fingerprint
+
+    def at(self, states: Any) -> NoReturn:
+        """Refuse: the certificate speaks of the problem's start alone (ValueError)."""
+        raise ValueError(
+            "`certificate`: expected one on grids, got one along a path, which says nothing of other starts; "
+            "synthesize the problem with another `initial_state`, or certify a set of starts (`certified_starts`)"
+        )
 
     @cached_property
     def controller(self) -> PathController:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...envs.agents import LinearAgent
 from ...envs.suite import as_problem
 from ..cells import linear_agent
-from ..certificates import AgentPart, Certificate, ProductCertificate, as_certificate
+from ..certificates import AgentPart, Certificate, PathCertificate, ProductCertificate, any_certificate, as_certificate
 from .certificate_check import check
 
 REACH = 9.5
@@ -80,6 +80,12 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
         from .ball_facts import binary
     except ImportError:
         raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
+    certificate = any_certificate(certificate)
+    if isinstance(certificate, PathCertificate):
+        raise ValueError(
+            "`certificate`: expected one on grids, got one along a path; `check` bounds the rounding of its numbers "
+            "already"
+        )
     certificate = as_certificate(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
     parts = [(certificate, 1)]

@@ -3,7 +3,7 @@
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
-from .path_controller import PathController, nominal_states
+from .path_controller import PathController, covariances_of, nominal_states
 from .product_controller import ProductController
 from .team_controller import TeamController
 
@@ -17,6 +17,7 @@ __all__ = [
     "Policy",
     "ProductController",
     "TeamController",
+    "covariances_of",
     "decentralised",
     "nominal_states",
     "vectorized",

@@ -31,6 +31,8 @@ class PathController:
         Nominal inputs (S, m) and feedback (m, d) of every agent.
     """
 
+    information = "own state, time"
+
     problem: Problem
     paths: tuple[tuple[FloatArray, FloatArray], ...]
 
@@ -111,3 +113,12 @@ def nominal_states(agent: LinearAgent, inputs: FloatArray) -> FloatArray:
     for t, u in enumerate(inputs):
         states[t + 1] = agent.A @ states[t] + agent.B @ u + agent.offset
     return states
+
+
+def covariances_of(agent: LinearAgent, gain: FloatArray, steps: int) -> FloatArray:
+    """Return the covariances (S + 1, d, d) of the deviations from a nominal path under a feedback (rounded)."""
+    closed = agent.A + agent.B @ gain
+    result = np.zeros((steps + 1, agent.n_states, agent.n_states))
+    for t in range(steps):
+        result[t + 1] = closed @ result[t] @ closed.T + agent.noise_covariance
+    return result

@@ -15,9 +15,9 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
-from ..controllers import nominal_states
+from ..controllers import covariances_of, nominal_states
 from .nominal import ENOUGH, Response, nominal_inputs
-from .slabs import Slabs, covariances_of, failure_of, input_slabs, limits_of, state_slabs
+from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .words import Way, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)

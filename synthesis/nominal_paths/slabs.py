@@ -127,15 +127,6 @@ def input_slabs(agent: LinearAgent, gain: FloatArray, covariances: FloatArray, s
     return Slabs(times, rows, np.tile(agent.input_low, steps), np.tile(agent.input_high, steps), deviations)
 
 
-def covariances_of(agent: LinearAgent, gain: FloatArray, steps: int) -> FloatArray:
-    """Return the covariances (S + 1, d, d) of the deviations under a feedback."""
-    closed = agent.A + agent.B @ gain
-    result = np.zeros((steps + 1, agent.n_states, agent.n_states))
-    for t in range(steps):
-        result[t + 1] = closed @ result[t] @ closed.T + agent.noise_covariance
-    return result
-
-
 def failure_of(pairs: list[tuple[FloatArray, FloatArray]]) -> float:
     """Return an upper bound on the probability that an inequality fails, from both tails of each."""
     below, above = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))

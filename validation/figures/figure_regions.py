@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Proposition
 from ...envs.pictures import Panel
 from ...envs.problem import Problem
+from ...synthesis.certificates import Tube
 from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
 
 if TYPE_CHECKING:
@@ -78,10 +79,22 @@ def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | No
     return 0
 
 
-def rollouts_panel(plot: Axes, panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], horizon: int) -> None:
-    """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes end in a cross."""
+def rollouts_panel(
+    plot: Axes,
+    panel: Panel,
+    states: NDArray[Any],
+    success: NDArray[np.bool_],
+    horizon: int,
+    tubes: Mapping[int, Tube] | None = None,
+) -> None:
+    """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes end in a cross.
+
+    Below them come tubes along nominal paths, by the numbers of their curves.
+    """
     _regions(plot, panel)
     for curve in panel.curves:
+        if tubes and curve.number in tubes:
+            _draw_tube(plot, panel, tubes[curve.number], SERIES[curve.number % len(SERIES)])
         track = states @ curve.rows.T
         color = SERIES[curve.number % len(SERIES)]
         for m in range(track.shape[1]):
@@ -109,6 +122,18 @@ def rollouts_panel(plot: Axes, panel: Panel, states: NDArray[Any], success: NDAr
     plot.set_ylim(panel.low[-1], panel.high[-1])
     if len(panel.curves) <= MOST_LABELS:
         legend_above(plot, 4)
+
+
+def _draw_tube(plot: Axes, panel: Panel, tube: Tube, color: str) -> None:
+    """Shade the tube along a nominal path: a band over time, or an ellipse for each time on a map."""
+    if panel.is_map:
+        for outline in tube.outlines()[1:]:
+            plot.fill(*outline.T, facecolor=color, alpha=0.06, linewidth=0, zorder=0.8)
+            plot.fill(*outline.T, fill=False, edgecolor=color, alpha=0.5, linewidth=0.8, zorder=0.8)
+        return
+    half, times = tube.half_widths()[:, 0], np.arange(len(tube.middle))
+    low, high = tube.middle[:, 0] - half, tube.middle[:, 0] + half
+    plot.fill_between(times, low, high, facecolor=color, alpha=0.16, linewidth=0, zorder=0.8)
 
 
 def _regions(plot: Axes, panel: Panel) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from ...envs.logic import Automaton
 from ...envs.pictures import edges, panels, places
 from ...envs.suite import as_problem
-from ...synthesis.certificates import Certificate, any_certificate, of_one_task, shown_bound
+from ...synthesis.certificates import Certificate, any_certificate, of_one_task, shown_bound, tube_along
 from ..simulation import Loop, paths
 from .figure_regions import rollouts_panel
 from .figure_style import FAILURE, INK, PALE, SERIES, SOFT, legend_above, new_figure
@@ -44,7 +44,8 @@ LINE_LENGTH = 88
 def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figure:
     """Draw episodes of the continuous system under the certified controllers, over the regions.
 
-    Planar agents are drawn on a map, others over time. Episodes that do not satisfy the task end in a cross.
+    Planar agents are drawn on a map, others over time. Episodes that do not satisfy the task end in a cross. Along
+    nominal paths the tube is shaded that agents keep with probability .99 as long as no input is cut off.
 
     Parameters
     ----------
@@ -73,7 +74,8 @@ def rollouts_figure(certificate: Any, episodes: int = 40, seed: int = 0) -> Figu
         height = float(np.clip(6.0 * sides[1] / sides[0], 2.0, 6.5)) + 1.0
     figure, plots = new_figure(6.8, height, rows, columns)
     for panel, plot in zip(shown, plots, strict=False):
-        rollouts_panel(plot, panel, states, success, problem.horizon)
+        tubes = {c.number: tube for c in panel.curves if (tube := tube_along(certificate, c.rows)) is not None}
+        rollouts_panel(plot, panel, states, success, problem.horizon, tubes)
     for plot in plots[len(shown) :]:
         plot.set_visible(False)
     rest = len(all_panels) - len(shown)

@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ...synthesis.certificates import (
-    Certificate,
-    PairsCertificate,
-    ProductCertificate,
-    TeamCertificate,
+    AnyCertificate,
     shown_bound,
 )
 from ...synthesis.checking import CheckReport
@@ -27,8 +24,9 @@ class ReportContent:
 
     Parameters
     ----------
-    certificate : Certificate, ProductCertificate, PairsCertificate or TeamCertificate
-        Those about pairs speak of one start: they have neither audit nor map nor bounds by steps, which are None.
+    certificate : certificate of any kind
+        Those about pairs and along paths speak of one start: they have neither audit nor map nor bounds by steps, which
+        are None.
     validation : ValidationReport
     audit : AuditReport or None
     checked : CheckReport
@@ -44,7 +42,7 @@ class ReportContent:
         Which of these rollouts satisfied the task.
     """
 
-    certificate: Certificate | ProductCertificate | PairsCertificate | TeamCertificate
+    certificate: AnyCertificate
     validation: ValidationReport
     audit: AuditReport | None
     checked: CheckReport

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from ...envs.agents import write_text
 from ...synthesis.certificates import (
     Certificate,
-    PairsCertificate,
     ProductCertificate,
-    TeamCertificate,
     any_certificate,
     as_certificate,
+    speaks_of_one_start,
 )
 from ...synthesis.checking import check, claimed_values
 from ..audits import audit, bound_by_steps_left
@@ -55,7 +54,8 @@ def report(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, certificate of any kind, or path
+        Those about pairs of agents and along paths speak of one start: their pages have neither audit nor map.
     path : str or Path
         The page (``.html``).
     plan, **trial
@@ -79,8 +79,8 @@ def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) ->
     """Run check, validation, audit and the tests of a map, and return what a report shows."""
     claim = any_certificate(certificate)
     problem = claim.problem
-    if isinstance(claim, PairsCertificate | TeamCertificate):
-        # What speaks of one start alone has no audit and no map.
+    if speaks_of_one_start(claim):
+        # It has neither audit nor map: it says nothing of other states and times.
         states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
         nothing: dict[str, Any] = {"audit": None, "field": None, "axes": (), "bounds": None}
         tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": check(claim)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...envs.logic import Automaton
 from ...envs.pictures import Panel, Region, coordinate_name, places
 from ...envs.problem import Problem
-from ...synthesis.certificates import rounded_down
+from ...synthesis.certificates import Tube, rounded_down
 from ..verdicts import FieldReport
 from . import svg
 from .svg import Axes
@@ -160,8 +160,16 @@ def tracks(panel: Panel, axes: Axes, states: NDArray[Any]) -> list[list[list[tup
     return result
 
 
-def rollouts_picture(panel: Panel, states: NDArray[Any], success: NDArray[np.bool_], number: int = 0) -> str:
+def rollouts_picture(
+    panel: Panel,
+    states: NDArray[Any],
+    success: NDArray[np.bool_],
+    number: int = 0,
+    tubes: Mapping[int, Tube] | None = None,
+) -> str:
     """Draw paths (T + 1, M, D) of episodes over the regions of a panel; failed episodes are broken lines.
+
+    Below them come tubes, by the numbers of their curves.
 
     The last group is empty: the player of the page draws one episode into it, by the panel's ``number``.
     """
@@ -170,6 +178,9 @@ def rollouts_picture(panel: Panel, states: NDArray[Any], success: NDArray[np.boo
     shapes = svg.frame(axes, *names, whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.regions]
     shapes += _region_names(axes, panel)
+    for curve in panel.curves:
+        if tubes and curve.number in tubes:
+            shapes += _tube(panel, axes, tubes[curve.number], f"tube agent{curve.number % 6}")
     shapes.append('<g class="all">')
     for curve, episodes in zip(panel.curves, tracks(panel, axes, states)):
         for points, good in zip(episodes, success):
@@ -177,6 +188,17 @@ def rollouts_picture(panel: Panel, states: NDArray[Any], success: NDArray[np.boo
             shapes += [svg.polyline(points, role), svg.circle(points[-1], 2.0, f"end {role}")]
     shapes.append(f'</g><g class="one" data-panel="{number}"></g>')
     return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
+
+
+def _tube(panel: Panel, axes: Axes, tube: Tube, role: str) -> list[str]:
+    """Draw the tube along a nominal path: a band over time, or an ellipse for each time on a map; none at a point."""
+    if panel.is_map:
+        outlines = np.clip(tube.outlines(), panel.low, panel.high)
+        return [svg.polygon([axes.at(x, y) for x, y in outline.tolist()], role) for outline in outlines[1:]]
+    half = tube.half_widths()
+    low, high = (np.clip(tube.middle + side * half, panel.low, panel.high)[:, 0].tolist() for side in (-1.0, 1.0))
+    edge = [*enumerate(high), *reversed([*enumerate(low)])]
+    return [svg.polygon([axes.at(float(t), x) for t, x in edge], role)]
 
 
 def _region(axes: Axes, region: Region, is_map: bool, horizon: int) -> str:

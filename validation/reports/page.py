@@ -11,13 +11,15 @@ from ...envs.agents import counted
 from ...envs.pictures import coordinate_name, edges, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
-    Certificate,
+    KEPT,
+    AnyCertificate,
     PairsCertificate,
     ProductCertificate,
     TeamCertificate,
     rounded_down,
     shown_bound,
     significant_up,
+    tube_along,
 )
 from ..verdicts import MEANINGS, tried_lines
 from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
@@ -42,7 +44,8 @@ MOST_PANELS_DRAWN = 6
 FINDINGS_SHOWN = 12
 """Findings of an audit that the page shows."""
 
-AnyClaim = Certificate | ProductCertificate | PairsCertificate | TeamCertificate
+TUBE = f"; shaded: the tube along the nominal path, kept with probability {KEPT:g} unless an input is cut off"
+"""What is said of a tube that is drawn."""
 
 LONGEST_TASK = 600
 """Characters of a formula that the head of the page shows; the data at its end have all of it."""
@@ -110,7 +113,7 @@ def _answer(content: ReportContent) -> str:
         (_mark(v.verdict), f"<b>Rollouts</b>: {_verdict(v.verdict)} {escape(MEANINGS.get(v.verdict, ''))}"),
         ("yes" if content.checked else "no", f"<b>Separate check</b>: {escape(_checked(content))}"),
     ]
-    # What speaks of pairs of agents speaks of one start: it has neither audit nor map.
+    # What speaks of one start has neither audit nor map.
     if w is not None and field is not None:
         tests.append((_mark(w.verdict), f"<b>Every step</b>: {escape(w.verdict)}, {w.tests} tests"))
         tests.append(
@@ -154,7 +157,9 @@ def _rollouts(content: ReportContent) -> str:
     for number, panel in enumerate(shown[:MOST_PANELS_DRAWN]):
         names = ", ".join(f'<span class="key k-agent{c.number % 6}"></span>{escape(c.name)}' for c in panel.curves[:12])
         rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
-        figures.append(_figure("", rollouts_picture(panel, content.states, content.success, number), names + rest))
+        tubes = {c.number: tube for c in panel.curves if (tube := tube_along(content.certificate, c.rows)) is not None}
+        drawing = rollouts_picture(panel, content.states, content.success, number, tubes)
+        figures.append(_figure("", drawing, names + rest + (TUBE if tubes else "")))
     words = f"{counted(len(content.success), 'rollout')} of the continuous system"
     words += f"; the {lost} with broken lines did not satisfy the task." if lost else ", which all satisfied the task."
     if len(shown) > MOST_PANELS_DRAWN:
@@ -225,7 +230,7 @@ def _steps(content: ReportContent) -> str:
     return _section("Step by step", f"<div class=row>{curve}{tested}</div>")
 
 
-def _tasks(certificate: AnyClaim) -> list[Problem]:
+def _tasks(certificate: AnyCertificate) -> list[Problem]:
     """Return the problem, or of independent tasks those that differ in more than names."""
     if not isinstance(certificate, ProductCertificate):
         return [certificate.problem]
@@ -243,7 +248,7 @@ def _drawing(problem: Problem) -> str:
     return _figure("", automaton_picture(automaton, edges(problem)), note)
 
 
-def _task(certificate: AnyClaim) -> str:
+def _task(certificate: AnyCertificate) -> str:
     """Return the section of the letters that take each transition."""
     return _section("When the automaton moves", "".join(_automaton(task) for task in _tasks(certificate)))
 
@@ -264,7 +269,7 @@ def _automaton(problem: Problem) -> str:
     return f"<div class=scroll><table><tr><th>from<th>to<th>when</tr>{''.join(rows)}</table></div>{more}"
 
 
-def _about_pairs(certificate: AnyClaim) -> dict[str, str]:
+def _about_pairs(certificate: AnyCertificate) -> dict[str, str]:
     """Return what is said of pairs of agents, where the certificate is about such."""
     if isinstance(certificate, PairsCertificate):
         return {"pairs": f"not as they should be with probability {significant_up(certificate.near, 3)} at most"}

@@ -52,6 +52,9 @@ svg .end{text-anchor:end}line.grid{stroke:var(--line);stroke-width:1}polyline,.a
 .estimate-dot{fill:var(--run)}.bad-dot{fill:var(--bad)}.cell{fill:var(--bound)}.over{fill:var(--bound)}
 .under{fill:var(--run)}.bad-cell{fill:var(--bad)}.sure-dot{fill:var(--good);stroke:var(--card);stroke-width:.4}
 .region{fill:var(--region);fill-opacity:.22;stroke:var(--region);stroke-width:1}
+.tube{stroke-width:.8;stroke-opacity:.6;
+fill-opacity:.13}polygon.agent0{fill:var(--bound)}polygon.agent1{fill:var(--run)}polygon.agent2{fill:var(--good)}
+polygon.agent3{fill:#9a5fc0}polygon.agent4{fill:#b0902a}polygon.agent5{fill:#d0588a}
 svg .region-name{font-size:9.5px;fill:var(--soft)}.path{stroke-width:1;stroke-opacity:.55}
 .path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}.agent0{stroke:var(--bound)}
 .agent1{stroke:var(--run)}.agent2{stroke:var(--good)}.agent3{stroke:#9a5fc0}.agent4{stroke:#b0902a}

@@ -93,6 +93,11 @@ def polyline(points: Sequence[tuple[float, float]], role: str) -> str:
     return f'<polyline class="{role}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
 
 
+def polygon(points: Sequence[tuple[float, float]], role: str) -> str:
+    """Return a filled polygon through picture points."""
+    return f'<polygon class="{role}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
+
+
 def rectangle(a: tuple[float, float], b: tuple[float, float], role: str, hint: str = "", style: str = "") -> str:
     """Return a rectangle between two opposite picture points, with a hint that appears under the mouse pointer."""
     x, y, w, h = min(a[0], b[0]), min(a[1], b[1]), abs(a[0] - b[0]), abs(a[1] - b[1])
