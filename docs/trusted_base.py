@@ -36,7 +36,7 @@ TRUSTED = {
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
         "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "
         "synthesis.certificates.path_certificate "
-        "synthesis.certificates.path_file "
+        "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
         "synthesis.certificates.product synthesis.certificates.team_certificate synthesis.values.terms"
     ),
     "What the controllers do": (
@@ -58,6 +58,7 @@ TRUSTED = {
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
+        "synthesis.checking.hull_check "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
         "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"

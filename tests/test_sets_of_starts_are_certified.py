@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.cli.main import main
 from certigym.synthesis.certificates import StartHull
-from certigym.synthesis.checking import wrong_hull
-from certigym.synthesis.nominal_paths import certified_starts
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 
@@ -20,7 +19,7 @@ FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
 def hull_of(row: str, level: float, rays: int = 16) -> StartHull:
     """Return the set of starts of a row over its first two states."""
     certificate: Any = cg.synthesize(FOLDER / f"{row}.toml", relation="path").certificate
-    return certified_starts(certificate, level, (0, 1), rays)
+    return cg.certified_starts(certificate, level, (0, 1), rays)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def chain() -> StartHull:
 
 def test_sets_are_at_least_as_large_as_those_published(chain: StartHull) -> None:
     assert chain.share > 0.629 and chain.failure <= 0.2
-    assert wrong_hull(chain) == []
+    assert cg.check(chain).valid
 
 
 def test_starts_between_the_corners_have_certificates_of_their_own(chain: StartHull) -> None:
@@ -54,24 +53,54 @@ def test_rollouts_do_not_refute_corners(chain: StartHull) -> None:
 def test_the_check_finds_what_is_wrong(chain: StartHull) -> None:
     far = chain.corners.copy()
     far[0] = 1.05 * far[0]
-    assert wrong_hull(replace(chain, corners=far))
-    assert wrong_hull(replace(chain, failure=0.5 * chain.failure))
+    assert not cg.check(replace(chain, corners=far))
+    assert not cg.check(replace(chain, failure=0.5 * chain.failure))
     letters = chain.letters.copy()
     letters[-1] = 0
-    assert wrong_hull(replace(chain, letters=letters))
-    assert wrong_hull(replace(chain, inputs=-chain.inputs))
+    assert not cg.check(replace(chain, letters=letters))
+    assert not cg.check(replace(chain, inputs=-chain.inputs))
 
 
 def test_first_letters_must_not_depend_on_the_start() -> None:
     hull = hull_of("bas_4_deviation", 0.8)
-    assert wrong_hull(hull) == [] and hull.share > 0.9
+    assert cg.check(hull).valid and hull.share > 0.9
     # A corner on the edge of the safe set, up to rounding, may be on either side of it.
     edge = hull.corners.copy()
     edge[np.argmax(edge[:, 0]), 0] = 20.5
-    assert "first letter" in wrong_hull(replace(hull, corners=edge))[0]
+    assert "first letter" in str(cg.check(replace(hull, corners=edge)))
 
 
-def test_levels_below_a_half_are_refused(chain: StartHull) -> None:
+def test_the_command_line_refuses_a_set_that_claims_too_much(
+    chain: StartHull, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad, far = (str(tmp_path / name) for name in ("good.npz", "bad.npz", "far.npz"))
+    cg.save_certificate(chain, good)
+    assert main(["check", good]) == 0 and "valid" in capsys.readouterr().out
+    kept: Any = cg.load_certificate(good)
+    assert np.array_equal(kept.corners, chain.corners) and kept.lower_bound == chain.lower_bound
+    cg.save_certificate(replace(chain, failure=0.5 * chain.failure), bad)
+    assert main(["check", bad]) == 1 and "recomputed" in capsys.readouterr().out
+    # Corners that vary in a state which the set does not name would count twice.
+    cg.save_certificate(replace(chain, axes=(0,)), far)
+    assert main(["check", far]) == 1 and "axes" in capsys.readouterr().out
+    assert cg.check(good).valid and not cg.check(chain, "reach-avoid-v0")
+    assert main(["check", good, "--rigorous"]) == 2 and "set of starts" in capsys.readouterr().err
+
+
+def test_the_command_line_certifies_and_validates_a_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, hull = str(tmp_path / "path.npz"), str(tmp_path / "hull.npz")
+    cg.save_certificate(cg.synthesize(FOLDER / "chain_2.toml", relation="path"), path)
+    assert main(["certified-starts", path, "--probability", "0.8", "--rays", "8", "--out", hull]) == 0
+    assert main(["check", hull]) == 0
+    # 5000 rollouts at the limits of .999: a false alarm is no failure of this test, it would be one of its fixed seed
+    assert main(["validate", hull, "--initial-state", "1", "0", "--episodes", "5000"]) == 0
+    capsys.readouterr()
+    assert main(["validate", hull]) == 2 and "--initial-state" in capsys.readouterr().err
+    assert main(["validate", hull, "--initial-state", "9.9", "9.9"]) == 2 and "hull" in capsys.readouterr().err
+    assert main(["certified-starts", path, "--probability", "0.8", "--axes", "7", "--out", hull]) == 2
+
+
+def test_probabilities_below_a_half_are_refused(chain: StartHull) -> None:
     certificate = chain.corner(0)
-    with pytest.raises(ValueError, match="`level`"):
-        certified_starts(certificate, 0.3)
+    with pytest.raises(ValueError, match="`probability`"):
+        cg.certified_starts(certificate, 0.3)

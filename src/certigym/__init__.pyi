@@ -36,6 +36,7 @@ from .synthesis.controllers import InputTable as InputTable
 from .synthesis.horizons import synthesize_horizons as synthesize_horizons
 from .synthesis.horizons import without_deadline as without_deadline
 from .synthesis.models import abstract as abstract
+from .synthesis.nominal_paths import certified_starts as certified_starts
 from .synthesis.permissions import Permission as Permission
 from .synthesis.permissions import check_permission as check_permission
 from .synthesis.permissions import load_permission as load_permission

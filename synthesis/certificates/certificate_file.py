@@ -27,6 +27,7 @@ from ...envs.problem import problem_from_dict
 from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
+from .hull_file import hull_header, hull_in
 from .pairs_certificate import PairsCertificate
 from .pairs_file import pairs_header, pairs_in, team_header, team_in
 from .part import AgentPart
@@ -34,6 +35,7 @@ from .path_certificate import PathCertificate
 from .path_file import path_header, path_in
 from .product import ProductCertificate, product_certificate
 from .result import Synthesis
+from .start_hull import StartHull
 from .team_certificate import TeamCertificate
 
 AnyCertificate = Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate
@@ -66,8 +68,8 @@ UNREADABLE = (
 """What unpacking, parsing and checking may raise when a file was damaged or made up."""
 
 
-def save_certificate(certificate: Synthesis | AnyCertificate, path: str | Path) -> None:
-    """Write a certificate, or that of a synthesis, to ``path`` (``.npz``), or raise ValueError if it is neither."""
+def save_certificate(certificate: Synthesis | AnyCertificate | StartHull, path: str | Path) -> None:
+    """Write a certificate, that of a synthesis, or a set of starts to ``path`` (``.npz``); ValueError otherwise."""
     certificate = certificate.certificate if isinstance(certificate, Synthesis) else certificate
     data = _packed_product(certificate) if isinstance(certificate, ProductCertificate) else _packed(certificate)
     write_bytes(path, data)
@@ -91,7 +93,7 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate) -> bytes:
+def _packed(certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate | StartHull) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
     if isinstance(certificate, PairsCertificate):
@@ -102,6 +104,8 @@ def _packed(certificate: Certificate | PathCertificate | PairsCertificate | Team
         return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, PathCertificate):
         return _archived({"format": FORMAT, "version": VERSION, **path_header(certificate, pool.put)}, pool)
+    if isinstance(certificate, StartHull):
+        return _archived({"format": FORMAT, "version": VERSION, **hull_header(certificate, pool.put)}, pool)
     checked_certificate(certificate)
     terms, rounding = certificate.terms, certificate.rounding
     header = {
@@ -133,7 +137,7 @@ def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
 def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate in a file; it is well-formed then, but not yet checked (see ``check``).
 
-    From a file of independent tasks a ``ProductCertificate`` is returned.
+    From a file of independent tasks a ``ProductCertificate`` is returned, from one of a set of starts a ``StartHull``.
 
     Parameters
     ----------
@@ -158,6 +162,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return _product(header, arrays, max_bytes)  # type: ignore[return-value]
         if "path" in header:
             return path_in(header, arrays)  # type: ignore[return-value]
+        if "hull" in header:
+            return hull_in(header, arrays)  # type: ignore[return-value]
         if "without_pairs" in header:
             return pairs_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
         if "team" in header:
@@ -213,7 +219,7 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
     for name, array in arrays.items():
         part_header, part_arrays = _unarchived(array.astype(np.uint8).tobytes(), bytes_left)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
-        if "parts" in part_header or "without_pairs" in part_header or "team" in part_header:
+        if not {"parts", "hull", "without_pairs", "team"}.isdisjoint(part_header):
             raise ValueError("a part of it has parts again")
         read = path_in if "path" in part_header else _read
         certificates[name] = read(part_header, part_arrays)  # type: ignore[assignment]

@@ -7,6 +7,7 @@ distances: the bound at the worst corner holds everywhere between them (docs/the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,18 @@ class StartHull:
             ("failure", f"at most {self.failure:.3g}"),
         ]
         return tree_text(f"StartHull of {self.problem.name!r}", rows)
+
+    gap = None
+
+    @property
+    def lower_bound(self) -> float:
+        """Certified lower bound on the probability of the task from every start in the hull, rounded down."""
+        return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the problem."""
+        return self.problem.fingerprint
 
     @property
     def share(self) -> float:

@@ -3,7 +3,6 @@
 from .certificate_check import CheckReport, check
 from .execution import execution_of
 from .greedy import Greedy, greedy_disturbance
-from .hull_check import wrong_hull
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
@@ -35,6 +34,5 @@ __all__ = [
     "value_in_time",
     "verify_relation",
     "vertices_of",
-    "wrong_hull",
     "wrong_opposite",
 ]

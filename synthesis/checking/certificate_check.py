@@ -21,6 +21,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,11 @@ from ..certificates import (
     PairsCertificate,
     PathCertificate,
     ProductCertificate,
+    StartHull,
     TeamCertificate,
     any_certificate,
     grid_noise,
+    load_certificate,
     significant_down,
     significant_up,
 )
@@ -46,6 +49,7 @@ from ..values import UNIT, Terms
 from .execution import execution_of, wrong_actions
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
+from .hull_check import wrong_hull
 from .linear_check import places_of
 from .network_spans import wrong_networks
 from .pairs_check import wrong_pairs
@@ -106,7 +110,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, certificate of any kind, StartHull, or path
     problem : Problem, id or path, optional
         The certificate must have been made for exactly this problem (fingerprint).
 
@@ -116,7 +120,9 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
         the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
-    certificate = any_certificate(certificate)
+    if isinstance(certificate, str | Path):
+        certificate = load_certificate(certificate)
+    certificate = certificate if isinstance(certificate, StartHull) else any_certificate(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
@@ -124,9 +130,10 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         PathCertificate: _check_path,
         PairsCertificate: _check_pairs,
         TeamCertificate: _check_team,
+        StartHull: _check_hull,
     }
     one = kinds.get(type(certificate), _check_one)
-    if problem.labeling.pairs and one in (_check_one, _check_path):
+    if problem.labeling.pairs and one in (_check_one, _check_path, _check_hull):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     try:
@@ -185,6 +192,15 @@ def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:
         failures.append(f"{claimed}, but what was recomputed is {failure:.6g}")
     recomputed = float("nan") if failures else 1.0 - failure
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
+
+
+def _check_hull(hull: StartHull, problem: Problem) -> CheckReport:
+    """Verify a convex set of starts."""
+    failures, failure = ["it was made for another problem (the fingerprints differ)"], 1.0
+    if hull.fingerprint == problem.fingerprint:
+        failures, failure = wrong_hull(hull)
+    recomputed = float("nan") if failures else 1.0 - failure
+    return CheckReport(not failures, hull.lower_bound, recomputed, tuple(failures))
 
 
 def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:

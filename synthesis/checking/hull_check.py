@@ -20,31 +20,47 @@ MOST_LETTERS = 1024
 """First letters that are looked at."""
 
 
-def wrong_hull(hull: StartHull) -> list[str]:
-    """Return what is wrong with a convex set of starts; empty if its claim holds.
+def wrong_hull(hull: StartHull) -> tuple[list[str], float]:
+    """What is wrong with a convex set of starts, and an upper bound on failing from any of them.
 
-    Raises nothing: whatever does not fit is told.
+    Raises nothing: what does not fit is told.
     """
+    failures = _wrong_corners(hull)
+    if failures:
+        return failures, 1.0
+    boole = correlated = 0.0
+    for i in range(len(hull.corners)):
+        corner = hull.corner(i)
+        failures, _ = wrong_paths(corner)
+        if failures:
+            return [f"corner {i}: {failure}" for failure in failures], 1.0
+        first, second = both_failures(corner)
+        boole, correlated = max(boole, first), max(correlated, second)
+    failure = min(boole, correlated)
+    if not failure <= hull.failure:
+        claimed = f"it says that starts fail with probability {hull.failure:.6g} at most"
+        return [f"{claimed}, but what was recomputed is {failure:.6g}"], failure
+    return [], failure
+
+
+def _wrong_corners(hull: StartHull) -> list[str]:
+    """Return what is wrong with the agent, the corners, or where the first letter leads from them."""
     problem, n = hull.problem, len(hull.corners)
     agent = problem.agents[0]
-    if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
-        return ["it is not about one linear agent"]
+    if problem.n_agents != 1 or not isinstance(agent, LinearAgent) or not agent.initial.is_point:
+        return ["it is not about one linear agent that starts from a point"]
     if hull.corners.shape != (n, agent.n_states) or hull.inputs.shape[:1] != (n,) or n == 0:
         return ["its corners and inputs do not fit"]
+    # What a set says about states beyond its axes would not be seen in its share of the workspace.
+    still = sorted(set(range(agent.n_states)) - set(hull.axes))
+    if len(still) + len(hull.axes) != agent.n_states:
+        return ["its axes are not different states of the agent"]
+    if not np.all(hull.corners[:, still] == agent.initial.low[still]):
+        return ["corners differ from the start in states that are not among its axes"]
     if not np.all((agent.state_low <= hull.corners) & (hull.corners <= agent.state_high)):
         return ["a corner is outside of the workspace"]
     if not _one_first_state(hull, agent):
         return ["where the automaton is after the first letter depends on the start"]
-    boole = correlated = 0.0
-    for i in range(n):
-        corner = hull.corner(i)
-        failures, _ = wrong_paths(corner)
-        if failures:
-            return [f"corner {i}: {failure}" for failure in failures]
-        first, second = both_failures(corner)
-        boole, correlated = max(boole, first), max(correlated, second)
-    if min(boole, correlated) > hull.failure:
-        return [f"its probability of failing is {min(boole, correlated):.6g}, not {hull.failure:.6g}"]
     return []
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray, RelationRefused
-from ..certificates import PathCertificate, StartHull
+from ..certificates import PathCertificate, StartHull, any_certificate
+from ..controllers import covariances_of
 from .nominal import Response, nominal_inputs
-from .slabs import OUTWARD, Slabs, covariances_of, input_slabs, limits_of, state_slabs
+from .slabs import OUTWARD, Slabs, input_slabs, limits_of, state_slabs
 
 HALVINGS = 12
 """Halvings of the distance along a ray: what remains is a few ten thousandths of it."""
@@ -24,7 +27,7 @@ INSIDE = 1.0 - 1e-6
 
 
 def certified_starts(
-    certificate: PathCertificate, level: float, axes: tuple[int, ...] | None = None, rays: int = 64
+    certificate: Any, probability: float, axes: Sequence[int] | None = None, rays: int = 64
 ) -> StartHull:
     """Return a convex set of starts from all of which the task is satisfied with at least a given probability.
 
@@ -33,11 +36,11 @@ def certified_starts(
 
     Parameters
     ----------
-    certificate : PathCertificate
-        Of one agent.
-    level : float
+    certificate : Synthesis, PathCertificate or path of a file
+        Along a nominal path (``relation="path"``), of one agent.
+    probability : float
         Probability in [0.5, 1) that is to be kept.
-    axes : tuple of int, optional
+    axes : sequence of int, optional
         States that vary; the others stay as they are. All by default.
     rays : int
         Number of corners that are looked for.
@@ -45,14 +48,25 @@ def certified_starts(
     Raises
     ------
     ValueError
-        If there are several agents, the level is not in [0.5, 1), or the certificate itself is below the level.
+        If the certificate is not along a path, or of several agents, or itself below the probability, or if an argument
+        is out of range.
     """
+    certificate = any_certificate(certificate)
+    if not isinstance(certificate, PathCertificate):
+        raise ValueError(
+            "`certificate`: expected one along a path, got one on grids, which knows its bound at every start already; "
+            'see `at`, or synthesize with relation="path"'
+        )
     problem, agent = certificate.problem, certificate.problem.agents[0]
     if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
         raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
-    if not 0.5 <= level < 1.0:
-        raise ValueError(f"`level`: expected a probability in [0.5, 1), got {level!r}")
-    axes = tuple(range(agent.n_states)) if axes is None else axes
+    if not 0.5 <= probability < 1.0:
+        raise ValueError(f"`probability`: expected one in [0.5, 1), got {probability!r}")
+    axes = tuple(range(agent.n_states)) if axes is None else tuple(int(axis) for axis in axes)
+    if not axes or len(set(axes)) < len(axes) or not all(0 <= axis < agent.n_states for axis in axes):
+        raise ValueError(f"`axes`: expected different states from 0 to {agent.n_states - 1}, got {list(axes)}")
+    if rays < 3:
+        raise ValueError(f"`rays`: expected at least 3, got {rays}")
     finder = _Rays(certificate)
     middle = np.asarray(agent.initial.low, dtype=float)
     corners, inputs, failures = [], [], []
@@ -60,13 +74,13 @@ def certified_starts(
         # A box is nearly as wide as it is long in units of its sides.
         direction = np.zeros(agent.n_states)
         direction[list(axes)] = ray * (agent.state_high - agent.state_low)[list(axes)]
-        found = finder.farthest(middle, direction, 1.0 - level)
+        found = finder.farthest(middle, direction, 1.0 - probability)
         if found is not None:
             corners.append(found[0])
             inputs.append(found[1])
             failures.append(found[2])
     if len(corners) <= len(axes):
-        raise RelationRefused(f"no starts around the middle keep a probability of {level}; ask for less")
+        raise RelationRefused(f"no starts around the middle keep a probability of {probability}; ask for less")
     # Each of the two bounds is no worse between corners than at the worst of them; of the two the better counts.
     failure = min(1.0, float(np.array(failures).max(axis=0).min()))
     path = certificate.paths[0]

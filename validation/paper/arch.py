@@ -18,7 +18,7 @@ from typing import Any
 from ...envs.agents import write_json, write_text
 from ...envs.problem import load_problem
 from ...synthesis.certificates import significant_down, significant_up
-from ...synthesis.checking import check, wrong_hull
+from ...synthesis.checking import check
 from ...synthesis.nominal_paths import certified_starts
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
@@ -115,9 +115,9 @@ def _starts(entry: Row, certificate: Any) -> Row:
         return {"starts": None, "published_starts": None}
     wanted = entry["starts"]
     hull = certified_starts(certificate, wanted["level"], None if wanted["axes"] is None else tuple(wanted["axes"]))
-    wrong = wrong_hull(hull)
-    if wrong:
-        raise AssertionError(f"a set of starts does not pass its check: {wrong[0]}")
+    report = check(hull)
+    if not report:
+        raise AssertionError(f"a set of starts does not pass its check: {report}")
     return {"starts": hull.share, "published_starts": wanted["published"]}
 
 

@@ -25,6 +25,7 @@ MODULES = {
     "run": "synthesis_commands",
     "synthesize": "synthesis_commands",
     "certify": "learning_commands",
+    "certified-starts": "synthesis_commands",
     "check": "synthesis_commands",
     "validate": "validation_commands",
     "validate-field": "validation_commands",
@@ -99,6 +100,17 @@ def _add_synthesis(commands: Any) -> None:
     add_models(synthesize)
     add_search(synthesize)
     synthesize.add_argument("--out", metavar="CERT", required=True, help="certificate file to write (.npz)")
+
+    starts = commands.add_parser(
+        "certified-starts", help="certify a convex set of starts around that of a certificate along a path"
+    )
+    add_certificate(starts)
+    starts.add_argument(
+        "--probability", type=float, required=True, metavar="P", help="success probability that all starts keep"
+    )
+    starts.add_argument("--axes", nargs="+", type=int, metavar="K", help="states that vary (default: all)")
+    starts.add_argument("--rays", type=int, default=64, metavar="N", help="corners that are looked for (default: 64)")
+    starts.add_argument("--out", metavar="HULL", required=True, help="file of the set to write (.npz)")
 
     check = commands.add_parser("check", help="verify a saved certificate by separate code, without simulation")
     add_certificate(check)

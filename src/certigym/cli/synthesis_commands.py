@@ -13,6 +13,7 @@ from ..envs.suite import make_problem, problem_ids
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
 from ..synthesis.checking import check as check_certificate
 from ..synthesis.checking import check_rigorous, safety_rate
+from ..synthesis.nominal_paths import certified_starts as starts_around
 from ..validation.simulation import LABEL_WIDTH
 from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
@@ -94,6 +95,25 @@ def synthesize(options: Namespace) -> int:
     claim = shown_bound(certificate.lower_bound, certificate.gap)
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}\nsaved to {options.out}"
     show(options, text, summary)
+    return 0
+
+
+def certified_starts(options: Namespace) -> int:
+    """Certify a set of starts around that of a certificate along a path, and save it."""
+    hull = starts_around(options.certificate, options.probability, options.axes, options.rays)
+    save_certificate(hull, options.out)
+    summary = {
+        "problem": hull.problem.name,
+        "axes": list(hull.axes),
+        "corners": len(hull.corners),
+        "share": hull.share,
+        "lower_bound": hull.lower_bound,
+        "fingerprint": hull.fingerprint,
+        "certificate": options.out,
+    }
+    claim = f"{shown_bound(hull.lower_bound, None)} from {hull.share:.4f} of the workspace"
+    text = f"{hull.problem.name}, horizon {hull.problem.horizon}: {claim}, {len(hull.corners)} corners"
+    show(options, f"{text}\nsaved to {options.out}", summary)
     return 0
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem
-from ..synthesis.certificates import load_certificate, rounded_down
+from ..synthesis.certificates import StartHull, load_certificate, rounded_down
 from ..validation.audits import audit as audit_certificate
 from ..validation.paper import refute_published
 from ..validation.paper import reproduce as paper_figures
@@ -38,7 +38,11 @@ from .work import trials
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate by rollouts."""
-    return validate_result(options, load_certificate(options.certificate), state_of(options))
+    certificate, state = load_certificate(options.certificate), state_of(options)
+    if isinstance(certificate, StartHull) and state is not None:
+        # A set of starts has a controller for each of them, which knows it.
+        return validate_result(options, certificate.at(np.array(state)), None)
+    return validate_result(options, certificate, state)
 
 
 def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
