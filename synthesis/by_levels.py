@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from ..envs.agents import Agent
+from ..envs.agents import Agent, LinearAgent
 from ..envs.problem import Problem
 from .cells import CellCounts, RelationRefused
 from .certificates import Synthesis
@@ -89,6 +89,9 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
         first = compared(problem, None, kinds, plan)
         if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
             return first if first.certificate.lower_bound >= GOOD else _doubled(problem, kinds, plan, first)
+    exact = _exact(problem, kinds, plan)
+    if exact is not None and exact.certificate.lower_bound >= SOLVED:
+        return exact
     linear, record = linear_levels(problem, plan.settings, run)
     if linear is None and any(isinstance(agent, Agent) for agent in problem.agents):
         return finer(problem, kinds, plan)
@@ -107,8 +110,26 @@ def by_levels(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
             tried |= other.stats.get("tried", {kind: other.certificate.lower_bound})  # type: ignore[call-overload]
             best = max(linear, other, key=lambda result: result.certificate.lower_bound)
             best = replace(best, stats={**best.stats, **least_above(linear, other)})
+    if exact is not None:
+        tried.setdefault("exact", exact.certificate.lower_bound)
+        best = max(best, exact, key=lambda result: result.certificate.lower_bound)
     more = {"levels": record} if best.certificate is linear.certificate else {}
     return with_record(best, {**more, "relations_tried": tried}, began)
+
+
+def _exact(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis | None:
+    """Return what exact relations certify on default cells, for linear agents of several states whose inputs reach all.
+
+    That takes a tenth of the time of linear cells, and often nothing is left to gain. None where it does not apply.
+    """
+    many = any(agent.n_states > 1 for agent in problem.agents)
+    linear = all(isinstance(agent, LinearAgent) and reaches_every_mean(agent) for agent in problem.agents)
+    if not (many and linear and {*kinds} == {"auto"}):
+        return None
+    try:
+        return plain(problem, None, ["exact"] * problem.n_agents, plan)
+    except RelationRefused:
+        return None
 
 
 def on_given_cells(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan) -> Synthesis:
