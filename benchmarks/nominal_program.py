@@ -3,9 +3,9 @@
 ``python benchmarks/nominal_program.py`` prints the certified probability of failing of some rows for both.
 
 For one feedback and given letters both bounds of a path are concave in its nominal inputs: with the distances d_j to
-the nearer limits, the logarithm of the product of ``2 Phi(d_j / sigma_j) - 1``, and less the sum of tails ``Phi(-z)`` for
-z >= 0. So risk is allocated among the inequalities at the same time as inputs are found. Each bound is replaced by the
-least of its tangents, which makes a linear program whose answer is judged by what it certifies.
+the nearer limits, the logarithm of the product of ``2 Phi(d_j / sigma_j) - 1``, and less the sum of the tails of both
+limits where these are kept. So risk is allocated among the inequalities at the same time as inputs are found. Each
+bound is replaced by the least of its tangents, which makes a linear program; its answer is judged by what it certifies.
 """
 
 from __future__ import annotations

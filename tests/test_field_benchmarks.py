@@ -45,7 +45,9 @@ def test_means_are_over_the_starts_that_count(tmp_path: Path, monkeypatch: pytes
     assert entry["sure"] < whole < 1.0
 
 
-@pytest.mark.parametrize("row", ["rooms-3-all-heated", "rooms-5-two-heaters", "decoupled-2", "patrol-group"])
+@pytest.mark.parametrize(
+    "row", ["rooms-3-all-heated", "rooms-1000-all-heated", "rooms-5-two-heaters", "decoupled-2", "patrol-minimal"]
+)
 def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(tmp_path, row, FOLDER, progress=lambda text: None)
