@@ -103,11 +103,11 @@ def parking() -> Rows:
         seconds, value = once(partial(robust_value, problem, cells))
         rows.append(_row(f"interval model, {cells} cells, {MENU} inputs", value, seconds, base))
         if find_spec("stormpy") is not None:
-            rows += _by_storm(problem, cells, base)
+            rows += by_storm(problem, cells, base)
     return rows
 
 
-def _by_storm(problem: cg.Problem, cells: int, base: float) -> Rows:
+def by_storm(problem: cg.Problem, cells: int, base: float) -> Rows:
     """Return what Storm makes of that interval model: building it in Storm's storage, and solving it there."""
     lower, upper, target, lost = intervals(problem, cells)
     outside = np.minimum(1.0 - lower.sum(axis=2), _leaving(problem, cells, 1.0 - lower.sum(axis=2)))

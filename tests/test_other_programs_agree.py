@@ -17,7 +17,7 @@ from certigym.synthesis.search.limits import Limits
 from certigym.validation.paper.heuristics import paper_steps
 from explicit_product import chain_under, decision_process
 from per_vertex import per_vertex_steps, value_at
-from same_machine import PARKING, robust_value
+from same_machine import PARKING, by_storm, robust_value
 from storm_check import storm_model, storm_reach_within
 
 TOLERANCE = 1e-9
@@ -75,6 +75,13 @@ def test_storm_gets_the_same_values() -> None:
     optimum = process.reach_within(problem.horizon)
     found = storm_reach_within(storm_model(process), problem.horizon)
     np.testing.assert_allclose(found, optimum, rtol=0, atol=TOLERANCE)
+
+
+def test_storm_gets_the_value_of_interval_models() -> None:
+    pytest.importorskip("stormpy", reason="needs the extra `storm`")
+    problem = cg.load_problem(PARKING)
+    for row in by_storm(problem, 80, 1.0):
+        assert row["bound"] == pytest.approx(robust_value(problem, 80), rel=0, abs=TOLERANCE)
 
 
 def test_interval_models_stay_below_what_any_policy_attains() -> None:
