@@ -90,6 +90,8 @@ def _certified(entry: Row, folder: Path) -> Row:
     outcome = "no published number"
     if published is not None:
         outcome = "not below" if bound >= published else "below the published number"
+    if entry["seconds"] is not None and seconds > entry["seconds"]:
+        outcome += ", slower"
     return {
         "row": entry["row"],
         "asked": _asked(entry),
