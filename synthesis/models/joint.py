@@ -20,7 +20,6 @@ from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
 from .guards import compile_guards
 
-
 MOST_OCCURRING = 0.5
 """Share of pairs of a time and an undecided automaton state up to which only those that occur have values."""
 
