@@ -7,21 +7,28 @@ from .libraries import (
     beside,
     concatenated,
     device_put,
+    double,
     is_host,
     namespace,
+    single,
     special,
     to_host,
 )
+from .random_numbers import Numbers, numbers_beside
 
 __all__ = [
     "Array",
     "HOST",
     "LIBRARIES",
+    "Numbers",
     "beside",
     "concatenated",
     "device_put",
+    "double",
     "is_host",
     "namespace",
+    "numbers_beside",
+    "single",
     "special",
     "to_host",
 ]

@@ -140,6 +140,20 @@ def concatenated(arrays: Sequence[Array]) -> Array:
     return np.concatenate(arrays) if is_host(arrays[0]) else namespace(arrays[0]).concat(list(arrays))
 
 
+def single(array: Array) -> Array:
+    """Return an array in single precision."""
+    if is_host(array):
+        return array.astype(np.float32)
+    return namespace(array).astype(array, namespace(array).float32)
+
+
+def double(array: Array) -> Array:
+    """Return numbers, or an array, in double precision: libraries give whole numbers another one when they divide."""
+    if is_host(array):
+        return np.asarray(array, dtype=np.float64)
+    return namespace(array).astype(array, namespace(array).float64)
+
+
 def to_host(array: Array) -> NDArray[Any]:
     """Return the same numbers as a numpy array (exact)."""
     if isinstance(array, np.ndarray):

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..arrays import is_host, namespace, special
+from ..arrays import double, is_host, namespace, special
 
 BEHAVIOURS = ("zero", "random", "periodic")
 """Behaviours that have a name."""
@@ -60,7 +60,7 @@ def named_disturbances(low: Any, high: Any, behaviour: str, time: Any, normals: 
         share = special(normals).ndtr(normals)
     elif behaviour == "periodic":
         # numpy's loops, and with them the last bits, are those of contiguous arrays.
-        rows = [xp.broadcast_to(time / PERIOD + 0.25 * k, normals.shape[1:]) for k in range(len(low))]
+        rows = [xp.broadcast_to(double(time) / PERIOD + 0.25 * k, normals.shape[1:]) for k in range(len(low))]
         share = 0.5 + 0.5 * xp.sin(2.0 * np.pi * xp.stack(rows))
     else:
         return xp.broadcast_to(xp.maximum(xp.minimum(xp.zeros_like(low), high), low), normals.shape)

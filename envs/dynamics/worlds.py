@@ -205,9 +205,10 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
 
 def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
     """Return worlds at time 0 with given states, one array (d, n, M) per block."""
-    n_worlds = states[0].shape[-1]
-    q = dynamics.put(np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32))
-    undecided = dynamics.put(np.zeros(n_worlds, dtype=bool))
+    one, xp = states[0][0, 0], namespace(states[0])
+    types = (np.int32, np.bool_) if dynamics.is_host else (xp.int64, xp.bool)
+    q = xp.full_like(one, dynamics.problem.automaton.initial, dtype=types[0])
+    undecided = xp.zeros_like(one, dtype=types[1])
     return _read(dynamics, states, 0, q, undecided, undecided)
 
 

@@ -35,7 +35,7 @@ def computed(trees: Sequence[Tree], values: Mapping[str, FloatArray]) -> list[Fl
     with np.errstate(all="ignore"):
         # What may be a view of the arguments is copied.
         found = (xp.broadcast_to(_value(tree, values, one), shape) for tree in trees)
-        return [np.array(value) if is_host(value) else xp.asarray(value, copy=True) for value in found]
+        return [np.array(value) if is_host(value) else 1.0 * value for value in found]
 
 
 def _value(tree: Tree, values: Mapping[str, FloatArray], one: FloatArray) -> FloatArray:
