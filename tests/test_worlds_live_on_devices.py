@@ -193,7 +193,7 @@ def test_steps_of_teams_tell_the_same(id: str, options: dict[str, Any], device: 
     assert isinstance(here, TeamEnv) and isinstance(there, DeviceTeamEnv)
     put, rng = device_put(device, ("torch", "jax")), np.random.default_rng(0)
     here._batch._np_random = Fixed(np.asarray, None)  # type: ignore[assignment]
-    there._numbers = Fixed(put, None)  # type: ignore[assignment]
+    there._numbers = Fixed(put, None)
     ours, theirs, ends = here.reset(), there.reset(), 0
     for _ in range(min(45, 2 * here.problem.horizon + 5)):
         for name in ("rewards", "terminated", "truncated", "satisfied", "automaton_state", "time_left"):

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
 from ..problem import Problem
 
-T = TypeVar("T")
 Put = Callable[[np.ndarray], Any]
 """How arrays get to where worlds live: see `arrays.device_put`."""
 
@@ -153,7 +152,7 @@ class Block:
         return float(self.input_low.max()), float(self.input_high.min())
 
 
-def placed(record: T, put: Put) -> T:
+def placed(record: Any, put: Put) -> Any:
     """Return a block, or pairs, with its arrays where `put` puts them; what it computes from them comes along."""
     if put is np.asarray:
         return record
@@ -165,7 +164,7 @@ def placed(record: T, put: Put) -> T:
             return tuple(map(moved, value))
         return placed(value, put) if is_dataclass(value) and isinstance(value, LinearMotion) else value
 
-    there: Any = replace(record, **{field.name: moved(getattr(record, field.name)) for field in fields(record)})  # type: ignore[call-overload, arg-type, type-var]
+    there = replace(record, **{field.name: moved(getattr(record, field.name)) for field in fields(record)})
     # Properties read facts off arrays, for which numpy is the place.
     if isinstance(record, Block):
         names = ["start_box", "disturbance_ends", "output_width", "input_range"]

@@ -48,12 +48,12 @@ class Diagrams:
             rows = [automaton.next_state(np.full(1 << count, q), letters) for q in range(automaton.n_states)]
             table = put(np.stack(rows).astype(np.int64))
         # One node at least, so that finished entries have one to look at.
-        nodes = (
-            np.append(values, 0).astype(np.int64) for values in (automaton.variable, automaton.low, automaton.high)
+        variable, low, high = (
+            put(np.append(values, 0).astype(np.int64)) for values in (automaton.variable, automaton.low, automaton.high)
         )
         weights = put((1 << np.arange(count, dtype=np.int64) % 62)[:, None])
         root = put(automaton.root.astype(np.int64))
-        return cls(root, *map(put, nodes), _levels(automaton), table, weights)
+        return cls(root, variable, low, high, _levels(automaton), table, weights)
 
     def next_state(self, q: Any, letters: Any) -> Any:
         """Return the states (M,) after letters (P, M) are read (exact)."""

@@ -126,7 +126,8 @@ class Dynamics:
     @cached_property
     def proposition_rows(self) -> Any:
         """Positions (P,) of the propositions among those of all blocks, and then of pairs."""
-        order = [to_host(record.propositions) for record in (*self.blocks, *self.pairs)]
+        order = [to_host(block.propositions) for block in self.blocks]
+        order += [to_host(pairs.propositions) for pairs in self.pairs]
         return self.put(np.argsort(np.concatenate(order)))
 
     @cached_property

@@ -28,7 +28,7 @@ import numpy as np
 from gymnasium import spaces
 
 from ..agents import AnyAgent, shown
-from ..arrays import double, namespace
+from ..arrays import double, is_host, namespace
 from ..dynamics import Dynamics, Worlds
 from ..problem import Problem
 
@@ -153,12 +153,16 @@ def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> l
 def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
     """Return the same of a batch: (k, M), one column per world."""
     left = 1.0 - double(worlds.time) / problem.horizon
-    left = namespace(left).broadcast_to(left, worlds.q.shape)
-    zero = 0.0 * left  # what is added to it has its precision
-    states = range(problem.automaton.n_states)
-    seen = {"one-hot": [zero + (worlds.q == q) for q in states], "number": [zero + worlds.q], "hidden": []}
-    result: np.ndarray = namespace(left).stack([*seen[automaton], left])
-    return result
+    if not is_host(left):  # whose places cannot be counted without sending them there
+        seen = {"one-hot": [worlds.q == q for q in range(problem.automaton.n_states)], "number": [worlds.q]}
+        rows: np.ndarray = namespace(left).stack([*map(double, seen.get(automaton, [])), left])
+        return rows
+    count, n_worlds = problem.automaton.n_states, worlds.n_worlds
+    if automaton == "one-hot":
+        known = worlds.q == np.arange(count)[:, None]
+    else:
+        known = worlds.q[None, :] if automaton == "number" else np.zeros((0, n_worlds))
+    return np.concatenate([known, np.broadcast_to(left, (1, n_worlds))])
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:

@@ -51,13 +51,28 @@ class TeamViews:
             shape = (n_worlds, box.input_low.shape[0])
             rows = [self._action(actions, self.names[i], shape) for i in members]
             xp = namespace(box.input_low)
-            u = xp.stack([row.T for row in rows], axis=1)
-            if is_host(u) and not np.isfinite(u).all():
-                raise ValueError("`actions`: expected finite numbers")
-            if self.is_unit:
-                u = middle[0] + middle[1] * xp.clip(u, -1.0, 1.0)
-            result.append(xp.minimum(xp.maximum(u, box.input_low), box.input_high))
+            if self.dynamics.is_host:
+                # Worlds last in memory, too, as all that follows runs along them.
+                u = np.empty((shape[1], len(rows), n_worlds))
+                for place, row in enumerate(rows):
+                    u[:, place] = row.T
+                if not np.isfinite(u).all():
+                    raise ValueError("`actions`: expected finite numbers")
+                self._clip_in_place(u, box, middle)
+            else:
+                u = xp.stack([row.T for row in rows], axis=1)
+                u = middle[0] + middle[1] * xp.clip(u, -1.0, 1.0) if self.is_unit else u
+                u = xp.minimum(xp.maximum(u, box.input_low), box.input_high)
+            result.append(u)
         return tuple(result)
+
+    def _clip_in_place(self, u: np.ndarray, box: Any, middle: tuple[np.ndarray, np.ndarray]) -> None:
+        """Make actions (m, n, M) inputs, without new arrays: this is a good part of a step."""
+        if self.is_unit:
+            np.clip(u, -1.0, 1.0, out=u)
+            u *= middle[1]
+            u += middle[0]
+        np.clip(u, box.input_low, box.input_high, out=u)
 
     def _action(self, actions: Mapping[str, Any], name: str, shape: tuple[int, int]) -> Array:
         """Return the actions (M, m) of one agent in double precision."""
