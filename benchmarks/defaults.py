@@ -43,8 +43,8 @@ BEFORE = {
 HEAD = """# What the defaults certify
 
 Every problem of the suite with its id and no options (`certigym run ID`), beside version 0.1. Bounds are certified
-lower bounds, checked by `certigym check`; rollouts are the share of 20,000 episodes that satisfied the task, an
-estimate with a standard error of up to .0035; "any policy" is an upper bound on what any policy of the continuous
+lower bounds, checked by `certigym check`; rollouts are the share of 100,000 episodes that satisfied the task, an
+estimate with a standard error of up to .0016; "any policy" is an upper bound on what any policy of the continuous
 system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
 
 | id | 0.1 | certified | rollouts | any policy | relation | cells | rank | seconds | check |
@@ -61,7 +61,7 @@ def row(name: str) -> str:
     parts = getattr(certificate, "parts", (certificate,))
     shapes = {" x ".join(map(str, agent.grid.shape)) for part in parts for agent in part.agents}
     kinds = {agent.relation["kind"] for part in parts for agent in part.agents}
-    estimate = cg.validate(certificate, 20_000).estimate
+    estimate = cg.validate(certificate, 100_000).estimate
     valid = "valid" if cg.check(certificate) else "NOT valid"
     rank = max(part.rank for part in parts)
     above = result.stats.get("continuous_upper_bound")

@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 import certigym as cg
+from network_problems import RNG
+
+
+@pytest.fixture(autouse=True)
+def same_draws() -> None:
+    """Networks and points are drawn anew for every test, the same whatever other tests ran before."""
+    RNG.bit_generator.state = np.random.default_rng(0).bit_generator.state
 
 
 @pytest.fixture(scope="session")

@@ -32,7 +32,7 @@ KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {
     "a tube": ("reach-avoid-v0", 100, {"relation": "tube"}),
     "a tube in the plane": ("car-park-planar-v0", 24, {"relation": "tube", "horizon": 20}),
     "independent tasks": ("invariance-4-v0", 40, {}),
-    "twenty agents": ("reach-avoid-20-v0", 40, {}),
+    "twenty agents": ("reach-avoid-20-v0", 40, {"relation": "exact"}),
 }
 
 

@@ -68,9 +68,9 @@ def test_no_point_of_a_cell_leaves_its_map(
     for mode in range(2 * problem.automaton.n_states):
         t, q = divmod(mode, problem.automaton.n_states)
         z, gain, rho = network_maps(linear(agent), part, np.arange(part.grid.n_cells), mode)
-        # Both are the same maps; the check is widened by less.
-        assert np.allclose(z, maps.centre[:, mode], atol=1e-9) and np.allclose(gain, maps.gain[:, mode], atol=1e-9)
-        assert np.all(rho <= maps.rest[:, mode])
+        # Both have the same slopes; what the check encloses lies inside what the search does.
+        assert np.allclose(gain, maps.gain[:, mode], atol=1e-8)
+        assert np.all(np.abs(z - maps.centre[:, mode]) + rho <= maps.rest[:, mode])
         offsets = (shares - 0.5) * (high - low)[:, None]
         points = 0.5 * (low + high)[:, None] + offsets
         states = part.coordinates @ points.reshape(-1, d).T

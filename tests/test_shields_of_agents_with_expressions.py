@@ -97,14 +97,18 @@ def test_charges_are_what_interpolation_may_miss() -> None:
         assert np.all(box.charge < 0.05)
 
 
-@pytest.mark.parametrize("form", ["joint", "decentralised"])
-@pytest.mark.parametrize("kind", ["wind, linear", "wind, boxes", "two axes"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind, form", [("wind, linear", "joint"), ("wind, boxes", "joint"), ("two axes", "decentralised")]
+)
 def test_nobody_can_break_the_promise_in_the_worst_wind(kind: str, form: str) -> None:
     """Random and adversarial proposers, and a wind that looks one step ahead."""
     shield = made(kind, 0.95, form)
     wind = greedy_disturbance(shield.values.certificate)
     for number, propose in enumerate((anything, the_worst)):
-        found = episodes(shield, propose, EPISODES, number, disturbance=wind)
+        # What nobody steers against the shield needs fewer episodes to show that it is let through at all.
+        count = EPISODES if propose is the_worst else EPISODES // 5
+        found = episodes(shield, propose, count, number, disturbance=wind)
         assert not refuted(found["success"], shield.probability)
         assert found["slack"] >= 0.0
         assert np.all(found["budget"] <= found["success"])
@@ -119,6 +123,7 @@ def test_neighbours_are_seen_where_they_are() -> None:
     assert found["slack"] >= 0.0 and 0.0 < found["overridden"] < 1.0
 
 
+@pytest.mark.slow
 def test_a_shield_that_forgets_the_wind_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Means without wind, and an adversary that has the wind on its side."""
     shield = made("wind, linear", 0.95)

@@ -59,7 +59,7 @@ def truth(certificate: Certificate, cells: int) -> float:
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.name + problem.specification.semantics)
 @pytest.mark.parametrize("value", ["tree", "train"])
 def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: str) -> None:
-    certificate = cg.synthesize(problem, 24, value=value).certificate
+    certificate = cg.synthesize(problem, 24, value=value, relation="exact").certificate
     assert certificate.gap is not None
     report = cg.check(certificate)
     assert report and report.above is not None
@@ -70,7 +70,7 @@ def test_the_upper_end_of_exact_claims_is_verified(problem: cg.Problem, value: s
 
 
 def test_mass_goes_where_dense_programming_says() -> None:
-    certificate = cg.synthesize(two_agents("F (a & F c) & G[0,2] !b", horizon=5), 24).certificate
+    certificate = cg.synthesize(two_agents("F (a & F c) & G[0,2] !b", horizon=5), 24, relation="exact").certificate
     *_, last = masses(certificate, 0.0, 10_000)
     exactly = truth(certificate, 24)
     assert last.dropped == last.stranded == 0.0
@@ -84,7 +84,7 @@ def test_mass_goes_where_dense_programming_says() -> None:
 def test_runs_into_cells_without_a_choice_may_succeed(value: str) -> None:
     """Controllers go on where policies have no choice; 40,000 rollouts, seed 2: refuted with probability 1e-6."""
     problem = two_agents("F (a & d)", horizon=6, B=[[0.35]], input_low=[-0.32], input_high=[0.32])
-    certificate = cg.synthesize(problem, 16, value=value).certificate
+    certificate = cg.synthesize(problem, 16, value=value, relation="exact").certificate
     assert any(np.any(part.policy < 0) for part in certificate.agents)
     assert certificate.gap is not None and certificate.gap > 1e-3
     report = cg.check(certificate)
@@ -147,7 +147,7 @@ def test_what_rounding_may_have_taken_is_counted() -> None:
 def test_tasks_that_are_done_before_the_first_letter_have_an_upper_end(value: str) -> None:
     """Half of the start box lies outside the workspace of each agent."""
     box: dict[str, Any] = {"initial_state": None, "initial_low": [-5.0], "initial_high": [-3.0]}
-    certificate = cg.synthesize(two_agents("true", horizon=2, **box), 16, value=value).certificate
+    certificate = cg.synthesize(two_agents("true", horizon=2, **box), 16, value=value, relation="exact").certificate
     report = cg.check(certificate)
     assert report, report
     assert report.above == pytest.approx(0.25, abs=1e-7)
@@ -184,7 +184,7 @@ def test_upper_ends_count_everything_that_was_left_out() -> None:
 
 @pytest.fixture(scope="module", params=["tree", "train"])
 def certificate(request: pytest.FixtureRequest) -> Certificate:
-    return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param).certificate
+    return cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value=request.param, relation="exact").certificate
 
 
 def claim_nothing_above(c: Certificate) -> Certificate:
@@ -233,7 +233,7 @@ def test_what_the_check_loses_to_rounding_is_counted(certificate: Certificate, m
 
 def test_start_guards_that_leave_something_out_have_no_upper_end() -> None:
     box: dict[str, Any] = {"initial_state": None, "initial_low": [-3.5], "initial_high": [-1.5]}
-    whole = cg.synthesize(two_agents(horizon=3, **box), 16).certificate
+    whole = cg.synthesize(two_agents(horizon=3, **box), 16, relation="exact").certificate
     assert inexact(whole) == [] and len(whole.start_target) > 0
     for kept in np.delete(
         ~np.eye(len(whole.start_target), dtype=bool), whole.problem.automaton.dead[whole.start_target], 0
@@ -250,7 +250,7 @@ def test_cells_in_other_coordinates_have_no_upper_end(certificate: Certificate) 
 
 def test_a_pruned_tree_is_found_out() -> None:
     """A tree without its largest term proves less, and says nothing about the probability from above."""
-    c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree").certificate
+    c = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     q = c.problem.initial_q
     assert q is not None and c.terms is not None
     first, terms = c.skeleton[0], c.terms
@@ -300,13 +300,13 @@ def test_uncertain_cells_have_no_upper_end() -> None:
         propositions={"goal": goal},
         specification=cg.Specification("F goal", "co-safe"),
     )
-    certificate = cg.synthesize(problem, 20).certificate
+    certificate = cg.synthesize(problem, 20, relation="exact").certificate
     assert certificate.lower_bound > 0.1 and certificate.gap is None and cg.check(certificate)
     assert "certain class" in cg.check(replace(certificate, gap=0.5)).failures[0]
 
 
 def test_dropped_mass_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree").certificate
+    certificate = cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, value="tree", relation="exact").certificate
     exactly = attained(certificate)
     monkeypatch.setattr("certigym.synthesis.checking.upper_end.SPARED", 1e9)
     coarse = attained(certificate)
@@ -342,7 +342,7 @@ def test_a_single_agent_has_trains_too() -> None:
         propositions={"goal": cg.Proposition("a", [1.0], [3.0])},
         specification=cg.Specification("F goal", "co-safe"),
     )
-    certificate = cg.synthesize(problem, 16, value="train").certificate
+    certificate = cg.synthesize(problem, 16, value="train", relation="exact").certificate
     report = cg.check(certificate)
     assert report and report.above is not None and certificate.gap is not None
     assert (

@@ -25,6 +25,10 @@ from .boxes import LinearMeans, linear_means
 from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
 from .networks import NetworkPolicy
 
+OUTWARD_OF_PARTS = 1e-8
+"""Widening where cells are cut, as a share of their width: whatever single precision is off by (about 1e-7) enters the
+ends of every part, and the check, which rounds otherwise, must find its ends inside these."""
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkMaps:
@@ -84,6 +88,8 @@ class NetworkMaps:
             first, last = np.maximum(first, -whole.radius), np.minimum(last, whole.radius)
         moved = 0.5 * (first + last)
         rest = np.maximum(last - moved, moved - first) * (1.0 + OUTWARD) + widening(self.policy, self.linear.B)
+        if self.cuts > 1:
+            rest += OUTWARD_OF_PARTS * np.max(high - low, axis=1, keepdims=True)
         return Form(whole.slopes, whole.centre + moved, rest + self.linear.rounding)
 
     def _bounds(self, low: FloatArray, high: FloatArray, mode: int) -> Form:
