@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..statistics import paired_difference
 from .figure_style import BOUND, ESTIMATE, MARKS, SERIES, SOFT, check_format, legend_above, new_figure, save_figure
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..policies import Comparison, Training
-    from ..policies.comparison import Pair
 
 
 LONGEST_NAME = 28
@@ -65,7 +64,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     save_figure(figure, path)
 
 
-def _draw_pairs(axes: Axes, comparison: Comparison, pairs: Sequence[Pair]) -> None:
+def _draw_pairs(axes: Axes, comparison: Comparison, pairs: Sequence[Any]) -> None:
     """Draw differences of success rates with exact limits, and p-values at the right."""
     episodes, confidence = comparison.episodes, comparison.confidence
     rows = range(len(pairs) - 1, -1, -1)  # the first pair on top
