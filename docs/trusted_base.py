@@ -73,7 +73,7 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.arrays.random_numbers envs.dynamics.blocks envs.dynamics.diagrams "
+    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.diagrams "
     "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "
     "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "

@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "synthesis.values": "envs.arrays",
     "synthesis.cells": ENVS,
     "synthesis.relations": f"{ENVS} synthesis.cells",
-    "synthesis.models": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
+    "synthesis.models": f"{ENVS} envs.suite synthesis.values synthesis.cells synthesis.relations",
     "synthesis.search": f"{ENVS} synthesis.values synthesis.cells synthesis.models",
     "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.models "
     "synthesis.search",

@@ -42,7 +42,9 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     heights = [1.5 + 0.35 * len(entries), *([1.0 + 0.35 * len(pairs)] if pairs else [])]
     figure, (axes, *below) = new_figure(7.6, sum(heights), rows=len(heights))
     if below:
-        below[0].get_subplotspec().get_gridspec().set_height_ratios(heights)
+        place = below[0].get_subplotspec()
+        assert place is not None
+        place.get_gridspec().set_height_ratios(heights)
         _draw_pairs(below[0], comparison, pairs)
     rows = range(len(entries))
     rates = [entry.rate for entry in entries]
