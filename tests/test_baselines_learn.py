@@ -204,9 +204,9 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
 
 
 def test_learners_start_from_certificates_about_pairs() -> None:
-    problem = cg.make_problem("platoon-distance-v0", n_trucks=2)
+    problem = cg.make_problem("platoon-distance-v0", n_agents=2)
     made = cg.synthesize(problem)
-    training = cg.train(problem, steps=512, warm_start=made.certificate, worlds=4)
+    training = cg.train(problem, steps=640, warm_start=made.certificate, worlds=16)
     assert training.help and training.problem.fingerprint == made.certificate.fingerprint
     # The clone does what the controllers do: random inputs reach .01.
     assert cg.rollout(problem, training.actor, 1000, seed=3).successes > 500
