@@ -20,6 +20,9 @@ from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
 from .guards import compile_guards
 
+MOST_OCCURRING = 0.5
+"""Share of pairs of a time and an undecided automaton state up to which only those that occur have values."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointModel:
@@ -72,6 +75,28 @@ class JointModel:
     def put(self) -> Callable[[NDArray], Array]:
         """The function that takes arrays to the device."""
         return device_put(self.device)
+
+    @cached_property
+    def occurs(self) -> NDArray[np.bool_]:
+        """Which undecided automaton states (T, Q) a run may be in at each time, once its letter was read.
+
+        Operators with deadlines count steps in the automaton: few of its states occur at any one time, and values of
+        the others need not be computed. Where more than half of all pairs occur, all count as such.
+        """
+        initial = self.start_guards.source[:1].astype(np.int64)
+        here = np.zeros(self.n_states, dtype=bool)
+        here[self.start_guards.target] = True
+        here[initial] |= self.absorbing[initial]
+        rows = []
+        for _ in range(self.horizon):
+            rows.append(here)
+            after = np.zeros(self.n_states, dtype=bool)
+            after[self.guards.target[here[self.guards.source]]] = True
+            here = after
+        table = np.array(rows).reshape(self.horizon, self.n_states)
+        undecided = ~self.absorbing
+        is_sparse = np.any(undecided) and np.mean(table[:, undecided]) <= MOST_OCCURRING
+        return table if is_sparse else np.ones_like(table)
 
     @property
     def n_cells(self) -> tuple[int, ...]:

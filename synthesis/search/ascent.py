@@ -171,6 +171,10 @@ def sweep(
                 parts.append((ones, rows))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
+            if not joint.occurs[t, q]:
+                parts.append((ones, np.zeros((0, len(joint.models)), dtype=np.int64)))
+                kept.append(np.zeros(0, dtype=np.int64))
+                continue
             stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies], improve)
             # Answers at time t leave the occupancies up to t as they are: they depend on earlier policies only.
             if improve and len(stage.rows):

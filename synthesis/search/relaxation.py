@@ -140,6 +140,9 @@ def _solve(
             if joint.absorbing[q]:
                 value[q] = settled[q]
                 continue
+            if not joint.occurs[t, q]:
+                value[q] = 1.0  # no run is there at this time: any upper bound will do
+                continue
             policy[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], policy[t, q])
             value[q] = read(model.choices, smoothed[q : q + 1], policy[t, q])[0]
     return Relaxation(value, policy)

@@ -1,0 +1,52 @@
+"""Operators with deadlines count steps: values are computed of automaton states that occur at a time, and no others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.models import joint as joint_module
+from certigym.synthesis.models.abstraction import abstract
+from certigym.synthesis.models.joint import join
+from problems import two_agents
+from written_problems import oscillator_reach
+
+
+def test_a_counter_is_in_one_state_at_a_time() -> None:
+    problem = two_agents("G[0,8] !b", horizon=8)
+    joint = join(problem, abstract(problem, 12, relation="exact"))
+    undecided = joint.occurs[:, ~joint.absorbing]
+    assert undecided.shape[1] >= 8 and np.all(undecided.sum(axis=1) <= 1)
+    # Without deadlines all states occur at nearly all times, and all are computed.
+    problem = two_agents("F (a & F c)", horizon=8)
+    assert join(problem, abstract(problem, 12, relation="exact")).occurs.all()
+
+
+@pytest.mark.parametrize("formula", ["G[0,6] !b", "F[0,5] (a & F[0,3] c)", "G[0,3] !b & F[2,6] a"])
+def test_bounds_are_those_of_all_states(formula: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """States that do not occur add nothing to the value at the start, nor to the bound for any policy."""
+    problem = two_agents(formula, horizon=6)
+    found = cg.synthesize(problem, 24, relation="exact")
+    assert cg.check(found.certificate) and found.certificate.lower_bound > 0.01
+    monkeypatch.setattr(joint_module, "MOST_OCCURRING", -1.0)
+    whole = cg.synthesize(problem, 24, relation="exact")
+    assert found.certificate.lower_bound == pytest.approx(whole.certificate.lower_bound, rel=1e-9)
+    most, above = (float(one.stats["abstract_upper_bound"]) for one in (found, whole))  # type: ignore[arg-type]
+    assert found.certificate.lower_bound <= most == pytest.approx(above, rel=1e-9)
+
+
+def test_a_deadline_at_the_horizon_is_that_of_the_horizon() -> None:
+    """`G[0,T] safe` and `G safe` up to the horizon are one task, also for agents with expressions."""
+    bounds = []
+    for formula, semantics in (("G[0,6] !goal", "co-safe"), ("G !goal", "finite-trace")):
+        problem = oscillator_reach(6)
+        task = cg.Problem(
+            name="stay",
+            horizon=6,
+            agents=problem.agents,
+            propositions=problem.declared,
+            specification=cg.Specification(formula, semantics),
+        )
+        bounds.append(cg.synthesize(task, 24, relation="linear").certificate.lower_bound)
+    assert bounds[0] > 0.1 and bounds[0] == pytest.approx(bounds[1], abs=1e-4)
