@@ -92,6 +92,9 @@ SURELY = 0.7
 MOST_SECONDS = 60.0
 """Estimate up to which levels are begun, all of them together: they then take about a minute."""
 
+COMPARED_SECONDS = 20.0
+"""What the synthesis that other relations begin with counts for: it compares them."""
+
 CHEAP_SECONDS = 0.5
 """Estimate below which a level is begun whatever the last one gained."""
 
@@ -138,6 +141,7 @@ def finer_levels(problem: Problem, settings: Settings, first: Synthesis, run: Ru
     except RelationRefused:  # relations with delta > 0 depend on more than their kinds
         return first, []
     levels.begin(before, first)
+    levels.spent = COMPARED_SECONDS
     levels.climb(_widest(problem, shapes))
     assert levels.best is not None
     return levels.best, levels.record
