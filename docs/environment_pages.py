@@ -49,6 +49,12 @@ _DELIVERY = (
     "once, and exploring robots hardly ever cross together."
 )
 WHY_NOT = {
+    "corridor-v0": "it stays at 0 within a minute, also with a central critic: both robots are paid for going ahead, "
+    "meet in the corridor, and the one that would have to wait first has to unlearn what it was paid for.",
+    "rendezvous-v0": "it stays at 0 within a minute, also with a central critic: every follower has to stay within "
+    "reach of a leader that it does not see, so an exploring leader that turns early or late loses all of them.",
+    "swarm-v0": "it stays at 0 within a minute, also with a central critic: all robots are paid for going straight "
+    "across, where they meet, and a way around pays only if all of them have agreed on it.",
     "cyclic-delivery-v0": "it stays at 0: a load counts only if all four robots pick it up at the same time, and one "
     "robot that strays makes all begin again.",
     "invariance-b-100-v0": "a hundred agents that share one policy fail together as soon as one of them leaves, so an "
@@ -150,6 +156,7 @@ def _minute(id: str) -> list[str]:
     """What learners of the leaderboard reach."""
     names = {
         "ppo": "PPO without help",
+        "mappo": "MAPPO (central critic) without help",
         "warm-ppo": "PPO from a clone of the certified controllers",
         "sac": "SAC without help",
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "design.md"
 ORDER = {
-    "envs": "expressions agents logic problem dynamics pictures interfaces suite",
+    "envs": "arrays expressions agents logic problem dynamics pictures interfaces suite",
     "synthesis": "cells relations values models search bounds choosing nominal_paths pairs controllers certificates "
     "checking shielding permissions",
     "validation": "statistics simulation verdicts audits shields policies figures reports paper",

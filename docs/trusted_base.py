@@ -19,7 +19,7 @@ TRUSTED = {
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
-        "envs.agents.products "
+        "envs.agents.products envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
@@ -74,7 +74,8 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.disturbances envs.dynamics.rules "
+    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.diagrams "
+    "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "
     "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "
     "envs.problem.summary synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "

@@ -201,3 +201,14 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("nothing")
     with pytest.raises(ValueError, match="expected the file of an actor"):
         load_actor(tmp_path / "text.npz", RA2)
+
+
+def test_learners_start_from_certificates_about_pairs() -> None:
+    problem = cg.make_problem("platoon-distance-v0", n_agents=2)
+    made = cg.synthesize(problem)
+    training = cg.train(problem, steps=640, warm_start=made.certificate, worlds=16)
+    assert training.help and training.problem.fingerprint == made.certificate.fingerprint
+    # The clone does what the controllers do: random inputs reach .01.
+    assert cg.rollout(problem, training.actor, 1000, seed=3).successes > 500
+    with pytest.raises(ValueError, match="`warm_start`: expected a certificate of"):
+        cg.train("platoon-v0", steps=512, warm_start=made.certificate)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.envs.arrays import beside, device_put, libraries, to_host
 from certigym.synthesis.bounds.certified import robust_loss
 from certigym.synthesis.models.abstraction import abstract
 from certigym.synthesis.models.choices import Policies
@@ -20,16 +21,12 @@ from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.models.kernel import AxisTable, Kernel, gaussian_table
 from certigym.synthesis.search.ascent import Sweep, forward, resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.values import devices as arrays
 from certigym.synthesis.values.devices import (
     Residents,
     add_rows,
     add_runs,
-    beside,
     concatenate,
-    device_put,
     take,
-    to_host,
 )
 
 pytestmark = pytest.mark.slow
@@ -130,7 +127,7 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
         raise ImportError(name, name=name)
 
-    monkeypatch.setattr(arrays.importlib, "import_module", missing)
+    monkeypatch.setattr(libraries.importlib, "import_module", missing)
     with pytest.raises(ValueError, match=r"needs array_api_compat.*certigym\[device\]"):
         device_put("torch:cpu")
 

@@ -74,7 +74,7 @@ LEARNING = {"learned_policies.md", "probe.md"}
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name in LEARNING:
         pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
-    if page.name == "devices.md":
+    if page.name in ("devices.md", "batches.md"):
         pytest.importorskip("torch", reason="needs torch")
     if page == DOCS / "environments" / "README.md":
         (tmp_path / "my-task.toml").write_bytes((ROOT / "examples" / "courier_and_drones.toml").read_bytes())

@@ -18,23 +18,24 @@ import rooms as drawn
 ROOT = Path(__file__).parents[1]
 WINGS = tuple(drawn.ORDER)
 
-ENVS = "envs.expressions envs.agents envs.logic envs.problem envs.dynamics"
+ENVS = "envs.arrays envs.expressions envs.agents envs.logic envs.problem envs.dynamics"
 CERTIFICATES = "synthesis.values synthesis.cells synthesis.relations synthesis.controllers synthesis.certificates"
 EVIDENCE = f"{ENVS} {CERTIFICATES} validation.statistics validation.simulation"
 
 MAY_IMPORT = {
-    "envs.expressions": "",
-    "envs.agents": "envs.expressions",
+    "envs.arrays": "",
+    "envs.expressions": "envs.arrays",
+    "envs.agents": "envs.arrays envs.expressions",
     "envs.logic": "",
     "envs.problem": "envs.agents envs.logic",
-    "envs.dynamics": "envs.agents envs.logic envs.problem",
+    "envs.dynamics": "envs.arrays envs.agents envs.logic envs.problem",
     "envs.pictures": "envs.agents envs.logic envs.problem",
     "envs.interfaces": f"{ENVS} envs.pictures",
     "envs.suite": f"{ENVS} envs.interfaces",
-    "synthesis.values": "",
+    "synthesis.values": "envs.arrays",
     "synthesis.cells": ENVS,
     "synthesis.relations": f"{ENVS} synthesis.cells",
-    "synthesis.models": f"{ENVS} synthesis.values synthesis.cells synthesis.relations",
+    "synthesis.models": f"{ENVS} envs.suite synthesis.values synthesis.cells synthesis.relations",
     "synthesis.search": f"{ENVS} synthesis.values synthesis.cells synthesis.models",
     "synthesis.bounds": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.models "
     "synthesis.search",

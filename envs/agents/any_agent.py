@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..arrays import is_host, namespace
 from .box import Box
 from .checks import read_only, shown
 from .laws import Law
@@ -188,7 +189,9 @@ class AnyAgent(ABC):
         """
         if self.laws is None:
             return z
-        return np.stack([law.from_normal(np.asarray(row)) for law, row in zip(self.laws, z)])
+        rows = (np.asarray(row) if is_host(row) else row for row in z)
+        found = [law.from_normal(row) for law, row in zip(self.laws, rows)]
+        return namespace(found[0]).stack(found)
 
     def copies(self, n: int) -> tuple[Self, ...]:
         """Return `n` agents that differ in their names alone: `name_0`, `name_1`, ..."""

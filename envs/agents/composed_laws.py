@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
+from ..arrays import namespace, special
 from .checks import shown
 from .laws import BENT, Law, Tails
 
@@ -66,8 +67,10 @@ class TruncatedGaussian(Law):
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         low = self.low / self.spread
-        quantile = ndtri(np.clip(ndtr(low) + self.share * ndtr(z), 0.0, 1.0))
-        return np.clip(self.spread * quantile, self.low, self.high)
+        below, xp = float(ndtr(low)), namespace(z)
+        quantile = special(z).ndtri(xp.clip(below + self.share * special(z).ndtr(z), 0.0, 1.0))
+        found: np.ndarray = xp.clip(self.spread * quantile, self.low, self.high)
+        return found
 
     def scaled(self, factor: float) -> Law:
         return TruncatedGaussian(factor * self.spread, factor * self.low, factor * self.high)
@@ -81,6 +84,7 @@ class Mixture(Law):
     means: tuple[float, ...]
     laws: tuple[Law, ...]
     name = "mixture"
+    is_portable = False
 
     @property
     def cdf_error(self) -> float:  # type: ignore[override]
@@ -152,6 +156,7 @@ class ScipyLaw(Law):
     cdf_error: float
     variation: float
     name = "scipy"
+    is_portable = False
 
     @property
     def std(self) -> float:

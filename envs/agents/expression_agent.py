@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import is_host, namespace
 from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression, substituted
 from .any_agent import AnyAgent, shared_fields, summary_rows
 from .checks import float_array, read_only, shown
@@ -310,7 +311,7 @@ class Agent(AnyAgent):
             )
         arrays = (x, u, disturbances, () if neighbours is None else neighbours)
         values = {name: _one_axis(row) for names, rows in self._rows(*arrays) for name, row in zip(names, rows)}
-        return np.stack(computed(self.trees, values)).reshape(x.shape)
+        return namespace(x).stack(computed(self.trees, values)).reshape(x.shape)
 
     def _rows(self, *arrays: Any) -> list[tuple[Sequence[str], Any]]:
         beside = [neighbour(k) for k in range(len(self.others))]
@@ -321,7 +322,7 @@ class Agent(AnyAgent):
         if self.has_identity_output:
             return x
         values = {name: _one_axis(row) for name, row in zip(self.states, x)}
-        return np.stack(computed(self.output_trees, values)).reshape(self.n_outputs, *x.shape[1:])
+        return namespace(x).stack(computed(self.output_trees, values)).reshape(self.n_outputs, *x.shape[1:])
 
     def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p).
@@ -357,7 +358,7 @@ class Agent(AnyAgent):
 
 def _one_axis(row: np.ndarray) -> np.ndarray:
     """Return numbers as an array of at least one axis, as expressions take them."""
-    return np.atleast_1d(np.asarray(row, dtype=float))
+    return np.atleast_1d(np.asarray(row, dtype=float)) if is_host(row) else row
 
 
 def _texts(value: Any, argument: str, length: int | None) -> tuple[str, ...]:

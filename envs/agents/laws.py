@@ -19,7 +19,9 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import expit, log_ndtr, ndtr, stdtr, stdtrit
+from scipy.special import expit, ndtr, stdtr, stdtrit
+
+from ..arrays import namespace, special
 
 CLOSED_FORM = 2e-15
 """Error of tails in closed form: a few units in the last place of 1, from their arguments and their functions."""
@@ -48,10 +50,13 @@ class Law(ABC):
         Standard deviation (rounded).
     cdf_error : float
         Upper bound on the absolute error of both tails.
+    is_portable : bool
+        Whether `from_normal` takes arrays of other libraries than numpy.
     """
 
     name = ""
     cdf_error: float
+    is_portable = True
 
     if TYPE_CHECKING:
 
@@ -162,7 +167,10 @@ class Uniform(Law):
         return np.clip((x - self.low) / width, 0.0, 1.0), np.clip((self.high - x) / width, 0.0, 1.0)
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
-        return np.clip(self.low + (self.high - self.low) * ndtr(z), self.low, self.high)
+        found: np.ndarray = namespace(z).clip(
+            self.low + (self.high - self.low) * special(z).ndtr(z), self.low, self.high
+        )
+        return found
 
     def scaled(self, factor: float) -> Law:
         return Uniform(factor * self.low, factor * self.high)
@@ -208,9 +216,11 @@ class Triangular(Law):
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
         width, rise, fall = self.high - self.low, self.mode - self.low, self.high - self.mode
-        below, above = ndtr(z), ndtr(-z)
-        first = below * width <= rise
-        return np.where(first, self.low + np.sqrt(below * width * rise), self.high - np.sqrt(above * width * fall))
+        below, above = special(z).ndtr(z), special(z).ndtr(-z)
+        first, xp = below * width <= rise, namespace(z)
+        lower, upper = self.low + xp.sqrt(below * width * rise), self.high - xp.sqrt(above * width * fall)
+        found: np.ndarray = xp.where(first, lower, upper)
+        return found
 
     def scaled(self, factor: float) -> Law:
         return Triangular(factor * self.low, factor * self.mode, factor * self.high)
@@ -246,7 +256,9 @@ class Laplace(Law):
         return np.where(x <= 0.0, small, 1.0 - small), np.where(x <= 0.0, 1.0 - small, small)
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
-        return -np.sign(z) * self.scale * (math.log(2.0) + log_ndtr(-np.abs(z)))
+        xp = namespace(z)
+        found: np.ndarray = -xp.sign(z) * self.scale * (math.log(2.0) + special(z).log_ndtr(-xp.abs(z)))
+        return found
 
     def scaled(self, factor: float) -> Law:
         return Laplace(factor * self.scale)
@@ -280,7 +292,8 @@ class Logistic(Law):
         return expit(x / self.scale), expit(-x / self.scale)
 
     def from_normal(self, z: np.ndarray) -> np.ndarray:
-        return self.scale * (log_ndtr(z) - log_ndtr(-z))
+        found: np.ndarray = self.scale * (special(z).log_ndtr(z) - special(z).log_ndtr(-z))
+        return found
 
     def scaled(self, factor: float) -> Law:
         return Logistic(factor * self.scale)
@@ -294,6 +307,7 @@ class StudentT(Law):
     df: float
     name = "student-t"
     cdf_error = STUDENT
+    is_portable = False
 
     @property
     def std(self) -> float:

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import namespace
+
 
 def row_times(row: Any, x: Any) -> Any:
     """Return one row of a matrix times a vector, summed in a fixed order: the same bits in a batch and for one point.
@@ -30,4 +32,5 @@ def linear(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
     x : np.ndarray, shape (d, ...)
         Trailing axes broadcast against those of `matrix`.
     """
-    return np.stack([row_times(row, x) for row in matrix])
+    stacked: np.ndarray = namespace(x).stack([row_times(row, x) for row in matrix])
+    return stacked

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
 from ..problem import Problem
+
+Put = Callable[[np.ndarray], Any]
+"""How arrays get to where worlds live: see `arrays.device_put`."""
 
 Sparse = tuple[np.ndarray, tuple[int, ...]]
 """Entries (k, n, 1) of a row of the agents' matrices, and their positions in the row.
@@ -108,6 +112,23 @@ class Block:
         single = (stack[..., :1, :] if np.all(stack == stack[..., :1, :]) else stack for stack in matrices)
         return tuple((_sparse(a), _sparse(b), c[0], _sparse(factor)) for a, b, c, factor in zip(*single))
 
+    @cached_property
+    def start_box(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Widths of the start boxes and the last numbers in them, (d, n, 1) each; None if all starts are points."""
+        width = self.initial_high - self.initial_low
+        if not width.any():
+            return None
+        # Rounding can carry a draw to the upper corner, which belongs to the next half-open region.
+        return width, np.where(width > 0.0, np.nextafter(self.initial_high, -np.inf), self.initial_high)
+
+    @cached_property
+    def disturbance_ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of the intervals of bounded disturbances, (k, 1, 1) each."""
+        if not isinstance(self.motion, WrittenMotion):
+            return np.zeros((0, 1, 1)), np.zeros((0, 1, 1))
+        agent = self.motion.agent
+        return agent.disturbance_low[:, None, None], agent.disturbance_high[:, None, None]
+
     def outputs(self, x: np.ndarray) -> np.ndarray:
         """Return the outputs (p, n, M) at states (d, n, M)."""
         if self.identity_output:
@@ -129,6 +150,27 @@ class Block:
     def input_range(self) -> tuple[float, float]:
         """Largest interval in which every component of every agent's input is admissible."""
         return float(self.input_low.max()), float(self.input_high.min())
+
+
+def placed(record: Any, put: Put) -> Any:
+    """Return a block, or pairs, with its arrays where `put` puts them; what it computes from them comes along."""
+    if put is np.asarray:
+        return record
+
+    def moved(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return put(value.astype(np.int64) if value.dtype.kind in "iu" else value)
+        if isinstance(value, tuple):
+            return tuple(map(moved, value))
+        return placed(value, put) if is_dataclass(value) and isinstance(value, LinearMotion) else value
+
+    there = replace(record, **{field.name: moved(getattr(record, field.name)) for field in fields(record)})
+    # Properties read facts off arrays, for which numpy is the place.
+    if isinstance(record, Block):
+        names = ["start_box", "disturbance_ends", "output_width", "input_range"]
+        names += ["linear_rows"] if isinstance(record.motion, LinearMotion) else []
+        there.__dict__.update({name: moved(getattr(record, name)) for name in names})
+    return there
 
 
 @dataclass(frozen=True, eq=False, repr=False)

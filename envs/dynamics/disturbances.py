@@ -14,9 +14,8 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import ndtr
 
-from ..agents import Agent
+from ..arrays import double, is_host, namespace, special
 
 BEHAVIOURS = ("zero", "random", "periodic")
 """Behaviours that have a name."""
@@ -42,12 +41,13 @@ def checked_behaviour(value: Any) -> Behaviour:
     raise ValueError(f"`disturbance`: expected one of {', '.join(BEHAVIOURS)} or a function, got {value!r:.60}")
 
 
-def named_disturbances(agent: Agent, behaviour: str, time: Any, normals: np.ndarray) -> np.ndarray:
+def named_disturbances(low: Any, high: Any, behaviour: str, time: Any, normals: Any) -> Any:
     """Return disturbances (k, *S) of an agent by the name of a behaviour: the same bits for one world and for many.
 
     Parameters
     ----------
-    agent : Agent
+    low, high : array, shape (k,) followed by axes of length 1
+        Ends of their intervals.
     behaviour : str
         One of ``BEHAVIOURS``.
     time : int, or array that broadcasts to (*S)
@@ -55,14 +55,15 @@ def named_disturbances(agent: Agent, behaviour: str, time: Any, normals: np.ndar
     normals : np.ndarray, shape (k, *S)
         Standard normal numbers; only "random" reads them.
     """
-    extra = (1,) * (normals.ndim - 1)
-    low, high = (end.reshape(-1, *extra) for end in (agent.disturbance_low, agent.disturbance_high))
+    xp = namespace(normals)
     if behaviour == "random":
-        share = ndtr(normals)
+        share = special(normals).ndtr(normals)
     elif behaviour == "periodic":
-        turns = np.asarray(time) / PERIOD + 0.25 * np.arange(len(low)).reshape(-1, *extra)
-        share = 0.5 + 0.5 * np.sin(2.0 * np.pi * np.broadcast_to(turns, normals.shape).copy())
+        # numpy's loops, and with them the last bits, are those of contiguous arrays.
+        rows = [xp.broadcast_to(double(time) / PERIOD + 0.25 * k, normals.shape[1:]) for k in range(len(low))]
+        share = 0.5 + 0.5 * xp.sin(2.0 * np.pi * xp.stack(rows))
     else:
-        return np.broadcast_to(np.clip(0.0, low, high), normals.shape)
+        return xp.broadcast_to(xp.maximum(xp.minimum(xp.zeros_like(low), high), low), normals.shape)
     # Rounding must not carry a disturbance out of its interval.
-    return np.asarray(np.clip(low + (high - low) * share, low, high))
+    result = xp.maximum(xp.minimum(low + (high - low) * share, high), low)
+    return np.asarray(result) if is_host(result) else result

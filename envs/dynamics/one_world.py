@@ -218,7 +218,8 @@ class OneWorld:
                 result.append(None)
                 continue
             rows = np.array([normals[k] for k in agent.extra] or [0.0] * count)[:, None]
-            result.append(named_disturbances(agent.written, behaviour, world.time, rows))
+            low, high = agent.written.disturbance_low, agent.written.disturbance_high
+            result.append(named_disturbances(low[:, None], high[:, None], behaviour, world.time, rows))
         return result
 
     def _asked(self, behaviour: Against, world: World, inputs: Any) -> list[np.ndarray | None]:

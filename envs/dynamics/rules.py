@@ -47,5 +47,5 @@ def decided(accepting: Any, q: Any, following: Any, failed: Any, accepted: Any, 
         Failed and accepted before the step, and whether an agent is outside its workspace after it.
     """
     failed = failed | (outside > accepted)  # outside and not accepted
-    q = q + (following - q) * (1 - failed)  # a failed world reads no letter
+    q = q + (following - q) * (failed == 0)  # a failed world reads no letter
     return q, failed, accepting[q] > failed  # accepting states are absorbing

@@ -23,14 +23,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import and_
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
+from ..arrays import concatenated, namespace, to_host
+from ..logic import Automaton
 from ..problem import Problem
-from .blocks import Block, PairBlock, WrittenMotion, block_of, pair_blocks
+from .blocks import Block, PairBlock, Put, WrittenMotion, block_of, pair_blocks, placed
+from .diagrams import Diagrams
 from .disturbances import Behaviour, checked_behaviour, named_disturbances
 from .rules import decided, moved, noisy
 from .tables import Reader, reader
@@ -60,6 +64,8 @@ class Dynamics:
         Automaton states whose entry accepts the task at once: none for finite-trace tasks.
     disturbance : Behaviour
         How bounded disturbances behave.
+    put : callable
+        How arrays get to where the worlds live: `numpy.asarray`, or that of a device (`arrays.device_put`).
     """
 
     problem: Problem
@@ -67,13 +73,14 @@ class Dynamics:
     position: tuple[tuple[int, int], ...]
     accepting: np.ndarray
     disturbance: Behaviour = "zero"
+    put: Put = np.asarray
 
     def __repr__(self) -> str:
         agents, blocks = counted(self.problem.n_agents, "agent"), counted(len(self.blocks), "block")
         return f"Dynamics({shortened(self.problem.name, 60)!r}, {agents} in {blocks})"
 
     @classmethod
-    def of(cls, problem: Problem, disturbance: Behaviour = "zero") -> Dynamics:
+    def of(cls, problem: Problem, disturbance: Behaviour = "zero", put: Put = np.asarray) -> Dynamics:
         """Return the dynamics of a problem.
 
         Linear agents of equal sizes, and equal expressions, share a block if their noise has the same laws.
@@ -85,20 +92,48 @@ class Dynamics:
             written = (agent.motion_key, agent.output_key) if isinstance(agent, Agent) else None
             members.setdefault((sizes, written, agent.laws), []).append(i)
         place = {i: (b, k) for b, group in enumerate(members.values()) for k, i in enumerate(group)}
-        blocks = tuple(block_of(problem, group) for group in members.values())
-        automaton = problem.automaton
+        blocks = tuple(placed(block_of(problem, group), put) for group in members.values())
         places = tuple(place[i] for i in range(problem.n_agents))
-        return cls(problem, blocks, places, automaton.finished, checked_behaviour(disturbance))
+        return cls(problem, blocks, places, put(problem.automaton.finished), checked_behaviour(disturbance), put)
 
     @cached_property
     def pairs(self) -> tuple[PairBlock, ...]:
         """The propositions about pairs of agents, stacked."""
-        return pair_blocks(self.problem, self.position)
+        return tuple(placed(pairs, self.put) for pairs in pair_blocks(self.problem, self.position))
+
+    @property
+    def is_host(self) -> bool:
+        """Whether the worlds are arrays of numpy."""
+        return self.put is np.asarray
+
+    @cached_property
+    def automaton(self) -> Automaton | Diagrams:
+        """What reads letters where the worlds live."""
+        automaton = self.problem.automaton
+        return automaton if self.is_host else Diagrams.of(automaton, self.put)
+
+    @cached_property
+    def winning(self) -> Any:
+        """Automaton states that satisfy the task if the word ends there, bool (Q,)."""
+        return self.put(self.problem.automaton.accepting)
+
+    @cached_property
+    def rows(self) -> Any:
+        """Positions (D,) of the components of a joint state among the rows of all blocks, one after the other."""
+        order = [to_host(block.columns).ravel() for block in self.blocks]
+        return self.put(np.argsort(np.concatenate(order)))
+
+    @cached_property
+    def proposition_rows(self) -> Any:
+        """Positions (P,) of the propositions among those of all blocks, and then of pairs."""
+        order = [to_host(block.propositions) for block in self.blocks]
+        order += [to_host(pairs.propositions) for pairs in self.pairs]
+        return self.put(np.argsort(np.concatenate(order)))
 
     @cached_property
     def reader(self) -> Reader | None:
         """Tables that judge worlds; None if they would be too large, or do not apply (see `tables.reader`)."""
-        if self.pairs:  # tables read agent by agent
+        if self.pairs or not self.is_host:  # tables read agent by agent, and count in place
             return None
         return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
 
@@ -142,25 +177,21 @@ class Worlds:
         return int(self.q.size)
 
 
-def initial(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> Worlds:
+def initial(dynamics: Dynamics, rng: Draws, n_worlds: int) -> Worlds:
     """Return worlds at time 0 with starts drawn uniformly from the start boxes; fixed starts draw no numbers."""
     return begin(dynamics, starts(dynamics, rng, n_worlds))
 
 
-def starts(dynamics: Dynamics, rng: np.random.Generator, n_worlds: int) -> tuple[np.ndarray, ...]:
+def starts(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return the initial states that `initial` draws, one array (d, n, M) per block."""
     states = []
     for block in dynamics.blocks:
-        width = block.initial_high - block.initial_low
-        shape = (*width.shape[:2], n_worlds)
-        start = np.empty(shape)
-        start[...] = block.initial_low
-        if width.any():
-            start += width * rng.random(shape)
-            # Rounding can carry a draw to the upper corner, which belongs to the next half-open region.
-            last = np.where(width > 0.0, np.nextafter(block.initial_high, -np.inf), block.initial_high)
-            start = np.minimum(start, last)
-        states.append(start)
+        xp, shape = namespace(block.initial_low), (*block.initial_low.shape[:2], n_worlds)
+        if block.start_box is None:
+            states.append(xp.broadcast_to(block.initial_low, shape) + 0.0)
+        else:
+            width, last = block.start_box
+            states.append(xp.minimum(block.initial_low + width * rng.random(shape), last))
     return tuple(states)
 
 
@@ -175,9 +206,10 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
 
 def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
     """Return worlds at time 0 with given states, one array (d, n, M) per block."""
-    n_worlds = states[0].shape[-1]
-    q = np.full(n_worlds, dynamics.problem.automaton.initial, dtype=np.int32)
-    undecided = np.zeros(n_worlds, dtype=bool)
+    one, xp = states[0][0, 0], namespace(states[0])
+    types = (np.int32, np.bool_) if dynamics.is_host else (xp.int64, xp.bool)
+    q = xp.full_like(one, dynamics.problem.automaton.initial, dtype=types[0])
+    undecided = xp.zeros_like(one, dtype=types[1])
     return _read(dynamics, states, 0, q, undecided, undecided)
 
 
@@ -229,8 +261,13 @@ def disturbances(
         if not isinstance(block.motion, WrittenMotion) or not block.n_disturbances:
             result.append(None)
             continue
-        rows = z[len(x) :] if extra_rows(dynamics, block) else np.zeros((block.n_disturbances, *x.shape[1:]))
-        result.append(named_disturbances(block.motion.agent, dynamics.disturbance, worlds.time, rows))
+        shape = (block.n_disturbances, *x.shape[1:])
+        rows = (
+            z[len(x) :]
+            if extra_rows(dynamics, block)
+            else namespace(x).broadcast_to(namespace(x).zeros_like(x[:1]), shape)
+        )
+        result.append(named_disturbances(*block.disturbance_ends, dynamics.disturbance, worlds.time, rows))
     return tuple(result)
 
 
@@ -258,6 +295,11 @@ def transition(
     over = worlds.time >= dynamics.problem.horizon
     if over if isinstance(over, bool) else over.any():
         raise ValueError(f"`worlds`: expected a time before the horizon {dynamics.problem.horizon}, got {worlds.time}")
+    return moved_on(dynamics, worlds, inputs, normals)
+
+
+def moved_on(dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]) -> Worlds:
+    """Return the worlds one step later, as `transition` does, without a look at the time: no number leaves a device."""
     unknown = disturbances(dynamics, worlds, inputs, normals)
     steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, neighbours(dynamics, worlds.states))
     states = tuple(successor(block, x, u, z, v, beside) for block, x, u, z, v, beside in steps)
@@ -266,12 +308,10 @@ def transition(
 
 def neighbours(dynamics: Dynamics, states: Sequence[np.ndarray]) -> tuple[np.ndarray | None, ...]:
     """Return the states of others (l, n, M) that the dynamics of each block name; None for blocks that name none."""
-    if not any(block.beside.size for block in dynamics.blocks):
+    if not any(len(block.beside) for block in dynamics.blocks):
         return (None,) * len(dynamics.blocks)
-    rows = np.empty((dynamics.problem.n_states, states[0].shape[-1]))
-    for block, x in zip(dynamics.blocks, states):
-        rows[block.columns] = x
-    return tuple(rows[block.beside] if block.beside.size else None for block in dynamics.blocks)
+    rows = concatenated([x.reshape(-1, x.shape[-1]) for x in states])[dynamics.rows]
+    return tuple(rows[block.beside] if len(block.beside) else None for block in dynamics.blocks)
 
 
 def successor(
@@ -291,29 +331,30 @@ def successor(
     z = block.noise_of.components(z[: len(x)])
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
-            return np.stack(noisy(block.motion.agent.mean(x, u, v, beside), block.noise_factor, z))
+            return namespace(x).stack(noisy(block.motion.agent.mean(x, u, v, beside), block.noise_factor, z))
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
             components += moved([a], [b], [c], [factor], *read)
-    return np.stack(components) if len(components) > 1 else components[0][None]
+    return namespace(x).stack(components) if len(components) > 1 else components[0][None]
 
 
 def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block."""
-    result = np.zeros((len(dynamics.problem.propositions), states[0].shape[-1]), dtype=bool)
+    rows: list[np.ndarray] = []
     outputs: dict[int, np.ndarray] = {}
     for b, (block, x) in enumerate(zip(dynamics.blocks, states)):
-        if block.propositions.size or dynamics.pairs:
+        if len(block.propositions) or dynamics.pairs:
             with np.errstate(over="ignore", invalid="ignore"):
                 outputs[b] = block.outputs(x)
-        if block.propositions.size:
+        if len(block.propositions):
             # One row per proposition: the outputs of the agent that owns it.
-            y = outputs[b].take(block.owners, axis=1)
-            result[block.propositions] = contains(y, block.region_low, block.region_high)
-    for pairs in dynamics.pairs:
-        result[pairs.propositions] = contains(difference(pairs, outputs), pairs.low, pairs.high)
-    return result
+            y = outputs[b][:, block.owners]
+            rows.append(contains(y, block.region_low, block.region_high))
+    rows += [contains(difference(pairs, outputs), pairs.low, pairs.high) for pairs in dynamics.pairs]
+    if not rows:
+        return dynamics.put(np.zeros((0, states[0].shape[-1]), dtype=bool))
+    return concatenated(rows)[dynamics.proposition_rows]
 
 
 def difference(pairs: PairBlock, outputs: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -322,7 +363,8 @@ def difference(pairs: PairBlock, outputs: Mapping[int, np.ndarray]) -> np.ndarra
         outputs[b][axes[:, None], places[None]] for b, axes, places in zip(pairs.blocks, pairs.outputs, pairs.places)
     )
     with np.errstate(over="ignore", invalid="ignore"):  # infinity less infinity is near nothing
-        return np.asarray(first - second)
+        result: np.ndarray = first - second
+        return result
 
 
 def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
@@ -331,7 +373,7 @@ def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
     if automaton.is_co_safe:
         return worlds.accepted
     judged = worlds.time == dynamics.problem.horizon
-    return judged & ~worlds.failed & np.asarray(automaton.accepting)[worlds.q]
+    return judged & ~worlds.failed & dynamics.winning[worlds.q]
 
 
 def joint(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
@@ -355,15 +397,14 @@ def _read(
     if dynamics.reader is not None:
         q, failed, accepted = dynamics.reader.read(states, q, failed)
     else:
-        following = dynamics.problem.automaton.next_state(q, letters(dynamics, states))
+        following = dynamics.automaton.next_state(q, letters(dynamics, states))
         q, failed, accepted = decided(dynamics.accepting, q, following, failed, accepted, _outside(dynamics, states))
-        q = q.astype(np.int32)
-    return Worlds(states, read_only(q), time, read_only(failed), read_only(accepted))
+    if not dynamics.is_host:
+        return Worlds(states, q, time, failed, accepted)
+    return Worlds(states, read_only(q.astype(np.int32, copy=False)), time, read_only(failed), read_only(accepted))
 
 
 def _outside(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
     """Return whether any agent is outside its workspace, bool (M,)."""
-    result = np.zeros(states[0].shape[-1], dtype=bool)
-    for block, x in zip(dynamics.blocks, states):
-        result |= ~inside(x, block.state_low, block.state_high).all(axis=0)
-    return result
+    parts = (inside(x, block.state_low, block.state_high) for block, x in zip(dynamics.blocks, states))
+    return ~reduce(and_, (namespace(part).all(part, axis=0) for part in parts))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import is_host, namespace
 from .expression_tree import Name, Number, Tree, whole_exponent
 
 FloatArray = NDArray[Any]
@@ -28,27 +29,36 @@ def computed(trees: Sequence[Tree], values: Mapping[str, FloatArray]) -> list[Fl
     values : mapping from str to array
         Values of the names: arrays of one shape, with at least one axis.
     """
-    shape = np.broadcast_shapes((1,), *(value.shape for value in values.values()))
+    shape = np.broadcast_shapes((1,), *(tuple(value.shape) for value in values.values()))
+    one = next(iter(values.values()), np.zeros(1))[:1]
+    xp = namespace(one)
     with np.errstate(all="ignore"):
-        return [np.array(np.broadcast_to(_value(tree, values), shape)) for tree in trees]
+        # What may be a view of the arguments is copied.
+        found = (xp.broadcast_to(_value(tree, values, one), shape) for tree in trees)
+        return [np.array(value) if is_host(value) else 1.0 * value for value in found]
 
 
-def _value(tree: Tree, values: Mapping[str, FloatArray]) -> FloatArray:
+def _value(tree: Tree, values: Mapping[str, FloatArray], one: FloatArray) -> FloatArray:
+    """Return the value of one expression; numbers become arrays beside `one`."""
     if isinstance(tree, Number):
-        return np.array([tree.value])
+        return np.array([tree.value]) if is_host(one) else namespace(one).full_like(one, tree.value)
     if isinstance(tree, Name):
         return values[tree.name]
-    arguments = [_value(argument, values) for argument in tree.arguments]
+    arguments = [_value(argument, values, one) for argument in tree.arguments]
     if tree.name == "**":
         exponent = whole_exponent(tree.arguments[1])
         if exponent is not None:
             return power(arguments[0], exponent)
-    return _OPERATIONS[tree.name](*arguments)
+    if is_host(one):
+        return _OPERATIONS[tree.name](*arguments)
+    xp = namespace(one)
+    found: FloatArray = getattr(xp, _STANDARD.get(tree.name, tree.name))(*xp.broadcast_arrays(*arguments))
+    return found
 
 
 def power(base: FloatArray, exponent: int) -> FloatArray:
     """Return a whole power by products: from the highest bit of the exponent on, square and multiply."""
-    result = np.ones_like(base)
+    result = namespace(base).ones_like(base)
     for bit in bin(abs(exponent))[2:]:
         result = result * result
         if bit == "1":
@@ -83,3 +93,14 @@ _OPERATIONS: dict[str, Callable[..., FloatArray]] = {
     "sqrt": _on_contiguous(np.sqrt),
     "tanh": _on_contiguous(np.tanh),
 }
+
+_STANDARD = {
+    "+": "add",
+    "-": "subtract",
+    "*": "multiply",
+    "/": "divide",
+    "**": "pow",
+    "min": "minimum",
+    "max": "maximum",
+}
+"""Names of the Python array API where they are others than those of expressions."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..agents import AnyAgent, checked_count
+from ..arrays import concatenated, namespace
 from ..problem import Problem
 from .observation import Bounds
 
@@ -57,13 +58,14 @@ def nearest_seen(states: np.ndarray, outputs: np.ndarray, i: int, count: int) ->
     i, count : int
         An agent, and a number of neighbours less than n.
     """
-    worlds = np.arange(states.shape[-1])
+    xp = namespace(states)
     distance = ((outputs - outputs[i]) ** 2).sum(axis=1)
-    distance[i] = np.inf
-    seen = np.empty((count, states.shape[1], worlds.size))
-    for place in range(count):
+    away = xp.full_like(distance[0], np.inf)
+    distance, seen = xp.stack([away if k == i else row for k, row in enumerate(distance)]), [states[i][:0]]
+    for _ in range(count):
         # `argmin` returns the first of equals; what was found is out of reach in the next round.
-        found = distance.argmin(axis=0)
-        seen[place] = states[found, :, worlds].T - states[i]
-        distance[found, worlds] = np.inf
-    return seen.reshape(-1, worlds.size)
+        found = xp.argmin(distance, axis=0)
+        chosen = xp.stack([found == k for k in range(len(distance))])
+        seen.append(xp.where(chosen[:, None], states, 0.0).sum(axis=0) - states[i])
+        distance = xp.where(chosen, away, distance)
+    return concatenated(seen)

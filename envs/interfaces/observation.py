@@ -28,6 +28,7 @@ import numpy as np
 from gymnasium import spaces
 
 from ..agents import AnyAgent, shown
+from ..arrays import double, is_host, namespace
 from ..dynamics import Dynamics, Worlds
 from ..problem import Problem
 
@@ -126,7 +127,10 @@ def projected(states: Any, agents: Sequence[Any]) -> list[float]:
 
 def projected_rows(states: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the same of arrays of states."""
-    return np.clip(np.where(np.isnan(states), low, states), low, high)
+    xp = namespace(states)
+    # NaN is the one number that is not itself.
+    result: np.ndarray = xp.minimum(xp.maximum(xp.where(states == states, states, low), low), high)
+    return result
 
 
 def scaled(numbers: Any, bounds: Bounds) -> np.ndarray:
@@ -148,13 +152,17 @@ def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> l
 
 def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
     """Return the same of a batch: (k, M), one column per world."""
+    left = 1.0 - double(worlds.time) / problem.horizon
+    if not is_host(left):  # whose places cannot be counted without sending them there
+        seen = {"one-hot": [worlds.q == q for q in range(problem.automaton.n_states)], "number": [worlds.q]}
+        rows: np.ndarray = namespace(left).stack([*map(double, seen.get(automaton, [])), left])
+        return rows
     count, n_worlds = problem.automaton.n_states, worlds.n_worlds
-    left = 1.0 - np.broadcast_to(np.asarray(worlds.time), (1, n_worlds)) / problem.horizon
     if automaton == "one-hot":
-        seen = worlds.q == np.arange(count)[:, None]
+        known = worlds.q == np.arange(count)[:, None]
     else:
-        seen = worlds.q[None, :] if automaton == "number" else np.zeros((0, n_worlds))
-    return np.concatenate([seen, left])
+        known = worlds.q[None, :] if automaton == "number" else np.zeros((0, n_worlds))
+    return np.concatenate([known, np.broadcast_to(left, (1, n_worlds))])
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:

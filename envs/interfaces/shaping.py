@@ -33,12 +33,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from ..arrays import concatenated, double, is_host, namespace
 from ..dynamics import Dynamics, Worlds
 from ..dynamics import worlds as core
 from ..logic import Automaton
@@ -90,13 +91,27 @@ class Potential:
         """Return the potential of each world, float (M,), between 0 and 1."""
         finite = self.steps[np.isfinite(self.steps)]
         most = finite.max() if finite.size else 0.0
-        result = np.zeros(worlds.n_worlds)
-        gaps = self._gaps(worlds)
-        for q in np.unique(worlds.q):
-            here = np.flatnonzero(worlds.q == q)
-            if np.isfinite(self.steps[q]):
-                result[here] = (most - self.steps[q] + self._closeness(int(q), gaps[:, here])) / (most + 1.0)
-        return np.where(worlds.failed, 0.0, result)
+        levels = self._by_state(
+            worlds, self._gaps(worlds), lambda q, gaps: (most - self.steps[q] + self._closeness(q, gaps)) / (most + 1.0)
+        )
+        result: np.ndarray = namespace(levels).where(worlds.failed, 0.0, levels)
+        return result
+
+    def _by_state(self, worlds: Worlds, gaps: np.ndarray, level: Callable[[int, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Return the levels (M,) that `level` gives worlds of a state from gaps (P, M); 0 in hopeless states."""
+        if is_host(worlds.q):
+            result = np.zeros(worlds.n_worlds)
+            for q in np.unique(worlds.q):
+                here = np.flatnonzero(worlds.q == q)
+                if np.isfinite(self.steps[q]):
+                    result[here] = level(int(q), gaps[:, here])
+            return result
+        # On a device nobody asks which states there are: that would fetch numbers.
+        xp = namespace(worlds.q)
+        result = xp.zeros_like(worlds.states[0][0, 0])
+        for q in np.flatnonzero(np.isfinite(self.steps)).tolist():
+            result = xp.where(worlds.q == q, level(q, gaps), result)
+        return result
 
     def kept(self, worlds: Worlds, before: np.ndarray) -> np.ndarray:
         """Return the level of the reward "progress", float (M,) in [0, 1]; lost tasks keep the level `before`."""
@@ -104,9 +119,25 @@ class Potential:
         if problem.automaton.is_co_safe:
             levels = self._along(worlds)
         else:
-            time = np.asarray(worlds.time)
-            levels = 0.25 * self.at(worlds) + 0.25 * self.ease[time, worlds.q] + 0.5 * time / problem.horizon
-        return np.where(worlds.failed | problem.automaton.dead[worlds.q], before, levels)
+            ease, time = self._placed("ease"), worlds.time
+            levels = 0.25 * self.at(worlds) + 0.25 * ease[time, worlds.q] + 0.5 * double(time) / problem.horizon
+        result: np.ndarray = namespace(levels).where(worlds.failed | self._placed("dead")[worlds.q], before, levels)
+        return result
+
+    @cached_property
+    def dead(self) -> np.ndarray:
+        """Automaton states from which the task is lost, bool (Q,)."""
+        return self.dynamics.problem.automaton.dead
+
+    def _placed(self, name: str) -> Any:
+        """Return a table of this record where the worlds live; it is copied once."""
+        if name not in self._copies:
+            self._copies[name] = self.dynamics.put(getattr(self, name))
+        return self._copies[name]
+
+    @cached_property
+    def _copies(self) -> dict[str, Any]:
+        return {}
 
     @cached_property
     def ease(self) -> np.ndarray:
@@ -116,6 +147,8 @@ class Potential:
     @cached_property
     def route(self) -> tuple[np.ndarray, ...]:
         """Per automaton state: the one letter to pursue, as its propositions; empty if there is none."""
+        if not self.dynamics.is_host:
+            return Potential(Dynamics.of(self.dynamics.problem), self.steps, self.wanted).route
         start = core.begin(self.dynamics, tuple(0.5 * (b.initial_low + b.initial_high) for b in self.dynamics.blocks))
         gaps = self._offsets(start)[:, 0]
         empty = np.zeros(0, dtype=int)
@@ -126,47 +159,45 @@ class Potential:
     def _along(self, worlds: Worlds) -> np.ndarray:
         """Return how far the worlds have come along the route, float (M,), between 0 and 1."""
         most = self.steps[np.isfinite(self.steps)].max(initial=0.0)
-        offsets, result = self._offsets(worlds), np.zeros(worlds.n_worlds)
-        for q in np.unique(worlds.q):
-            here = np.flatnonzero(worlds.q == q)
-            letter = self.route[q]
-            near = 1.0 - offsets[np.ix_(letter, here)].mean(axis=0) if letter.size else 1.0
-            if np.isfinite(self.steps[q]):
-                result[here] = (most - self.steps[q] + near) / (most + 1.0)
-        return result
+        return self._by_state(
+            worlds,
+            self._offsets(worlds),
+            lambda q, offsets: (most - self.steps[q] + _near(self.route[q], offsets)) / (most + 1.0),
+        )
 
     def _offsets(self, worlds: Worlds) -> np.ndarray:
         """Return the mean gap of all axes to the region of each proposition, in workspace widths: (P, M) in [0, 1]."""
-        return self._gaps(worlds, np.mean)
+        return self._gaps(worlds, "mean")
 
-    def _closeness(self, q: int, gaps: np.ndarray) -> np.ndarray:
-        """Return how close the agents are to a letter that takes a step forward: float (M,), between 0 and 1."""
+    def _closeness(self, q: int, gaps: np.ndarray) -> Any:
+        """Return how close the agents are to a letter that takes a step forward: float (M,), or one number for all."""
         if self.steps[q] == 0 or not self.wanted[q]:
-            return np.full(gaps.shape[1], 1.0 if self.steps[q] == 0 else 0.0)
-        best = np.zeros(gaps.shape[1])
-        for letter in self.wanted[q]:
-            best = np.maximum(best, 1.0 - gaps[letter].mean(axis=0) if letter.size else 1.0)
-        return best
+            return 1.0 if self.steps[q] == 0 else 0.0
+        return reduce(namespace(gaps).maximum, (_near(letter, gaps) for letter in self.wanted[q]))
 
-    def _gaps(self, worlds: Worlds, joined: Callable[..., np.ndarray] = np.max) -> np.ndarray:
-        """Return how far the owners of each proposition are from its region, in workspace widths: (P, M) in [0, 1]."""
-        result = np.zeros((len(self.dynamics.problem.propositions), worlds.n_worlds))
+    def _gaps(self, worlds: Worlds, joined: str = "max") -> np.ndarray:
+        """Return how far the owners of each proposition are from its region, in workspace widths: (P, M) in [0, 1].
+
+        `joined` says what of all axes counts: their "max" or their "mean".
+        """
+        rows = []
         for block, x in zip(self.dynamics.blocks, worlds.states):
-            if block.propositions.size:
+            if len(block.propositions):
                 with np.errstate(over="ignore", invalid="ignore"):
                     y = block.outputs(x)[:, block.owners]
                     # The width is that of the outputs of the workspace.
                     width = block.output_width[:, block.owners]
-                    gap = np.maximum(np.maximum(block.region_low - y, y - block.region_high), 0.0) / width
-                result[block.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
-        self._gaps_of_pairs(worlds, joined, result)
-        return result
+                    rows.append(_joined(y, block.region_low, block.region_high, width, joined))
+        rows += self._gaps_of_pairs(worlds, joined)
+        if not rows:
+            return self.dynamics.put(np.zeros((0, worlds.n_worlds)))
+        return concatenated(rows)[self.dynamics.proposition_rows]
 
-    def _gaps_of_pairs(self, worlds: Worlds, joined: Callable[..., np.ndarray], result: np.ndarray) -> None:
-        """Write the same of pairs of agents: how far their difference is from its box, in widths of both workspaces."""
-        blocks = self.dynamics.blocks
+    def _gaps_of_pairs(self, worlds: Worlds, joined: str) -> list[np.ndarray]:
+        """Return the same of pairs of agents: how far their difference is from its box, in widths of both."""
+        blocks, rows = self.dynamics.blocks, []
         if not self.dynamics.pairs:
-            return
+            return []
         with np.errstate(over="ignore", invalid="ignore"):
             outputs = {b: block.outputs(x) for b, (block, x) in enumerate(zip(blocks, worlds.states))}
             widths = {b: block.output_width for b, block in enumerate(blocks)}
@@ -177,8 +208,26 @@ class Potential:
                 )
                 width = first + second  # how far a difference can be from another
                 d = core.difference(pairs, outputs)
-                gap = np.maximum(np.maximum(pairs.low - d, d - pairs.high), 0.0) / width
-                result[pairs.propositions] = joined(np.nan_to_num(np.minimum(gap, 1.0), nan=1.0), axis=0)
+                rows.append(_joined(d, pairs.low, pairs.high, width, joined))
+        return rows
+
+
+def _joined(y: np.ndarray, low: np.ndarray, high: np.ndarray, width: np.ndarray, joined: str) -> np.ndarray:
+    """Return how far points (p, k, M) are from boxes, in widths, joined over the axes: (k, M) in [0, 1]."""
+    xp = namespace(y)
+    gap = xp.maximum(low - y, y - high) / width
+    # What is no number is as far away as can be, and so is what is beyond a width.
+    gap = xp.where(gap < 1.0, xp.where(gap > 0.0, gap, 0.0), 1.0)
+    result: np.ndarray = getattr(xp, joined)(gap, axis=0)
+    return result
+
+
+def _near(letter: np.ndarray, gaps: np.ndarray) -> Any:
+    """Return how near worlds are to a letter, from gaps (P, M): (M,), or 1 if it asks for nothing."""
+    if not letter.size:
+        return 1.0
+    # Row by row, in the order in which numpy adds rows: no positions have to be sent to a device.
+    return 1.0 - sum(gaps[p] for p in letter.tolist()) / float(letter.size)
 
 
 def _letters(manager: Any, root: int) -> Iterator[tuple[frozenset[int], int]]:

@@ -13,7 +13,8 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from ..agents import UnknownArgument
-from ..interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
+from ..arrays import HOST
+from ..interfaces import CentralEnv, DeviceTeamEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ..problem import Problem, load_problem
 from .catalogue import problem_of_id
 
@@ -40,7 +41,7 @@ CENTRAL_OPTIONS = (*SIGHT, "reward", "discount", "dtype", "actions", "infos", "d
 VECTOR_OPTIONS = (*SIGHT, "autoreset_mode", "reward", "discount", "dtype", "actions", "spread", "disturbance")
 """The same of `vector_env`."""
 
-TEAM_OPTIONS = ("observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")
+TEAM_OPTIONS = ("device", "observation", "neighbours", *SIGHT, "actions", "reward", "discount", "spread", "disturbance")
 """The same of `team_env`."""
 
 
@@ -124,7 +125,7 @@ def vector_env(
     return ProblemVectorEnv(resolve(problem, arguments, VECTOR_OPTIONS), num_envs, render_mode, **options)
 
 
-def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any) -> TeamEnv:
+def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any) -> TeamEnv | DeviceTeamEnv:
     """Return the batched environment of a problem with one array per agent.
 
     Parameters
@@ -134,7 +135,8 @@ def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any)
     num_envs : int
         Number of worlds M.
     **arguments
-        Options of `TeamEnv`; with an id also the arguments of `make_problem`.
+        Options of `TeamEnv`; with an id also the arguments of `make_problem`. With `device="torch:cpu"`,
+        `"torch:cuda"`, `"cupy"` or `"jax:cpu"` the worlds stay on that device (`DeviceTeamEnv`).
 
     Examples
     --------
@@ -143,7 +145,13 @@ def team_env(problem: Problem | str | Path, num_envs: int = 1, **arguments: Any)
     (1000, 3)
     """
     options = _taken(arguments, TEAM_OPTIONS)
-    return TeamEnv(resolve(problem, arguments, TEAM_OPTIONS), num_envs, **options)
+    resolved = resolve(problem, arguments, TEAM_OPTIONS)
+    if options.get("device", HOST) == HOST:
+        options.pop("device", None)
+        return TeamEnv(resolved, num_envs, **options)
+    if options.pop("spread", 0.0) != 0.0:
+        raise ValueError("`spread`: expected 0 on a device, where all episodes begin at the start; use numpy")
+    return DeviceTeamEnv(resolved, num_envs, **options)
 
 
 def resolve(problem: Any, arguments: dict[str, Any], options: tuple[str, ...] = ()) -> Problem:

@@ -15,13 +15,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, checked_count, counted, tree_text
-from ...envs.problem import Problem, checked_problem
+from ...envs.problem import Problem
+from ...envs.suite import as_problem
 from ..cells import (
     DEFAULT_TARGETS,
     CellCounts,
@@ -248,13 +250,13 @@ class Settings:
 
 
 def abstract(
-    problem: Problem, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
+    problem: Problem | str | Path, cells: CellCounts = None, *, relation: Relations = "auto", **settings: Any
 ) -> Abstraction:
     """Return finite models of the agents of ``problem``.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Problem, id or path
     cells : int, sequence of int, or mapping from agent name to one of these, optional
         Cells per axis. Default: 500 for scalar agents, 80 per axis for two, 24 for three dimensions.
     relation : str, or mapping from agent name to str
@@ -273,7 +275,7 @@ def abstract(
     ValueError
         If the relation does not apply to an agent, or a number is out of range.
     """
-    checked_problem(problem)
+    problem = as_problem(problem)
     check_names("cells", cells, problem)
     check_settings(settings)
     return abstraction_of(problem, cells, relations_of(problem, relation), Settings(**settings))

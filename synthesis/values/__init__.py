@@ -1,20 +1,7 @@
 """Value functions as sums of products and as tensor trains with certified error: records and algebra."""
 
-from .devices import (
-    HOST,
-    UNIT,
-    Array,
-    Residents,
-    add_rows,
-    beside,
-    concatenate,
-    device_put,
-    empty,
-    multiply_into,
-    namespace,
-    take,
-    to_host,
-)
+from ...envs.arrays import HOST, Array, beside, device_put, namespace, to_host
+from .devices import UNIT, Residents, add_rows, concatenate, empty, multiply_into, take
 from .tensor_train import Cells, Core, Diagram, Train, added, ones, rounded
 from .terms import (
     BoolArray,

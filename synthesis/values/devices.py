@@ -13,121 +13,17 @@ reserve for rounding in every bound holds for any order (docs/theory/numerics.md
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
+from ...envs.arrays import Array, beside, namespace
+
 UNIT = 2.0**-53
 """Unit roundoff u of double precision."""
-
-HOST = "numpy"
-"""The device that needs nothing but numpy."""
-
-LIBRARIES = ("torch", "cupy")
-"""Libraries whose arrays the sweep runs on."""
-
-Array = Any
-"""An array of numpy or of a library."""
-
-
-def device_put(name: str) -> Callable[[NDArray[Any]], Array]:
-    """Return the function that copies numpy arrays to a device (exact).
-
-    Parameters
-    ----------
-    name : str
-        ``"numpy"``, or a library and, after a colon, its own name of the device. Without a colon the default device of
-        the library is taken: ``torch:cpu``, ``cupy:0``.
-
-    Raises
-    ------
-    ValueError
-        If there is no such library or device, or if its arrays cannot hold double precision.
-
-    Examples
-    --------
-    >>> device_put("numpy")(np.arange(3))
-    array([0, 1, 2])
-    >>> device_put("abacus")
-    Traceback (most recent call last):
-        ...
-    ValueError: `device`: expected `numpy`, `torch:cpu`, `torch:cuda`, `torch:cuda:1`, `cupy` or the like, got 'abacus'
-    """
-    if name == HOST:
-        return np.asarray
-    library, _, device_name = name.partition(":") if isinstance(name, str) else ("", "", "")
-    if library not in LIBRARIES:
-        raise ValueError(
-            f"`device`: expected `numpy`, `torch:cpu`, `torch:cuda`, `torch:cuda:1`, `cupy` or the like, got {name!r}"
-        )
-    try:
-        importlib.import_module("array_api_compat")
-        module = importlib.import_module(library)
-    except ImportError as error:
-        raise ValueError(
-            f'`device`: {name!r} needs {error.name}; `pip install "certigym[device]"` installs all but {library} '
-            "itself; install that as its own pages say for your hardware"
-        ) from error
-    put = _torch_put(module, device_name or "cpu") if library == "torch" else _cupy_put(module, device_name or "0")
-    # One array there and back shows whether the device exists and holds doubles.
-    try:
-        to_host(put(np.ones(1)))
-    except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # each library raises an error of its own
-        reason = str(error).strip().split("\n", 1)[0]
-        raise ValueError(f"`device`: expected one that is there and holds doubles, got {name!r}: {reason}") from error
-    return put
-
-
-def _torch_put(torch: Any, device_name: str) -> Callable[[NDArray[Any]], Array]:
-    """Return the function that copies arrays to a device of torch."""
-
-    def put(array: NDArray[Any]) -> Array:
-        return torch.tensor(array, device=device_name)  # always a copy: arrays of numpy may be read-only
-
-    return put
-
-
-def _cupy_put(cupy: Any, device_name: str) -> Callable[[NDArray[Any]], Array]:
-    """Return the function that copies arrays to a device of cupy."""
-    number = int(device_name.removeprefix("cuda:")) if device_name != "cuda" else 0
-
-    def put(array: NDArray[Any]) -> Array:
-        with cupy.cuda.Device(number):
-            return cupy.asarray(array)
-
-    return put
-
-
-def namespace(array: Array) -> Any:
-    """Return the module with the functions for an array: numpy, or the array API of its library."""
-    if isinstance(array, np.ndarray):
-        return np
-    from array_api_compat import array_namespace
-
-    return array_namespace(array)
-
-
-def to_host(array: Array) -> NDArray[Any]:
-    """Return the same numbers as a numpy array (exact)."""
-    if isinstance(array, np.ndarray):
-        return array
-    host: NDArray[Any] = np.asarray(array.get() if hasattr(array, "get") else array.cpu().numpy())
-    return host
-
-
-def beside(array: NDArray[Any], reference: Array) -> Array:
-    """Return a numpy array on the device of another array (exact)."""
-    if isinstance(reference, np.ndarray):
-        return array
-    from array_api_compat import device
-
-    # Libraries index by int64 alone; other numbers keep their type.
-    copied = np.array(array, dtype=np.int64 if array.dtype.kind in "iu" else None)
-    return namespace(reference).asarray(copied, device=device(reference))
 
 
 class Residents:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .devices import add_runs, concatenate, namespace, take, to_host
+from ...envs.arrays import namespace, to_host
+from .devices import add_runs, concatenate, take
 
 IndexArray = NDArray[Any]
 """Whole numbers that point at rows."""

@@ -12,8 +12,7 @@ from ...envs.agents import write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem, problem_ids
 from ...synthesis.certificates import (
-    Certificate,
-    ProductCertificate,
+    AnyCertificate,
     Synthesis,
     load_certificate,
     save_certificate,
@@ -89,7 +88,7 @@ class Entrants:
         return [self._learned(policy, seed) for seed in self.sources.seeds]
 
     @cached_property
-    def certificate(self) -> Certificate | ProductCertificate:
+    def certificate(self) -> AnyCertificate:
         """The certificate in the folder, or the one of the defaults.
 
         Raises

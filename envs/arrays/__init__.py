@@ -1,0 +1,34 @@
+"""Arrays of numpy and of the libraries of accelerators. Knows nothing of agents."""
+
+from .libraries import (
+    HOST,
+    LIBRARIES,
+    Array,
+    beside,
+    concatenated,
+    device_put,
+    double,
+    is_host,
+    namespace,
+    single,
+    special,
+    to_host,
+)
+from .random_numbers import Numbers, numbers_beside
+
+__all__ = [
+    "Array",
+    "HOST",
+    "LIBRARIES",
+    "Numbers",
+    "beside",
+    "concatenated",
+    "device_put",
+    "double",
+    "is_host",
+    "namespace",
+    "numbers_beside",
+    "single",
+    "special",
+    "to_host",
+]
