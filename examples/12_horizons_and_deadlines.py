@@ -23,3 +23,9 @@ assert stationary.stationary
 safe = cg.without_deadline("invariance-b-20-v0", 100)
 lasting = cg.safety_rate(safe)
 print("safe for k steps:", lasting, lasting.at([1, 100, 10_000]))
+
+# The other end: how often these controllers succeed at most, under any relation with cells.
+parked = cg.synthesize(parking).certificate
+above = cg.bound_above(parked)
+print(f"the controllers park with a probability of {parked.lower_bound} at least, {above.upper_bound} at most")
+assert parked.lower_bound <= above.upper_bound

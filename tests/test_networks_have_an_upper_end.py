@@ -12,8 +12,8 @@ from scipy.stats import binom
 import certigym as cg
 from certigym.baselines import RandomController
 from certigym.synthesis.checking import wrong_opposite
-from certigym.synthesis.network_above import UpperEnd, bound_network_above, opposite_of, wrong_upper_end
 from certigym.synthesis.raw_networks import certify_network
+from certigym.synthesis.upper_ends import UpperEnd, bound_network_above, opposite_of, wrong_upper_end
 from network_problems import RNG, changed, proportional, reach
 from problems import scalar_agent, two_agents
 

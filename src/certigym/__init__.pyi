@@ -45,6 +45,7 @@ from .synthesis.permissions import save_permission as save_permission
 from .synthesis.raw_networks import repair_network as repair_network
 from .synthesis.shielding import Shield as Shield
 from .synthesis.synthesize import synthesize as synthesize
+from .synthesis.upper_ends import bound_above as bound_above
 from .validation.audits import AuditReport as AuditReport
 from .validation.audits import audit as audit
 from .validation.policies import Comparison as Comparison
@@ -106,6 +107,7 @@ __all__ = [
     "automaton_from_transitions",
     "central_env",
     "certify",
+    "bound_above",
     "check",
     "check_permission",
     "check_rigorous",

@@ -7,7 +7,7 @@ from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
 from .mean_spans import enclosed_means
-from .opposite_task import wrong_opposite
+from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
@@ -34,5 +34,6 @@ __all__ = [
     "value_in_time",
     "verify_relation",
     "vertices_of",
+    "other_controllers",
     "wrong_opposite",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...envs.problem import Problem
+from ..certificates import Certificate
 
 MOVES = ("root", "variable", "low", "high")
 """Arrays of an automaton that say how it moves."""
@@ -29,4 +30,27 @@ def wrong_opposite(problem: Problem, opposite: Problem) -> list[str]:
         failures.append("its automaton does not move like that of the task")
     elif other.is_co_safe or not np.array_equal(mine.accepting, ~other.accepting):
         failures.append("it does not accept at the horizon what the task rejects")
+    return failures
+
+
+def other_controllers(certificate: Certificate, opposite: Certificate) -> list[str]:
+    """Why the controllers of two certificates act differently before the task of the first is decided; empty if not.
+
+    What they do afterwards changes nothing: an accepting state of a co-safe task, or a dead state, is not left.
+    """
+    undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)
+    horizon, failures = certificate.problem.horizon, []
+    for agent, mine, other in zip(certificate.problem.agents, certificate.agents, opposite.agents, strict=True):
+        arrays = [(mine.coordinates, other.coordinates), *zip(mine.grid.edges, other.grid.edges, strict=True)]
+        arrays += [*zip(mine.lattice, other.lattice, strict=True)]
+        same = all(np.array_equal(a, b) for a, b in arrays) and mine.relation == other.relation
+        if mine.menu is None or other.menu is None:
+            same = same and mine.menu is other.menu
+        else:
+            same = same and np.array_equal(mine.menu, other.menu)
+        shape = (horizon, *mine.policy.shape[1:])
+        if not same or not np.array_equal(
+            np.broadcast_to(mine.policy, shape)[:, undecided], np.broadcast_to(other.policy, shape)[:, undecided]
+        ):
+            failures.append(f"agent `{agent.name}` does not act as it does under the certificate")
     return failures

@@ -158,7 +158,8 @@ def find_policies(
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
     given = dict(given or {})
-    early = _without_sweeps(joint, start, search, relaxations, most) if not given or lossy else None
+    keeps = bool(given) and (search.max_sweeps == 0 or not lossy)
+    early = None if keeps else _without_sweeps(joint, start, search, relaxations, most)
     if early is not None:
         return early
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):

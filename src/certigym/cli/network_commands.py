@@ -12,8 +12,8 @@ import numpy as np
 from ..envs.problem import Problem
 from ..synthesis.certificates import rounded_up, save_certificate
 from ..synthesis.certify import certify as certify_policy
-from ..synthesis.network_above import bound_network_above
 from ..synthesis.raw_networks import WeakPlaces, repair_network
+from ..synthesis.upper_ends import bound_network_above
 from ..validation.figures import network_figure, save_figure
 from ..validation.policies import compare as compare_policies
 from .given import cells_of, named_problem, show
