@@ -29,3 +29,9 @@ parked = cg.synthesize(parking).certificate
 above = cg.bound_above(parked)
 print(f"the controllers park with a probability of {parked.lower_bound} at least, {above.upper_bound} at most")
 assert parked.lower_bound <= above.upper_bound
+
+# Along a path: starts from all of which a probability is kept, as a convex set that the check takes, too.
+along = cg.synthesize("integrator-chain-v0", relation="path")
+hull = cg.certified_starts(along, probability=0.9, rays=16)
+print(hull)
+assert cg.check(hull)

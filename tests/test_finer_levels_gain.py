@@ -67,7 +67,7 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
 
 def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
-    monkeypatch.setattr(levels_of_cells, "MOST_SECONDS", 1.0)
+    monkeypatch.setattr(levels_of_cells, "MOST_SECONDS", levels_of_cells.COMPARED_SECONDS + 1.0)
     problem = crossing(3, horizon=4)
     synthesis = cg.synthesize(problem)
     levels = synthesis.certificate.settings["levels"]

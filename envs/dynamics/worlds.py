@@ -310,7 +310,8 @@ def neighbours(dynamics: Dynamics, states: Sequence[np.ndarray]) -> tuple[np.nda
     """Return the states of others (l, n, M) that the dynamics of each block name; None for blocks that name none."""
     if not any(len(block.beside) for block in dynamics.blocks):
         return (None,) * len(dynamics.blocks)
-    rows = concatenated([x.reshape(-1, x.shape[-1]) for x in states])[dynamics.rows]
+    # Rows are counted, not inferred: there may be no world at all.
+    rows = concatenated([x.reshape(x.shape[0] * x.shape[1], x.shape[-1]) for x in states])[dynamics.rows]
     return tuple(rows[block.beside] if len(block.beside) else None for block in dynamics.blocks)
 
 
