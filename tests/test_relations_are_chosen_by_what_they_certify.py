@@ -16,7 +16,7 @@ from certigym.cli.main import main
 from certigym.envs.problem import groups as independent
 from certigym.synthesis import by_levels
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
-from certigym.synthesis.choosing import relation_choice
+from certigym.synthesis.choosing import levels, relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
 from certigym.synthesis.models.abstraction import Settings, abstract
 from certigym.synthesis.models.joint import join, start_of
@@ -269,7 +269,8 @@ def test_default_cells_are_doubled_where_no_relation_applies() -> None:
         cg.synthesize(problem, dict.fromkeys(problem.agent_names, DEFAULT_CELLS[2]))
 
 
-def test_agents_that_nothing_fits_are_refused_with_the_first_reason() -> None:
+def test_agents_that_nothing_fits_are_refused_with_the_first_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(levels, "MOST_SECONDS", 1.0)
     runaway = cart(A=[[1.3, 0.0], [0.0, 0.5]], B=[[0.0], [1.0]], initial_state=[0.0, 0.0])
     with pytest.raises(ValueError, match="no feedback stabilises"):
         cg.synthesize(cart_reach(runaway, horizon=2), 80)
