@@ -53,7 +53,8 @@ TRUSTED = {
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
         "synthesis.checking.certificate_check "
-        "synthesis.checking.execution synthesis.checking.forward_mass synthesis.checking.geometry "
+        "synthesis.checking.carrying_out synthesis.checking.execution "
+        "synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "

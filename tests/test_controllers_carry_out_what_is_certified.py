@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.checking.execution import execution_of, wrong_actions
+from certigym.synthesis.checking.carrying_out import wrong_actions
+from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.values import Skeleton
 from problems import linear
 

@@ -12,7 +12,8 @@ import pytest
 import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
-from certigym.synthesis.checking.execution import execution_of, wrong_actions
+from certigym.synthesis.checking.carrying_out import wrong_actions
+from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import WrittenTargets, written_targets
 
 FALSE_ALARM = 1e-6

@@ -16,7 +16,8 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import Agent
 from certigym.envs.expressions import Number, Operation
-from certigym.synthesis.checking.execution import execution_of, wrong_actions
+from certigym.synthesis.checking.carrying_out import wrong_actions
+from certigym.synthesis.checking.execution import execution_of
 from certigym.synthesis.relations import MeanBoxes, WrittenMeans
 from written_problems import bent_team, oscillator, oscillator_reach
 

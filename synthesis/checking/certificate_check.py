@@ -46,7 +46,8 @@ from ..certificates import (
     significant_up,
 )
 from ..values import UNIT, Terms
-from .execution import execution_of, wrong_actions
+from .carrying_out import wrong_actions
+from .execution import execution_of
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
 from .hull_check import wrong_hull
