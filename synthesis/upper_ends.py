@@ -115,13 +115,18 @@ def wrong_upper_end(end: UpperEnd, of: Any = None) -> list[str]:
     """Return why an upper end does not hold; empty if it was verified by the code of the check.
 
     The opposite task is compared with the problem, and its certificate is checked like any other. With ``of``, a
-    certificate or an actor, its controllers or networks are compared with those of the upper end.
+    certificate or an actor, its controllers or networks are compared with those of the upper end. Without it, the end
+    is verified for the controllers in ``end.opposite``, whosever they are.
     """
     failures = wrong_opposite(end.problem, end.opposite.problem)
     if not failures:
         failures = list(check(end.opposite).failures)
     if not failures and isinstance(of, Certificate):
-        failures = other_controllers(of, end.opposite)
+        # Which states are undecided depends on the task: controllers of another one may differ where it matters here.
+        is_same = of.problem.fingerprint == end.problem.fingerprint
+        failures = (
+            other_controllers(of, end.opposite) if is_same else ["it is for another problem than the certificate"]
+        )
     elif not failures and of is not None:
         failures = differences(end.opposite, of)
     return failures

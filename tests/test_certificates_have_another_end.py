@@ -63,6 +63,16 @@ def test_other_controllers_are_refused() -> None:
     )
 
 
+def test_an_end_of_another_problem_is_refused() -> None:
+    """Its controllers may be the same; what they are promised is not."""
+    first = cg.synthesize("car-park-v0", 40, relation="linear").certificate
+    assert isinstance(first, cg.Certificate)
+    shorter = first.problem.replace(horizon=first.problem.horizon - 1)
+    other = cg.synthesize(shorter, 40, relation="linear").certificate
+    assert isinstance(other, cg.Certificate)
+    assert wrong_upper_end(bound_above(other), first) == ["it is for another problem than the certificate"]
+
+
 def test_what_has_no_single_certificate_is_refused_in_words() -> None:
     along = cg.synthesize("car-park-v0", relation="path").certificate
     assert not isinstance(along, cg.Certificate)

@@ -38,12 +38,13 @@ def other_controllers(certificate: Certificate, opposite: Certificate) -> list[s
 
     What they do afterwards changes nothing: an accepting state of a co-safe task, or a dead state, is not left.
     """
+    if len(certificate.agents) != len(opposite.agents):
+        return ["they are not the same agents"]
     undecided = np.flatnonzero(~certificate.problem.automaton.absorbing)
     horizon, failures = certificate.problem.horizon, []
     for agent, mine, other in zip(certificate.problem.agents, certificate.agents, opposite.agents, strict=True):
-        arrays = [(mine.coordinates, other.coordinates), *zip(mine.grid.edges, other.grid.edges, strict=True)]
-        arrays += [*zip(mine.lattice, other.lattice, strict=True)]
-        same = all(np.array_equal(a, b) for a, b in arrays) and mine.relation == other.relation
+        ours, theirs = ([part.coordinates, *part.grid.edges, *part.lattice] for part in (mine, other))
+        same = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs)) and mine.relation == other.relation
         if mine.menu is None or other.menu is None:
             same = same and mine.menu is other.menu
         else:
