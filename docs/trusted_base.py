@@ -46,7 +46,7 @@ TRUSTED = {
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
-        "synthesis.relations.input_forms synthesis.relations.solved_means "
+        "synthesis.relations.input_forms synthesis.relations.solved_means synthesis.relations.sectors "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
     ),

@@ -118,9 +118,6 @@ def test_turns_fill_a_disk_and_no_more() -> None:
         for radius, fits in radii.items():
             targets = 0.5 + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
             assert np.all(relation.fits(asked.of(np.zeros(len(angles), dtype=int), targets)) == fits)
-    half_circle = robot(["x + r*cos(a)", "y + r*sin(a)"], ["r", "a"], [0.0, 0.0], [1.0, 3.2])
-    with pytest.raises(ValueError, match="means `a"):
-        written_targets(half_circle, np.eye(2))
 
 
 def test_what_is_not_exact_is_refused_in_words() -> None:

@@ -3,6 +3,9 @@
 For every cell and every target that some policy chooses in it, the solution of ``mean = target`` is read on the closed
 cell with the spans of ``own_intervals``. The ranges that the search put together from a middle target and slopes are
 not used. That solutions solve is tested where the controller acts (``execution``).
+
+Whether polar inputs give a vector is decided by the angles under which the corners of its box are seen from 0; the
+search looks at half planes.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from ...envs.agents import Agent
 from ...envs.expressions import Tree, operations_in
 from ..cells import FloatArray
 from ..certificates import AgentPart
-from ..relations import WrittenTargets
+from ..relations import Turn, WrittenTargets
 from .geometry import cell_boxes
 from .mean_spans import leaves_of
 from .own_intervals import Span, bounds, span
@@ -28,6 +31,9 @@ AT_ONCE = 100_000
 
 ROUNDED = 4.0 * 2.0**-53
 """Share of their size by which each operation of an expression may put inputs off."""
+
+WHOLE_TURN = 2.0 * np.pi * (1.0 - 1e-15)
+"""Angles over so much go all the way round, up to the rounding of pi, which is part of what vectors may be off by."""
 
 PARTS = 4
 """Parts into which cells are cut along each axis at most: the sums of the search are sometimes tighter."""
@@ -81,7 +87,9 @@ def aim_losses(part: AgentPart, relation: WrittenTargets) -> FloatArray:
 
 
 def _computed_off(relation: WrittenTargets) -> float:
-    return ROUNDED * sum(map(operations_in, (*relation.agent.trees, *relation.trees)))
+    """Share of their size by which v is off: each operation rounds, and so do angles, in which vectors turn."""
+    angles = sum(_largest_angle(relation.agent, turn) for turn in relation.turns)
+    return ROUNDED * (sum(map(operations_in, (*relation.agent.trees, *relation.trees))) + angles)
 
 
 def _largest(relation: WrittenTargets, name: str) -> float:
@@ -130,12 +138,45 @@ def _admissible(relation: WrittenTargets, ends: dict[str, FloatArray]) -> NDArra
             spare = _computed_off(relation) * (abs(agent.input_low[j]) + abs(agent.input_high[j]))
             inside &= (ends[name][0] - spare >= agent.input_low[j]) & (ends[name][1] + spare <= agent.input_high[j])
     for turn in relation.turns:
-        least, most = agent.input_low[turn.size], agent.input_high[turn.size]
-        spare = _computed_off(relation) * (abs(least) + abs(most))
-        sides = [ends[name] for name in turn.names if name in ends]
-        farthest = np.sqrt(sum(np.abs(side).max(axis=0) ** 2 for side in sides))
-        inside &= farthest + spare <= most
-        if least > 0.0:
-            apart = (np.where(side[0] * side[1] <= 0.0, 0.0, np.abs(side).min(axis=0)) for side in sides)
-            inside &= np.sqrt(sum(distance**2 for distance in apart)) - spare >= least
+        spare = _computed_off(relation) * (abs(agent.input_low[turn.size]) + abs(agent.input_high[turn.size]))
+        east, north = (ends.get(name, np.zeros((2, 1))) + np.array([[-spare], [spare]]) for name in turn.names)
+        inside &= turned_there(agent, turn, east, north)
     return inside
+
+
+def turned_there(agent: Agent, turn: Turn, east: FloatArray, north: FloatArray) -> NDArray[np.bool_]:
+    """Whether sizes and angles of their intervals give all vectors of boxes; ``east`` and ``north`` are (2, n)."""
+    low, high = float(agent.input_low[turn.size]), float(agent.input_high[turn.size])
+    around = float(agent.input_high[turn.angle]) - float(agent.input_low[turn.angle])
+    farthest = np.sqrt(np.abs(east).max(axis=0) ** 2 + np.abs(north).max(axis=0) ** 2)
+    apart = [np.where(side[0] * side[1] <= 0.0, 0.0, np.abs(side).min(axis=0)) for side in (east, north)]
+    nearest = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
+    # With their sign, sizes go one way or the opposite one; a box may be reached by either of them alone.
+    there = np.zeros(farthest.shape, dtype=bool)
+    for sign, least, most in ((1.0, low, high), (-1.0, -high, -low)):
+        sized = (farthest <= most) & ((nearest >= least) | (least <= 0.0)) & (most > 0.0)
+        there |= sized & _seen_within(agent, turn, sign * east, sign * north)
+    # Angles over half a turn and more hold each direction or its opposite, which the other sign of the size gives.
+    either = around >= np.pi and low < 0.0 < high
+    return np.asarray(there | ((farthest <= min(high, -low)) & either))
+
+
+def _seen_within(agent: Agent, turn: Turn, east: FloatArray, north: FloatArray) -> NDArray[np.bool_]:
+    """Whether boxes (2, n) are seen from 0 under angles of the interval alone; not where they hold 0."""
+    first, last = float(agent.input_low[turn.angle]), float(agent.input_high[turn.angle])
+    if last - first >= WHOLE_TURN:
+        return np.ones(np.broadcast_shapes(east.shape, north.shape)[1], dtype=bool)
+    beside = (east[0] > 0.0) | (east[1] < 0.0) | (north[0] > 0.0) | (north[1] < 0.0)
+    x, y = 0.5 * (east[0] + east[1]), 0.5 * (north[0] + north[1])
+    # Angles from the middle of a box to its corners: less than half a turn, as the box does not hold 0.
+    corners = [(east[i], north[j]) for i, j in itertools.product((0, 1), repeat=2)]
+    off = np.stack([np.arctan2(x * b - y * a, x * a + y * b) for a, b in corners])
+    middle, slack = np.arctan2(y, x), ROUNDED * _largest_angle(agent, turn)
+    begin, end = middle + off.min(axis=0) - slack, middle + off.max(axis=0) + slack
+    turns = 2.0 * np.pi * np.ceil((first - begin) / (2.0 * np.pi))
+    return np.asarray(beside & (begin + turns >= first) & (end + turns <= last))
+
+
+def _largest_angle(agent: Agent, turn: Turn) -> float:
+    """Largest angle, or turns added to one: what rounding angles and pi is a share of."""
+    return 2.0 * np.pi + max(abs(float(agent.input_low[turn.angle])), abs(float(agent.input_high[turn.angle])))

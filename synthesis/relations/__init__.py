@@ -8,6 +8,7 @@ from .description import Relation, aimed_relation, check_description, describe_r
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
+from .input_forms import Turn
 from .linear import LinearRelation, linear_relation
 from .network_maps import NetworkMaps, network_linear_relation, network_of
 from .networks import (
@@ -47,6 +48,7 @@ __all__ = [
     "OwnView",
     "Relation",
     "Row",
+    "Turn",
     "WrittenMeans",
     "WrittenRelation",
     "WrittenTargets",

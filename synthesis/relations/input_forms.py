@@ -1,7 +1,7 @@
 """How inputs enter the means of agents with expressions: one by one, or as turns; and which of them to solve for.
 
-A *turn* is a pair of inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone, the angle all the way round.
-Its two components are then numbers like inputs, which fill a disk, or a ring where the size stays above 0.
+A *turn* is a pair of inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone. Its two components are then
+numbers like inputs, which fill a disk, a ring, or sectors of these (``sectors``).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ZERO = Number(0.0)
 
 @dataclass(frozen=True)
 class Turn:
-    """Two inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone, the angle all the way round."""
+    """Two inputs that occur as `size*cos(angle)` and `size*sin(angle)` alone."""
 
     size: int
     angle: int
@@ -52,15 +52,13 @@ def turned_inputs(agent: Agent) -> tuple[tuple[Tree, ...], tuple[Turn, ...]]:
             Operation("sin", (Name(name),)): Name(north),
         }
         turned = [replaced(tree, parts) for tree in trees]
-        # All the way round: up to the rounding of pi.
-        whole = agent.input_high[angle] - agent.input_low[angle] >= 2.0 * np.pi * (1.0 - 1e-15)
-        if not whole or any(name in names_in(tree) for tree in turned):
+        if any(name in names_in(tree) for tree in turned):
             continue
         for size in range(agent.n_inputs):
             turn = Turn(size, angle)
             found = [_with_components(tree, (east, north), agent.inputs[size], turn.names) for tree in turned]
             known = tuple(tree for tree in found if tree is not None)
-            if size == angle or not agent.input_high[size] > 0.0 or len(known) < len(found):
+            if size == angle or len(known) < len(found):
                 continue
             if any(names_in(tree) & {*turn.names} for tree in known):
                 trees, turns = known, [*turns, turn]

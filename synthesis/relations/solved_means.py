@@ -3,11 +3,11 @@
 The proof is in docs/theory/relations.md, "Exact targets of expressions".
 
 The mean is `a(x) + B(x) v`. The v are inputs, or pairs `r*cos(angle)`, `r*sin(angle)` of two inputs, which fill a disk
-where the angle goes all the way round (a ring where r stays above 0). The controller solves `a(x) + B(x) v = m` at the
-true state x, so the mean is the target m from everywhere in the cell. A target is admissible in a cell if the
-enclosures of v over the closed cell lie in the boxes, disks and rings. States of others that are communicated may stand
-in a and B: v then has to be admissible for all of them. Disturbances are not measured, so agents that have them are
-refused.
+or a ring, or sectors of these where the angle does not go all the way round (``sectors``). The controller solves
+`a(x) + B(x) v = m` at the true state x, so the mean is the target m from everywhere in the cell. A target is admissible
+in a cell if the enclosures of v over the closed cell lie in the boxes, disks, rings and sectors. States of others that
+are communicated may stand in a and B: v then has to be admissible for all of them. Disturbances are not measured, so
+agents that have them are refused.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from ...envs.expressions import (
 from ..cells import FloatArray, RelationRefused, sharpness
 from .input_forms import Turn, held, independent_columns, turned_inputs
 from .rounding import DENSITY, missed_cells, reading_of
+from .sectors import is_whole, largest_angle, polar_inputs, reached, sectors_of
 
 ROUNDED = 8.0 * 2.0**-53
 """Share of their size by which each operation of an expression may put inputs off; the check allows for less."""
@@ -187,13 +188,21 @@ class WrittenTargets:
 
     @cached_property
     def computed_off(self) -> float:
-        """Share of their size by which inputs may be off as they are computed."""
-        return ROUNDED * sum(map(operations_in, (*self.agent.trees, *self.trees)))
+        """Share of their size by which inputs may be off as they are computed.
+
+        An angle that is off by d moves a component by d times its size. Angles are rounded to a share of themselves,
+        and so is pi in the turns that are added to them.
+        """
+        angles = sum(largest_angle(self.agent, turn) for turn in self.turns)
+        return ROUNDED * (sum(map(operations_in, (*self.agent.trees, *self.trees))) + angles)
 
     @cached_property
     def _largest(self) -> FloatArray:
-        """Largest size (d,) of each v."""
-        return np.array([abs(self.held(name)) + self.half_width(name) for name in self.columns])
+        """Largest size (d,) of each v; of both components of a turn, as its angle is rounded, the largest length."""
+        agent = self.agent
+        sizes = {name: agent.inputs[turn.size] for turn in self.turns for name in turn.names}
+        which = [agent.inputs.index(sizes.get(name, name)) for name in self.columns]
+        return np.asarray(np.maximum(np.abs(agent.input_low), np.abs(agent.input_high))[which])
 
     def _means(self, points: FloatArray) -> FloatArray:
         """Return the means (n, d) from points (n, d) under v in the middle, others in the middle of workspaces."""
@@ -209,8 +218,9 @@ class WrittenTargets:
         return np.stack(computed(sums, values), axis=1)
 
     def held(self, name: str) -> float:
-        """Return the middle of an input, or of a component of a turn."""
-        return held(self.agent, name)
+        """Return the middle of an input, or of what a component of a turn can be."""
+        low, high = self._ends(name)
+        return 0.5 * low + 0.5 * high
 
     def reach(self, centres: FloatArray) -> FloatArray:
         """Return upper bounds (n, d) on how far targets of cells with ``centres`` (n, d) may be from ``Asked.centre``.
@@ -227,14 +237,25 @@ class WrittenTargets:
 
     def half_width(self, name: str) -> float:
         """Return by how much an input, or a component of a turn, may be off its middle."""
+        low, high = self._ends(name)
+        return 0.5 * (high - low)
+
+    def _ends(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest value of an input, or of a component of a turn."""
         for turn in self.turns:
             if name in turn.names:
-                return float(self.agent.input_high[turn.size])
+                low, high = reached(self.agent, turn)[turn.names.index(name)].tolist()
+                return low, high
         j = self.agent.inputs.index(name)
-        return 0.5 * float(self.agent.input_high[j] - self.agent.input_low[j])
+        return float(self.agent.input_low[j]), float(self.agent.input_high[j])
 
     def leaves(self, share: float, edges: Sequence[FloatArray]) -> bool:
-        """Return whether in every cell the middle target leaves this share of all inputs; neighbours do not move."""
+        """Return whether in every cell the middle target leaves this share of all inputs; neighbours do not move.
+
+        Not where turns do not go all the way round: cells cost more near the edges of sectors.
+        """
+        if not all(is_whole(self.agent, turn) for turn in self.turns):
+            return False
         spread = np.diff(self.asked_on(edges, around=False).middle, axis=0)[0] * 0.5
         half = np.array([self.half_width(name) for name in self.columns])
         return bool(np.all(half - spread >= share * half))
@@ -244,26 +265,22 @@ class WrittenTargets:
 
         ``which`` numbers the v to be looked at where there are no turns.
         """
-        low, high = ends
+        agent, (low, high) = self.agent, ends
         inside = np.ones(low.shape[:-1], dtype=bool)
         turned = {name for turn in self.turns for name in turn.names}
         for k, name in enumerate(self.columns):
             if name not in turned and (which is None or k in which):
-                j = self.agent.inputs.index(name)
-                least, most = float(self.agent.input_low[j]), float(self.agent.input_high[j])
+                j = agent.inputs.index(name)
+                least, most = float(agent.input_low[j]), float(agent.input_high[j])
                 spare = self.computed_off * (abs(least) + abs(most))
                 inside &= (low[..., k] >= least + spare) & (high[..., k] <= most - spare)
         for turn in self.turns:
-            least, most = float(self.agent.input_low[turn.size]), float(self.agent.input_high[turn.size])
-            spare, nearest, farthest = self.computed_off * (abs(least) + most), 0.0, 0.0
-            for name in turn.names:
-                if name in self.columns:  # the other component is 0
-                    a, b = low[..., self.columns.index(name)], high[..., self.columns.index(name)]
-                    farthest = farthest + np.maximum(np.abs(a), np.abs(b)) ** 2
-                    nearest = nearest + np.maximum(np.maximum(a, -b), 0.0) ** 2
-            inside &= np.sqrt(farthest) <= most - spare
-            if least > 0.0:
-                inside &= np.sqrt(nearest) >= least + spare
+            spare = self.computed_off * float(abs(agent.input_low[turn.size]) + abs(agent.input_high[turn.size]))
+            places = [self.columns.index(name) if name in self.columns else None for name in turn.names]
+            # A component that reaches no mean is held at 0.
+            east, north = ((0.0, 0.0) if k is None else (low[..., k], high[..., k]) for k in places)
+            sectors = [sector.holds(east, north, spare) for sector in sectors_of(agent, turn)]
+            inside &= np.logical_or.reduce(sectors)
         return inside
 
     def aims(self, targets: FloatArray) -> FloatArray:
@@ -300,17 +317,12 @@ class WrittenTargets:
             east, north = (
                 np.ascontiguousarray(found.get(name, np.zeros(np.atleast_1d(states[0]).shape))) for name in turn.names
             )
-            inputs[turn.size] = np.hypot(east, north).reshape(shape)
-            inputs[turn.angle] = self._angle(turn, np.arctan2(north, east)).reshape(shape)
+            size, angle = polar_inputs(agent, turn, east, north)
+            inputs[turn.size], inputs[turn.angle] = size.reshape(shape), angle.reshape(shape)
         low, high = (side.reshape(-1, *[1] * len(shape)) for side in (agent.input_low, agent.input_high))
         centre = self.input_centre.reshape(low.shape)
         # What is not a number becomes the middle of the box: controllers are total.
         return np.clip(np.where(np.isnan(inputs), centre, inputs), low, high)
-
-    def _angle(self, turn: Turn, angle: FloatArray) -> FloatArray:
-        """Return the same directions as angles in the input box, up to rounding."""
-        low = float(self.agent.input_low[turn.angle])
-        return np.asarray(angle + 2.0 * np.pi * np.ceil((low - angle) / (2.0 * np.pi)))
 
     @property
     def input_centre(self) -> FloatArray:
@@ -377,6 +389,8 @@ def written_targets(agent: Agent, coordinates: FloatArray) -> WrittenTargets:
     resting = {name: Number(held(agent, name)) for name in names if name not in kept}
     square = affine_form([substituted(tree, resting) for tree in trees], kept)
     assert square is not None  # it was affine with more names
+    if any(not is_whole(agent, turn) and not {*turn.names} <= {*kept} for turn in turns):
+        raise refused("of expressions needs both components of polar inputs whose angle does not go all the way round")
     relation = WrittenTargets(agent, square, kept, turns)
     if solved(square, relation.targets) is None:
         raise refused("of expressions solves up to three means at once, and more of these are tied together")
