@@ -38,19 +38,59 @@ def aimed_spec(seed: int) -> Spec:
     return spec
 
 
+def polar_spec(seed: int) -> Spec:
+    """A random problem of agents with polar inputs of all ranges, and an ordinary input along a third axis."""
+    spec = random_spec(seed, "exact")
+    rng = np.random.default_rng([20261124, seed])
+    for agent in spec["agents"]:
+        agent.pop("output_matrix", None)
+        agent["noise_covariance"] = np.diag(np.diag(agent["noise_covariance"])).tolist()
+        if len(agent["A"]) in (2, 3) and len(agent["A"]) == len(agent["B"][0]):
+            _write_polar(rng, agent)
+        else:
+            _write_aimed(rng, agent)
+    sizes = {agent["name"]: len(agent["state_low"]) for agent in spec["agents"]}
+    is_polar = any("cos(u1)" in text for agent in spec["agents"] for text in agent["written"]["dynamics"])
+    if not is_polar or any(len(region["low"]) != sizes[region["agent"]] for region in spec["propositions"].values()):
+        return polar_spec(seed + 1_000_003)
+    # Boxes of vectors have to fit in narrow sectors: finer cells than of others, along three axes half as fine.
+    cells = spec["options"]["cells"]
+    finer = {name: [n * (3 if len(counts) < 3 else 2) for n in counts] for name, counts in cells.items()}
+    spec["options"] = {"cells": finer, "relation": "exact"}
+    return spec
+
+
+def _write_polar(rng: np.random.Generator, agent: Spec) -> None:
+    """Inputs that are a size and an angle of any range, some of the sizes negative or away from 0."""
+    d, size = len(agent["A"]), 2.0 * float(max(np.abs(agent["input_high"]).max(), np.abs(agent["input_low"]).max()))
+    least = float(rng.choice([-1.0, -0.6, 0.0, 0.0, 0.2]))
+    middle, half = rng.uniform(-4.0, 4.0), float(rng.choice([1.0, 0.5 * np.pi, 2.0, 2.6, 3.1, 3.2]))
+    most = size if least == 0.0 or rng.random() < 0.8 else -0.1 * size if least < 0.0 else 0.7 * size
+    agent["input_low"][:2] = [least * size, middle - half]
+    agent["input_high"][:2] = [most, middle + half]
+    east, north = ("*", "u0", ("cos", "u1")), ("*", ("sin", "u1"), "u0")
+    _write_moved(rng, agent, [east, north, "u2"][:d])
+
+
 def _write_aimed(rng: np.random.Generator, agent: Spec) -> None:
     """Means ``a(x) + B(x) v``: inputs v one by one or tied, in the plane sometimes as size and angle."""
     d, m = len(agent["A"]), len(agent["B"][0])
-    low, high = np.array(agent["state_low"]), np.array(agent["state_high"])
-    half, centre = 0.5 * (high - low), 0.5 * (high + low)
-    states, inputs = [f"x{k}" for k in range(d)], [f"u{j}" for j in range(m)]
-    scaled: list[Expression] = [("/", ("-", x, float(c)), float(h)) for x, c, h in zip(states, centre, half)]
-    moved: list[Expression] = list(inputs)
+    moved: list[Expression] = [f"u{j}" for j in range(m)]
     if d == 2 and m == 2 and rng.random() < 0.4:
         size = float(max(np.abs(agent["input_high"]).max(), np.abs(agent["input_low"]).max()))
         agent["input_low"] = [float(rng.choice([0.0, 0.2])) * size, -3.2]
         agent["input_high"] = [size, 3.2]
         moved = [("*", "u0", ("cos", "u1")), ("*", "u0", ("sin", "u1"))]
+    _write_moved(rng, agent, moved)
+
+
+def _write_moved(rng: np.random.Generator, agent: Spec, moved: list[Expression]) -> None:
+    """Dynamics of an agent, its inputs in the combinations ``moved``."""
+    d, m = len(agent["A"]), len(agent["B"][0])
+    low, high = np.array(agent["state_low"]), np.array(agent["state_high"])
+    half, centre = 0.5 * (high - low), 0.5 * (high + low)
+    states, inputs = [f"x{k}" for k in range(d)], [f"u{j}" for j in range(m)]
+    scaled: list[Expression] = [("/", ("-", x, float(c)), float(h)) for x, c, h in zip(states, centre, half)]
     dynamics: list[Expression] = []
     for k in range(d):
         total: Expression = float(agent["offset"][k])
