@@ -12,6 +12,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.relations import inputs_of
+from certigym.validation.policies import imitation
 from certigym.validation.policies.actors import Network, SharedActor, load_actor, networks_of, save_actor
 from certigym.validation.policies.views import CentralView, SharedView
 from problems import two_agents
@@ -203,7 +204,8 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
         load_actor(tmp_path / "text.npz", RA2)
 
 
-def test_learners_start_from_certificates_about_pairs() -> None:
+def test_learners_start_from_certificates_about_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(imitation, "ROUNDS", 1200)
     problem = cg.make_problem("platoon-distance-v0", n_agents=2)
     made = cg.synthesize(problem)
     training = cg.train(problem, steps=640, warm_start=made.certificate, worlds=16)

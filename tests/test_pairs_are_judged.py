@@ -167,6 +167,8 @@ def test_environments_end_where_pairs_are_near_and_pay_for_keeping_apart() -> No
 def test_agents_may_see_where_the_others_are_from_their_own_place(dtype: str) -> None:
     env = cg.parallel_env(mixed(), observation="relative", dtype=dtype)
     observations, infos = env.reset(seed=1)
+    for name in env.possible_agents:
+        env.action_space(name).seed(1)
     for _ in range(6):
         x = {name: np.asarray(info["state"]) for name, info in infos.items()}
         expected = [*x["shear"], *(x[other][0] - x["shear"][0] for other in ("agent_0", "agent_1", "bent"))]

@@ -18,6 +18,7 @@ from certigym.synthesis import by_levels
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import levels, relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
+from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.models.abstraction import Settings, abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.search.relaxation import relax, upper_bound
@@ -47,6 +48,13 @@ def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str =
 def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare the relations with one target per cell alone, unless a test asks for more."""
     monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 0.0)
+
+
+@pytest.fixture(autouse=True)
+def with_rougher_ellipsoids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer semidefinite programs: how good ellipsoids are is for the tests of the relation, not for those of choices."""
+    monkeypatch.setattr(ellipsoid_search, "LABEL_SHARES", (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05))
+    monkeypatch.setattr(ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95))
 
 
 @cache
@@ -86,7 +94,7 @@ def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypat
 
 def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
     """On coarse cells the reserve of ``exact`` takes an eighth of the inputs, and rounding to one target takes more."""
-    problem = cg.make_problem("car-park-planar-v0")
+    problem = cg.make_problem("car-park-planar-v0", horizon=12)
     quick, found = (
         cg.synthesize(problem, 100, relation=relation, targets_per_cell=1) for relation in ("quick", "auto")
     )
@@ -98,7 +106,7 @@ def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
 def test_an_ellipsoid_is_kept_where_it_certifies_more_than_a_tube() -> None:
     """Two agents of position and velocity share it; the bound is checked and not refuted at 1e-6."""
     pytest.importorskip(NEEDS_SOLVER)
-    problem = cg.make_problem("reach-avoid-kinematic-v0")
+    problem = cg.make_problem("reach-avoid-kinematic-v0").replace(horizon=10)
     tube, found = (cg.synthesize(problem, 50, relation=relation, max_sweeps=1) for relation in ("tube", "auto"))
     assert kinds_of(found.certificate) == ["ellipsoid", "ellipsoid"]
     assert found.certificate.lower_bound > tube.certificate.lower_bound + 0.05

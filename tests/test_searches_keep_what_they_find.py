@@ -110,7 +110,7 @@ def test_perturbed_plans_are_the_plans_of_other_times() -> None:
 def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     asked = [5, 3, 4, 8, 3]
-    found = cg.synthesize_horizons(problem, asked, 40)
+    found = cg.synthesize_horizons(problem, asked, 24)
     assert [one.certificate.problem.horizon for one in found] == asked
     by_horizon = {one.certificate.problem.horizon: one.certificate.lower_bound for one in found}
     ordered = [by_horizon[horizon] for horizon in sorted(by_horizon)]
@@ -214,10 +214,10 @@ def one_agent() -> cg.Problem:
 def test_without_a_deadline_one_agent_comes_to_the_optimum_from_below() -> None:
     """Value iteration over 1500 steps, far beyond its convergence, bounds what any policy attains at any time."""
     problem = one_agent()
-    found = cg.without_deadline(problem, 60)
+    found = cg.without_deadline(problem, 40)
     certificate = found.certificate
     far = problem.replace(horizon=1500)
-    joint = join(far, abstract(far, 60))
+    joint = join(far, abstract(far, 40))
     optimum = at_start(far, joint, dense_optimum(far, list(joint.models)))
     assert certificate.problem.horizon > 8 and certificate.stationary
     assert optimum - 5e-6 < certificate.lower_bound <= optimum
@@ -330,7 +330,7 @@ def test_what_pruning_hides_is_found_in_the_end() -> None:
 def test_trains_try_staged_starts_where_others_fail() -> None:
     """Two robots have to agree on one of two rooms; from other starts they do not."""
     problem = cg.make_problem("meeting-v0")
-    result = cg.synthesize(problem, 32, value="train")
+    result = cg.synthesize(problem, 24, value="train")
     starts = result.stats["starts"]
     assert isinstance(starts, dict) and any(name.startswith("staged") for name in starts)
     assert result.certificate.lower_bound == pytest.approx(max(starts.values()), abs=1e-4)
