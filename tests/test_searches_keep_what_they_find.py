@@ -110,7 +110,7 @@ def test_perturbed_plans_are_the_plans_of_other_times() -> None:
 def test_bounds_rise_with_the_horizon(problem_id: str) -> None:
     problem = cg.make_problem(problem_id)
     asked = [5, 3, 4, 8, 3]
-    found = cg.synthesize_horizons(problem, asked, 24)
+    found = cg.synthesize_horizons(problem, asked, 40)
     assert [one.certificate.problem.horizon for one in found] == asked
     by_horizon = {one.certificate.problem.horizon: one.certificate.lower_bound for one in found}
     ordered = [by_horizon[horizon] for horizon in sorted(by_horizon)]
