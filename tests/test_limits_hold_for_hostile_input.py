@@ -74,7 +74,7 @@ def test_states_beyond_the_horizon_are_left_out_and_nothing_else_changes() -> No
 
 
 def test_a_longer_horizon_needs_more_states_and_starts_anew() -> None:
-    results = cg.synthesize_horizons(problem("X[120] g", horizon=2, noise_covariance=[[1e-4]]), [2, 125], 12)
+    results = cg.synthesize_horizons(problem("X[60] g", horizon=2, noise_covariance=[[1e-4]]), [2, 65], 12)
     assert [result.certificate.lower_bound > 0 for result in results] == [False, True]
 
 

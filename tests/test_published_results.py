@@ -12,7 +12,7 @@ import pytest
 from certigym.cli.main import main
 from certigym.validation.paper.published import published_curve
 from certigym.validation.paper.refutation import refute_published
-from certigym.validation.paper.reproduce import FIGURE_3, fig4, table1
+from certigym.validation.paper.reproduce import FIGURE_3, fig4
 
 pytestmark = pytest.mark.slow
 
@@ -60,13 +60,10 @@ def test_fig_4_is_the_recomputed_one_and_full_invariance_is_nearly_certain(tmp_p
     assert (tmp_path / "fig4.png").stat().st_size > 10_000
 
 
-def test_table_1_counts_bytes(tmp_path: Path) -> None:
-    for row in table1(tmp_path):
+def test_table_1_counts_bytes_and_is_written(tmp_path: Path) -> None:
+    assert main(["reproduce", "table1", "--out", str(tmp_path), "--json", str(tmp_path / "t.json")]) == 0
+    rows = json.loads((tmp_path / "t.json").read_text())
+    assert len(rows) == 3 and np.isfinite(rows[0]["measured_bytes"])
+    for row in rows:
         assert row["bytes_per_term"] == pytest.approx(row["published_bytes_per_term"], rel=0.01)
         assert row["measured_bytes"] <= row["measured_bytes_without_sharing"]
-
-
-def test_reproduce_writes_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reproduce", "table1", "--out", str(tmp_path), "--json", str(tmp_path / "t.json")]) == 0
-    assert len(json.loads((tmp_path / "t.json").read_text())) == 3
-    assert np.isfinite(json.loads((tmp_path / "t.json").read_text())[0]["measured_bytes"])

@@ -52,8 +52,9 @@ def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def with_rougher_ellipsoids(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer semidefinite programs: how good ellipsoids are is for the tests of the relation, not for those of choices."""
-    monkeypatch.setattr(ellipsoid_search, "LABEL_SHARES", (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05))
+    """Fewer semidefinite programs: how good ellipsoids are is tested where relations are, not where they are chosen."""
+    shares = (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
+    monkeypatch.setattr(ellipsoid_search, "LABEL_SHARES", shares)
     monkeypatch.setattr(ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95))
 
 

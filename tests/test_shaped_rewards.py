@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,16 @@ def run(env: CentralEnv, seed: int) -> tuple[list[float], bool]:
 
 
 def start_potential(problem: cg.Problem, seed: int) -> float:
-    env = cg.central_env(problem)
+    env, dynamics, potential = of_start(problem)
     state = env.reset(seed=seed)[1]["state"]
+    return float(potential.at(core.initial_at(dynamics, state[None]))[0])
+
+
+@cache
+def of_start(problem: cg.Problem) -> tuple[Any, core.Dynamics, Potential]:
+    """An environment, the dynamics and the potential of a problem, made once."""
     dynamics = core.Dynamics.of(problem)
-    return float(Potential.of(dynamics).at(core.initial_at(dynamics, state[None]))[0])
+    return cg.central_env(problem), dynamics, Potential.of(dynamics)
 
 
 @pytest.mark.parametrize("id", IDS)

@@ -37,7 +37,7 @@ def certificate(kind: str) -> cg.Certificate:
     """Certificates of small problems with expressions."""
     makers: dict[str, Any] = {
         "wind, linear": lambda: cg.synthesize(WINDY, 100, relation="linear"),
-        "wind, boxes": lambda: cg.synthesize(WINDY, 200, relation="boxes"),
+        "wind, boxes": lambda: cg.synthesize(WINDY, 120, relation="boxes"),
         "two axes": lambda: cg.synthesize(oscillator_reach(12, **WIND), 30, relation="linear"),
         "neighbours": lambda: cg.synthesize(ring(3), 40),
     }
