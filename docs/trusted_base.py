@@ -31,7 +31,7 @@ TRUSTED = {
         "envs.logic.rebuilt envs.logic.translation"
     ),
     "What the certificate holds": (
-        "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
+        "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
         "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "

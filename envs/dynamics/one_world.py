@@ -60,7 +60,10 @@ class AgentNumbers(NamedTuple):
         if self.written is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
         others = np.array([states[i][k] for i, k in self.beside])[:, None] if self.beside else None
-        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None], v, others)
+        here, applied = np.array(x)[:, None], np.array(u, dtype=float)[:, None]
+        if self.written.noise_scale is not None:
+            z = (self.written.scales(here, applied, v)[:, 0] * np.array(z)).tolist()
+        means = self.written.mean(here, applied, v, others)
         return noisy(means[:, 0].tolist(), self.noise_factor, z)
 
     def outputs(self, x: Any) -> Any:

@@ -40,6 +40,7 @@ from ..cells import (
     label_room,
     linear_agent,
     of_cells,
+    refuse_uneven_noise,
     shape_text,
     spread,
     start_share,
@@ -357,11 +358,17 @@ def _shared_model(
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
+    if is_any and not agent.has_plain_noise:
+        kind = "boxes"
+    elif kind != "boxes":
+        refuse_uneven_noise(agent, kind)
+    if kind == "boxes":
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and isinstance(agent, Agent) and reaches_every_mean(agent):
         exact = exact_model(agent, grid, coordinates, per_cell)
         if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
             return exact
-    if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
+    if is_any and not isinstance(agent, LinearAgent):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
