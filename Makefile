@@ -3,6 +3,8 @@
 # small matrix products run best on one thread each; set these yourself for large ones
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# what is compiled once is kept: to rewrite the tests anew takes each worker as long as a hundred of them
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
