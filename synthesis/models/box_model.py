@@ -86,7 +86,7 @@ def box_model(
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in most cells.
+    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in a cell on average.
 
     None if the noise is the same everywhere.
     """
@@ -104,7 +104,7 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
         within.append(np.log(scales[1][usable] / scales[0][usable]))
     if not np.all(most > 0.0):
         raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
-    return least, most, np.median(np.concatenate(within), axis=0)
+    return least, most, np.mean(np.concatenate(within), axis=0)
 
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
