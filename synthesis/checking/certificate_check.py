@@ -26,13 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, Box
+from ...envs.agents import Box
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ..cells import FloatArray, lattice_axes
+from ..cells import FloatArray
 from ..certificates import (
     EXACT_GAP,
-    AgentPart,
     BrokenTrainError,
     Certificate,
     PairsCertificate,
@@ -57,7 +56,7 @@ from .network_spans import wrong_networks
 from .pairs_check import wrong_pairs
 from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
-from .relation_check import label_margin, verify_relation
+from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
 from .team_check import wrong_team
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
@@ -307,25 +306,13 @@ def _check_grids(certificate: Certificate) -> list[str]:
         variances = np.diag(noise)
         off = np.abs(noise - np.diag(variances))
         if not agent.has_plain_noise:
-            failures += _wrong_for_uneven_noise(agent, part)
+            failures += wrong_for_uneven_noise(agent, part)
             variances = np.where(agent.still_axes, 1.0, variances)
         if np.any(variances <= 0) or np.any(off > CORRELATION * np.sqrt(np.outer(variances, variances))):
             failures.append(f"the noise of agent `{agent.name}` is not independent along its grid axes")
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
-
-
-def _wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
-    """What is wrong with the grid of an agent whose noise has scales, or that has states without noise."""
-    if part.relation["kind"] != "boxes":
-        return [f"the relation of agent `{agent.name}` is not for noise that is larger in places, or nowhere at all"]
-    if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
-        return [f"the grid axes of agent `{agent.name}` are not its states"]
-    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        if axis.kind == "cell" and not np.array_equal(points, np.arange(-1.0, part.grid.shape[axis.state] + 1.0)):
-            return [f"the lattice of agent `{agent.name}` does not number the cells of a state without noise"]
-    return []
 
 
 def _is_inverted(coordinates: FloatArray, covariance: FloatArray) -> bool:
