@@ -4,7 +4,7 @@ Model (docs/theory/boxes.md, "Boxes of expressions"), with noise w independent o
 
     x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
 
-`f` may also name states of other agents, such as `leader.position` (see ``neighbours``).
+`f` may also name states and inputs of other agents, such as `leader.position` and `boiler.heat` (see ``neighbours``).
 
 `f` and `g` are functions of real numbers; simulations compute them in double precision.
 """
@@ -58,8 +58,8 @@ class Agent(AnyAgent):
     states, inputs : sequence of str
         Names of the d states and m inputs, at least one of each.
     dynamics : sequence of str
-        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states of other
-        agents of the problem (`leader.position`).
+        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states and inputs
+        of other agents of the problem (`leader.position`, `boiler.heat`).
     parameters : mapping from str to float, optional
         Numbers by name.
     disturbances : mapping from str to (low, high), optional
@@ -79,7 +79,8 @@ class Agent(AnyAgent):
         Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
     communicated : sequence of str, optional
         Names of the other agents whose states the agent is told at every step. Controllers then cancel what these do
-        where an input reaches it. Of all others certificates assume anything in their workspaces.
+        where an input reaches it. Of all others certificates assume anything in their workspaces, and of
+        inputs anything in their boxes, unless these are chosen in common.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
 
@@ -118,6 +119,7 @@ class Agent(AnyAgent):
     output_expressions: tuple[str, ...]
     communicated: tuple[str, ...]
     neighbour_ranges: tuple[tuple[float, float], ...] | None
+    neighbour_inputs: tuple[bool, ...]
 
     # Nineteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
@@ -154,6 +156,7 @@ class Agent(AnyAgent):
             "disturbances": MappingProxyType(_ranges(disturbances)),
             "communicated": () if not communicated else _texts(communicated, "communicated", None),
             "neighbour_ranges": None,
+            "neighbour_inputs": (),
             "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),
         }
         for key, value in values.items():
@@ -172,7 +175,7 @@ class Agent(AnyAgent):
                 seen.add(name)
         owners = [name.split(".")[0] for name in self.others]
         if self.name in owners:
-            raise ValueError(f"`dynamics`: expected states of other agents, got one of {self.name!r} itself")
+            raise ValueError(f"`dynamics`: expected states of other agents, or inputs, got one of {self.name!r} itself")
         for name in self.communicated:
             if name not in owners:
                 raise ValueError(f"`communicated`: expected agents whose states `dynamics` name, got {shown(name)}")
@@ -208,21 +211,24 @@ class Agent(AnyAgent):
 
     @cached_property
     def others(self) -> tuple[str, ...]:
-        """States of other agents that the dynamics name, such as `leader.position`."""
+        """States and inputs of other agents that the dynamics name, such as `leader.position`."""
         return states_of_others(self.dynamics)
 
     @cached_property
     def measured(self) -> frozenset[str]:
         """Names in trees of those states of others that the agent is told."""
         told = [name.split(".")[0] in self.communicated for name in self.others]
-        return frozenset(neighbour(k) for k, is_told in enumerate(told) if is_told)
+        # Inputs are chosen in the same step: nobody can be told of them.
+        chosen = self.neighbour_inputs or (False,) * len(told)
+        return frozenset(neighbour(k) for k, is_told in enumerate(told) if is_told and not chosen[k])
 
-    def tied_to(self, ranges: tuple[tuple[float, float], ...]) -> Agent:
-        """Return the agent in a problem where the states of others lie in these intervals."""
-        if ranges == self.neighbour_ranges:
+    def tied_to(self, ranges: tuple[tuple[float, float], ...], inputs: tuple[bool, ...]) -> Agent:
+        """Return the agent in a problem where `others` lie in these intervals; `inputs` says which are inputs."""
+        if (ranges, inputs) == (self.neighbour_ranges, self.neighbour_inputs):
             return self
         agent = type(self)(**self.to_dict())
         object.__setattr__(agent, "neighbour_ranges", ranges)
+        object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
 
     @property
@@ -232,10 +238,12 @@ class Agent(AnyAgent):
         Raises
         ------
         ValueError
-            If the agent names states of others and does not belong to a problem.
+            If the agent names states or inputs of others and does not belong to a problem.
         """
         if len(self.neighbour_ranges or ()) != len(self.others):
-            raise ValueError(f"`agent`: expected an agent of a problem, as {self.name!r} names states of others")
+            raise ValueError(
+                f"`agent`: expected an agent of a problem, as {self.name!r} names states or inputs of others"
+            )
         named = {neighbour(k): ends for k, ends in enumerate(self.neighbour_ranges or ())}
         return {**self.disturbances, **named}
 
@@ -281,7 +289,8 @@ class Agent(AnyAgent):
             tuple(self.disturbances.items()),
         )
         if self.others:  # agents in equal places are equal, though their neighbours have other names
-            parts = (*parts[:2], repr(self.trees), *parts[3:], self.neighbour_ranges, tuple(sorted(self.measured)))
+            beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
+            parts = (*parts[:2], repr(self.trees), *parts[3:], *beside)
         return (b"expressions", repr(parts).encode())
 
     @cached_property
@@ -299,7 +308,7 @@ class Agent(AnyAgent):
         """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)`` (rounded).
 
         `disturbances` ``(k, *S)`` are those of the step; by default each is the number of its interval nearest to 0.
-        `neighbours` ``(l, *S)`` are the states of `others`; by default the middles of their intervals.
+        `neighbours` ``(l, *S)`` are the states and inputs of `others`; by default the middles of their intervals.
         """
         if disturbances is None:
             calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)

@@ -48,7 +48,8 @@ def enclosed_means(
     parts : int
         Parts into which cells are cut along each axis.
     beside : (l, n) array, optional
-        States of others that the dynamics name; by default they are anywhere.
+        States of others that the dynamics name, in the rows of inputs of others no numbers: these are anywhere in their
+        boxes. By default all of them are anywhere.
     """
     shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
     rows = None if plain else np.linalg.inv(coordinates)
@@ -56,7 +57,8 @@ def enclosed_means(
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
     if beside is not None:
-        calm[len(agent.disturbances) :] = [(row, row) for row in beside]
+        for k, (row, is_input) in enumerate(zip(beside, agent.neighbour_inputs, strict=True), len(agent.disturbances)):
+            calm[k] = calm[k] if is_input else (row, row)
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm
