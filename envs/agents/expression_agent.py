@@ -24,7 +24,7 @@ from ..expressions import Affine, Name, Tree, checked_variable, computed, enclos
 from .any_agent import AnyAgent, shared_fields, summary_rows
 from .checks import float_array, read_only, shown
 from .laws import Law
-from .neighbours import neighbour, states_of_others
+from .neighbours import neighbour, states_of_others, with_numbers
 from .printing import counted, names_text, shortened, tree_text
 
 MOST_STATES = 30
@@ -230,6 +230,15 @@ class Agent(AnyAgent):
         object.__setattr__(agent, "neighbour_ranges", ranges)
         object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
+
+    def knowing(self, numbers: Mapping[str, float]) -> Agent:
+        """Return the agent of a problem with numbers in the place of some of `others`, such as `boiler.heat`."""
+        if not numbers:
+            return self
+        agent = type(self)(**{**self.to_dict(), "dynamics": with_numbers(self.dynamics, numbers)})
+        rest = [k for k, name in enumerate(self.others) if name not in numbers]
+        ranges = self.neighbour_ranges or ()
+        return agent.tied_to(tuple(ranges[k] for k in rest), tuple(self.neighbour_inputs[k] for k in rest))
 
     @property
     def unknowns(self) -> dict[str, tuple[float, float]]:

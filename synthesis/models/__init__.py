@@ -21,6 +21,7 @@ from .box_choices import BoxChoices
 from .box_kernel import BoxKernel
 from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
+from .common_choices import CommonGroup, common_inputs_of, with_number
 from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import HatKernel, LinearKernel, hat_table
@@ -36,6 +37,7 @@ __all__ = [
     "BoxChoices",
     "BoxKernel",
     "Choices",
+    "CommonGroup",
     "INPUT_LEVELS",
     "HatKernel",
     "InputMenu",
@@ -56,6 +58,7 @@ __all__ = [
     "abstraction_of",
     "check_names",
     "check_settings",
+    "common_inputs_of",
     "has_full_rank",
     "reaches_every_mean",
     "hat_table",
@@ -66,4 +69,5 @@ __all__ = [
     "relations_of",
     "spread_start",
     "start_of",
+    "with_number",
 ]

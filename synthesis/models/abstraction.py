@@ -44,7 +44,7 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation, written_targets
+from ..relations import BoxRelation, CommonInputs, CoupledRelation, LinearRelation, Relation, written_targets
 from ..values import Residents
 from .affine_choices import Choices
 from .agent_models import (
@@ -57,6 +57,7 @@ from .agent_models import (
     tube_model,
 )
 from .box_model import box_model
+from .common_choices import common_inputs_of, common_relation
 from .kernel import Kernel
 from .linear_model import linear_model
 from .written_model import written_model
@@ -205,6 +206,10 @@ class Settings:
         failure probability per step and agent, in [0, 1), default 0; a larger one makes labels and inputs lose less.
     share : float, optional
         ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
+    common : bool, optional
+        ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton state and
+        time alone, and known to these agents; otherwise such inputs may be anything in their boxes. By default a
+        synthesis tries both.
 
     Raises
     ------
@@ -218,8 +223,11 @@ class Settings:
     inputs: int = 10
     delta: float | None = None
     share: float | None = None
+    common: bool | None = None
 
     def __post_init__(self) -> None:
+        if self.common is not None and not isinstance(self.common, bool):
+            raise ValueError(f"`common`: expected True or False, got {self.common!r}")
         if self.targets_per_cell is not None:
             object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
         for name in ("delta", "share"):
@@ -246,6 +254,8 @@ class Settings:
         names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
         for kind in kinds:
             used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
+        if any(isinstance(model.relation, BoxRelation) and model.relation.common for model in models):
+            used["common"] = True
         return used
 
 
@@ -323,6 +333,7 @@ def models_of(
     by_relation: dict[object, SharedModel] = {}
     by_labels: dict[object, AgentModel] = {}
     models = {}
+    common = common_inputs_of(problem) if settings.common else {}
     for i, kind in kinds.items():
         agent = problem.agents[i]
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
@@ -331,9 +342,14 @@ def models_of(
         # feedback is chosen by it.
         alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
-        wish = (*alike, room.tobytes() if depends_on_room else b"")
+        known = common.get(i)
+        numbers_known = b"" if known is None else repr(known.description).encode()
+        wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
         if wish not in by_wish:
-            model = _shared_model(agent, kind, grid, coordinates, room, settings)
+            if known is None:
+                model = _shared_model(agent, kind, grid, coordinates, room, settings)
+            else:
+                model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
             numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
             by_wish[wish] = by_relation.setdefault(numbers, model)  # different rooms often lead to the same relation
         relation, lattice, kernel, choices = by_wish[wish]
@@ -382,6 +398,17 @@ def _shared_model(
         names = ("epsilon", "feedback", "inputs", "delta")
         return paper_model(agent, grid, {name: getattr(settings, name) for name in names})
     return cheapest_model(agent, grid, coordinates, per_cell, room)
+
+
+def _common_model(
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, per_cell: int | None, common: CommonInputs
+) -> SharedModel:
+    """Return the model of an agent that names or owns inputs that are chosen in common."""
+    if kind not in ("auto", "quick", "best", "boxes"):
+        raise RelationRefused(f"agent `{agent.name}`: inputs are chosen in common under the relation `boxes` alone")
+    assert isinstance(agent, Agent)  # others have no names for inputs
+    relation = common_relation(agent, grid, coordinates, common)
+    return box_model(agent, grid, coordinates, per_cell, relation)
 
 
 def check_names(argument: str, value: object, problem: Problem) -> None:
