@@ -46,6 +46,7 @@ TRUSTED = {
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
+        "synthesis.relations.common_means "
         "synthesis.relations.input_forms synthesis.relations.solved_means "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
@@ -53,7 +54,7 @@ TRUSTED = {
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
         "synthesis.checking.certificate_check "
-        "synthesis.checking.carrying_out synthesis.checking.execution "
+        "synthesis.checking.carrying_out synthesis.checking.common_check synthesis.checking.execution "
         "synthesis.checking.forward_mass synthesis.checking.geometry "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "

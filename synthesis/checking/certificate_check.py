@@ -5,7 +5,8 @@ inputs with the input box, and it grows the value tree again, vertex by vertex, 
 any set of vertices of a tree is a lower bound. So a certificate is right if
 
 1. its grids tile the workspaces and its noise coordinates make the noise independent;
-2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
+2. every relation holds (``verify_relation``), and every choice can be commanded from every related state; inputs of
+   others that an agent is said to know are the same for all cells and agents (``wrong_common``);
 3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
@@ -47,6 +48,7 @@ from ..certificates import (
 )
 from ..values import UNIT, Terms
 from .carrying_out import wrong_actions
+from .common_check import wrong_common
 from .execution import execution_of
 from .forward_mass import TooManyProducts, masses
 from .guard_check import wrong_guards
@@ -214,6 +216,7 @@ def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
         failures = failures or step(certificate)
     if not failures:
         failures, margins, loss = _check_agents(certificate)
+        failures = failures or wrong_common(certificate)
     failures = failures or wrong_guards(certificate, margins)
     if not failures:
         try:
