@@ -221,6 +221,11 @@ def _check_certificate(certificate: Certificate) -> None:
                 f"`certificate`: expected Gaussian noise, got another law for agent `{agent.name}`; a shield does not "
                 "compute what inputs are worth under other laws"
             )
+        if "common" in part.relation:
+            raise ValueError(
+                f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "
+                "relies on what others apply, and nobody knows what a learner applies; synthesize with `common=False`"
+            )
         if relation.delta > 0.0:
             raise ValueError(
                 f"`certificate`: expected relations with delta = 0, got {relation.delta:.3g} for agent "
