@@ -22,13 +22,10 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, Grid, RelationRefused
 from ..relations import BoxRelation, CommonInputs, Relation
 from .box_choices import BoxChoices
-from .box_model import evenly_with_rest, in_fitting_parts, with_rest
+from .box_model import INPUT_LEVELS, evenly_with_rest, in_fitting_parts, with_rest
 from .choices import Policies, StepPolicy
 
-COMMON_LEVELS = {1: 9, 2: 5}
-"""Levels of each input that is chosen in common, by the number of such inputs in a group; 3 beyond."""
-
-MOST_NUMBERS = 100
+MOST_NUMBERS = 128
 """Most numbers of a group: the search answers to each of them."""
 
 
@@ -51,7 +48,7 @@ def common_inputs_of(problem: Problem) -> dict[int, CommonInputs]:
         named[name] = [*(x for x in own if x in all_names), *named[name]]
     levels: dict[str, FloatArray] = {}
     for together in _linked([names for names in named.values() if names]):
-        count = COMMON_LEVELS.get(len(together), 3)
+        count = INPUT_LEVELS.get(len(together), 3)
         for name in together:
             owner, own_input = agents[name.split(".")[0]], name.split(".")[1]
             j = owner.inputs.index(own_input)

@@ -260,6 +260,8 @@ class Stage:
         The present number is tried first and stays among equals, so that the value at the start does not fall.
         """
         now = self._number_of(group)
+        # With one objective each, members answer whatever the values of others are.
+        weighed = any(len(self.values[i]) > 1 for i in group.members)
         before, best = (list(self.policies), list(self.values)), (-np.inf, self.offered, self.policies, self.values)
         for number in (now, *(k for k in range(len(group.numbers)) if k != now)):
             self.policies, self.values = [*before[0]], [*before[1]]
@@ -268,7 +270,8 @@ class Stage:
                 choices = self.models[i].choices
                 assert isinstance(choices, BoxChoices)
                 self.policies[i] = with_number(choices, self.policies[i], int(part[number]))
-                self.values[i] = read(choices, self.smoothed[i], self.policies[i], self.rough)
+                if weighed:
+                    self.values[i] = read(choices, self.smoothed[i], self.policies[i], self.rough)
             self._answer(group.members)
             worth = self._worth()
             if worth > best[0] * (1.0 + TIE):

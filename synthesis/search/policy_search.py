@@ -84,8 +84,8 @@ That tree is pruned as little as possible: pruning during the search has hidden 
 POLISHING = 4
 """Most such sweeps."""
 
-MOST_COMMON_STARTS = 5
-"""Most numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
+COMMON_STARTS = 3
+"""Numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
 best later, depends on earlier numbers."""
 
 RESTART_SEED = 1
@@ -308,8 +308,10 @@ class _TreeAscent:
 
     def common_starts(self, policies: Policies) -> None:
         """Try some numbers of inputs that are chosen in common, each at all times; go on from the best of them."""
-        some = np.unique(np.linspace(0, self.joint.most_numbers - 1, MOST_COMMON_STARTS).astype(int)).tolist()
-        starts = {f"number {k + 1} in common": self.joint.with_numbers(policies, k) for k in some if k >= 0}
+        # Numbers from the middle: at the ends of input boxes hardly any task stays.
+        inner = np.linspace(0, self.joint.most_numbers - 1, COMMON_STARTS + 2)[1:-1] if self.joint.common else ()
+        some = np.unique(np.rint(inner).astype(int)).tolist()
+        starts = {f"number {k + 1} in common": self.joint.with_numbers(policies, k) for k in some}
         if starts:
             best = max(zip(starts, self.each(starts), strict=True), key=lambda pair: pair[1].value)
             self.run(best[0], best[1].policies, self.how.max_sweeps - 1, best[1].value)
