@@ -17,7 +17,7 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
-        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
+        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
@@ -31,7 +31,7 @@ TRUSTED = {
         "envs.logic.rebuilt envs.logic.translation"
     ),
     "What the certificate holds": (
-        "synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
+        "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
         "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "
@@ -55,7 +55,7 @@ TRUSTED = {
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
         "synthesis.checking.certificate_check "
         "synthesis.checking.carrying_out synthesis.checking.common_check synthesis.checking.execution "
-        "synthesis.checking.forward_mass synthesis.checking.geometry "
+        "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.grid_check "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "

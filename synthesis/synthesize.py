@@ -152,12 +152,19 @@ def _of_task(
     ways = [lambda: _on_grids(problem, None, relation, plan, None), lambda: path_certificate(problem)]
     first, second = reversed(ways) if _beyond_grids(problem) else ways
     try:
-        return first()
+        found = first()
     except RelationRefused as refusal:
         try:
             return second()
         except RelationRefused:
             raise refusal from None
+    if not any(np.any(agent.still_axes) for agent in problem.agents) or found.certificate.lower_bound >= GOOD:
+        return found
+    # Without noise in some states neither way is better as a rule.
+    try:
+        return max(found, second(), key=lambda each: each.certificate.lower_bound)
+    except RelationRefused:
+        return found
 
 
 def _refuse_for_pairs(plan: Plan, start: Certificate | None) -> None:
@@ -196,9 +203,10 @@ def _on_grids(
 
 
 def _beyond_grids(problem: Problem) -> bool:
-    """Return whether an agent has more states than a grid has room for, or states without noise."""
+    """Return whether an agent has more states than a grid has room for, or states whose noise is that of others."""
     for agent in problem.agents:
-        if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < agent.n_states:
+        noisy = int(np.sum(~agent.still_axes))
+        if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < noisy:
             return True
     return False
 

@@ -165,9 +165,9 @@ def shrunk(relation: BoxRelation, low: NDArray, high: NDArray) -> MeanBoxes:
     return MeanBoxes(boxes.low + less, boxes.high - less, boxes.admissible)
 
 
-def rounded_inward(lattice: tuple[NDArray, ...], boxes: MeanBoxes) -> tuple[NDArray, NDArray]:
+def rounded_inward(*of: Any) -> tuple[NDArray, NDArray]:
     """Boxes to the lattice points inside of them, where there are any."""
-    low, high = PLACED(lattice, boxes)
+    low, high = PLACED(*of)
     a, b = np.ceil(low), np.floor(high)
     return np.where(a <= b, a, low), np.where(a <= b, b, high)
 

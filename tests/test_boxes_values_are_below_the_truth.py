@@ -58,7 +58,7 @@ def test_interpolants_are_below_the_expectation_everywhere(d: int, ratio: float)
     charged, bare = kernel.smooth(factors), Kernel.smooth(kernel, factors)
     wrong = 0
     for factor, numbers, plain in zip(factors, charged, bare, strict=True):
-        checked = boxes_check.below(plain.reshape(kernel.lattice_shape), 0.0)
+        checked = boxes_check.below(plain.reshape(kernel.lattice_shape), np.zeros(1), tuple(range(d)))
         for position in rng.uniform(1.0, 23.0, (150, d)):
             mean = np.array([axis[0] + p * (axis[1] - axis[0]) for axis, p in zip(lattice, position, strict=True)])
             expected = truth(factor, edges, deviations, mean)

@@ -17,7 +17,7 @@ from certigym.synthesis.cells import grid_laws
 from certigym.synthesis.certificates import lost_to_rounding
 from certigym.synthesis.certificates.checked_laws import law_charge, law_error, lawful_masses, probability_below
 from certigym.synthesis.models.box_kernel import BoxKernel
-from certigym.synthesis.models.kernel import law_table
+from certigym.synthesis.models.kernel import Kernel, law_table
 
 DECLARED: list[dict[str, Any]] = [
     {"law": "gaussian", "std": 0.3},
@@ -197,7 +197,7 @@ def test_a_sharper_law_than_the_real_one_is_refused(monkeypatch: pytest.MonkeyPa
 def test_a_charge_left_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = reach([DECLARED[4]])
     with monkeypatch.context() as patch:
-        patch.setattr(BoxKernel, "slack", property(lambda kernel: kernel.loss))
+        patch.setattr(BoxKernel, "smooth", Kernel.smooth)
         broken = cg.synthesize(problem, 80, relation="boxes").certificate
     assert cg.check(cg.synthesize(problem, 80, relation="boxes").certificate, problem).valid
     assert not cg.check(broken, problem)

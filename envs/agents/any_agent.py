@@ -22,7 +22,7 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 """Names of agents and propositions: what can stand in a formula."""
 
 
-NOISE_KEYS = {"noise", "noise_covariance", "noise_axes"}
+NOISE_KEYS = {"noise", "noise_covariance", "noise_axes", "noise_scale"}
 """Arguments that declare noise."""
 
 
@@ -36,6 +36,8 @@ class AnyAgent(ABC):
     laws : tuple of Law, or None
         Laws of the independent components e of the noise `w = noise_axes @ e`; None where it is Gaussian.
     noise_axes : np.ndarray, shape (d, d)
+    noise_scale : tuple of str, or None
+        What the noise of each state is multiplied with, as expressions; None where the noise is the same everywhere.
     state_low, state_high : np.ndarray, shape (d,)
         Workspace, a closed box.
     input_low, input_high : np.ndarray, shape (m,)
@@ -48,6 +50,7 @@ class AnyAgent(ABC):
     noise_covariance: np.ndarray
     laws: tuple[Law, ...] | None
     noise_axes: np.ndarray
+    noise_scale: tuple[str, ...] | None = None
     state_low: np.ndarray
     state_high: np.ndarray
     input_low: np.ndarray
@@ -172,6 +175,8 @@ class AnyAgent(ABC):
         if self.laws is None:
             return {"noise_covariance": self.noise_covariance.tolist()}
         data: dict[str, Any] = {"noise": [law.to_dict() for law in self.laws]}
+        if self.noise_scale is not None:
+            data["noise_scale"] = list(self.noise_scale)
         if (self.noise_axes != np.eye(self.n_states)).any():
             data["noise_axes"] = self.noise_axes.tolist()
         return data
@@ -180,7 +185,20 @@ class AnyAgent(ABC):
         """Return a copy whose noise is multiplied by a factor of at least 0."""
         if self.laws is None or factor == 0.0:
             return self.replace(noise_covariance=factor * factor * self.noise_covariance)
-        return self.replace(noise=[law.scaled(factor) for law in self.laws], noise_axes=self.noise_axes)
+        laws = [law.scaled(factor) for law in self.laws]
+        if self.noise_scale is not None:
+            return self.replace(noise=laws, noise_scale=self.noise_scale)
+        return self.replace(noise=laws, noise_axes=self.noise_axes)
+
+    @cached_property
+    def still_axes(self) -> np.ndarray:
+        """Which states (d,) have no noise at all: their rows of the covariance are 0."""
+        return read_only(~np.any(self.noise_covariance, axis=1))
+
+    @property
+    def has_plain_noise(self) -> bool:
+        """Whether every state has noise, and the noise is the same everywhere."""
+        return self.noise_scale is None and not bool(np.any(self.still_axes))
 
     def components(self, z: Any) -> Any:
         """Return the components ``(d, *S)`` of noise for standard normal numbers ``(d, *S)``; Gaussian ones stay.
@@ -267,6 +285,8 @@ def summary_rows(agent: AnyAgent) -> list[tuple[str, object]]:
     noise = f"standard deviation {shortened(', '.join(each))}"
     if agent.laws is not None:
         noise = f"{', '.join(law.name for law in agent.laws)}; {noise}"
+    if agent.noise_scale is not None:
+        noise += f" in the middle of the workspace; times {shortened(', '.join(agent.noise_scale), 60)}"
     return [
         ("workspace", box_text(agent.state_low, agent.state_high)),
         ("inputs", box_text(agent.input_low, agent.input_high)),

@@ -47,9 +47,12 @@ class TruncatedGaussian(Law):
         return math.sqrt(max(self.spread**2 * (1.0 + ends) - mean**2, 0.0))
 
     @property
+    def top(self) -> float:
+        return min(max(0.0, self.low), self.high)
+
+    @property
     def height(self) -> float:
-        nearest = min(max(0.0, self.low), self.high)
-        return self._density(nearest) * (1.0 + 1e-9)
+        return self._density(self.top) * (1.0 + 1e-9)
 
     @property
     def jumps(self) -> float:
@@ -101,6 +104,14 @@ class Mixture(Law):
     @property
     def height(self) -> float:
         return sum(w * law.height for w, law in zip(self.weights, self.laws))
+
+    @property
+    def stretch(self) -> float:
+        tops = [mean + law.top for mean, law in zip(self.means, self.laws)]
+        return sum(w * (1.0 + abs(top) * law.height) for w, top, law in zip(self.weights, tops, self.laws))
+
+    def twist(self, mean: float = 0.0) -> float:
+        return sum(w * law.twist(mean + m) for w, m, law in zip(self.weights, self.means, self.laws))
 
     @property
     def jumps(self) -> float:

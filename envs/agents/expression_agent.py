@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from ..arrays import is_host, namespace
-from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression, substituted
+from ..expressions import Affine, Name, Tree, computed, enclosed, read_expression, substituted
 from .any_agent import AnyAgent, shared_fields, summary_rows
-from .checks import float_array, read_only, shown
+from .checks import read_only, shown
+from .composed_laws import ScipyLaw
+from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
 from .laws import Law
 from .neighbours import neighbour, states_of_others, with_numbers
+from .noise import laws_of
 from .printing import counted, names_text, shortened, tree_text
-
-MOST_STATES = 30
-"""Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
 
 MOST_SHOWN = 4
 """Dynamics that are written out when an agent prints itself."""
@@ -69,6 +69,9 @@ class Agent(AnyAgent):
         One law per state, such as `{"law": "gaussian", "std": 0.05}`. Alternatively give a covariance.
     noise_axes : array_like, shape (d, d), optional
         Directions of the components with those laws, as columns; the states by default.
+    noise_scale : sequence of str, optional
+        What the noise of each state is multiplied with, such as `0.1 + 0.05*abs(x)`: expressions in states, inputs,
+        parameters and disturbances, positive in the workspace. They go with `noise`, one law for each state.
     noise_covariance : array_like, shape (d, d), optional
         **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
     state_low, state_high : array_like, shape (d,)
@@ -110,6 +113,7 @@ class Agent(AnyAgent):
     noise_covariance: np.ndarray
     laws: tuple[Law, ...] | None
     noise_axes: np.ndarray
+    noise_scale: tuple[str, ...] | None
     state_low: np.ndarray
     state_high: np.ndarray
     input_low: np.ndarray
@@ -121,7 +125,7 @@ class Agent(AnyAgent):
     neighbour_ranges: tuple[tuple[float, float], ...] | None
     neighbour_inputs: tuple[bool, ...]
 
-    # Nineteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Twenty keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -138,6 +142,7 @@ class Agent(AnyAgent):
         noise: Any = None,
         noise_covariance: Any = None,
         noise_axes: Any = None,
+        noise_scale: Any = None,
         initial_state: Any = None,
         initial_low: Any = None,
         initial_high: Any = None,
@@ -145,25 +150,43 @@ class Agent(AnyAgent):
         outputs: Any = None,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
-        state_names, input_names = _names(states, "states"), _names(inputs, "inputs")
+        state_names, input_names = checked_names(states, "states"), checked_names(inputs, "inputs")
         d, m = len(state_names), len(input_names)
         values = {
             **shared_fields(d, m, given),
             "states": state_names,
             "inputs": input_names,
-            "dynamics": _texts(dynamics, "dynamics", d),
-            "parameters": MappingProxyType(_numbers(parameters)),
-            "disturbances": MappingProxyType(_ranges(disturbances)),
-            "communicated": () if not communicated else _texts(communicated, "communicated", None),
+            "dynamics": checked_texts(dynamics, "dynamics", d),
+            "parameters": MappingProxyType(checked_numbers(parameters)),
+            "disturbances": MappingProxyType(checked_ranges(disturbances)),
+            "communicated": () if not communicated else checked_texts(communicated, "communicated", None),
             "neighbour_ranges": None,
             "neighbour_inputs": (),
-            "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),
+            "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
+            "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
         self._check_names()
         # Read all expressions now, so that mistakes show where they are made.
         assert self.trees and self.output_trees
+        if self.noise_scale is not None:
+            self._scale_noise(noise)
+
+    def _scale_noise(self, noise: Any) -> None:
+        """Keep the laws of noise that is multiplied, and the covariance that it has in the middle of the workspace."""
+        if noise is None or np.any(self.noise_axes != np.eye(self.n_states)):
+            raise ValueError("`noise_scale`: expected beside `noise`, a law for each state, and without `noise_axes`")
+        laws = laws_of(noise, self.n_states)
+        if any(isinstance(law, ScipyLaw) for law in laws):
+            raise ValueError("`noise_scale`: expected laws that can be scaled, got one of scipy")
+        # As laws even where all are Gaussian: what is made for Gaussian noise counts on a covariance everywhere.
+        object.__setattr__(self, "laws", laws)
+        middle = np.array(self.workspace.center)
+        scale = self.scales(middle, np.array(self.input_box.center))
+        usable = np.where(np.isfinite(scale) & (scale > 0.0), scale, 1.0)
+        variances = np.array([law.std for law in laws]) * usable
+        object.__setattr__(self, "noise_covariance", read_only(np.diag(variances**2)))
 
     def _check_names(self) -> None:
         """Raise ValueError if a name means two things."""
@@ -208,6 +231,12 @@ class Agent(AnyAgent):
         inside: dict[str, Tree] = {name: Name(neighbour(k)) for k, name in enumerate(self.others)}
         trees = (self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
         return tuple(substituted(tree, inside) if inside else tree for tree in trees)
+
+    @cached_property
+    def scale_trees(self) -> tuple[Tree, ...]:
+        """What the noise of each state is multiplied with, the parameters put in; empty without a `noise_scale`."""
+        names = (*self.states, *self.inputs, *self.disturbances)
+        return tuple(self._tree(text, "noise_scale", k, names) for k, text in enumerate(self.noise_scale or ()))
 
     @cached_property
     def others(self) -> tuple[str, ...]:
@@ -297,6 +326,8 @@ class Agent(AnyAgent):
             tuple(self.parameters.items()),
             tuple(self.disturbances.items()),
         )
+        if self.noise_scale is not None:
+            parts = (*parts, self.noise_scale)
         if self.others:  # agents in equal places are equal, though their neighbours have other names
             beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
             parts = (*parts[:2], repr(self.trees), *parts[3:], *beside)
@@ -319,9 +350,7 @@ class Agent(AnyAgent):
         `disturbances` ``(k, *S)`` are those of the step; by default each is the number of its interval nearest to 0.
         `neighbours` ``(l, *S)`` are the states and inputs of `others`; by default the middles of their intervals.
         """
-        if disturbances is None:
-            calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)
-            disturbances = np.broadcast_to(calm.reshape(-1, *[1] * (x.ndim - 1)), (len(calm), *x.shape[1:]))
+        disturbances = self._calm(x) if disturbances is None else disturbances
         if neighbours is None and self.others:
             middles = [0.5 * low + 0.5 * high for low, high in list(self.unknowns.values())[len(self.disturbances) :]]
             neighbours = np.broadcast_to(
@@ -330,6 +359,18 @@ class Agent(AnyAgent):
         arrays = (x, u, disturbances, () if neighbours is None else neighbours)
         values = {name: _one_axis(row) for names, rows in self._rows(*arrays) for name, row in zip(names, rows)}
         return namespace(x).stack(computed(self.trees, values)).reshape(x.shape)
+
+    def scales(self, x: np.ndarray, u: np.ndarray, disturbances: np.ndarray | None = None) -> np.ndarray:
+        """Return what the noise of each state is multiplied with ``(d, *S)``, arguments as for `mean` (rounded)."""
+        disturbances = self._calm(x) if disturbances is None else disturbances
+        named = zip((self.states, self.inputs, tuple(self.disturbances)), (x, u, disturbances))
+        values = {name: _one_axis(row) for names, rows in named for name, row in zip(names, rows)}
+        return namespace(x).stack(computed(self.scale_trees, values)).reshape(x.shape)
+
+    def _calm(self, x: np.ndarray) -> np.ndarray:
+        """Return the disturbances ``(k, *S)`` that are nearest to 0, for states ``(d, *S)``."""
+        calm = np.clip(0.0, self.disturbance_low, self.disturbance_high)
+        return np.broadcast_to(calm.reshape(-1, *[1] * (x.ndim - 1)), (len(calm), *x.shape[1:]))
 
     def _rows(self, *arrays: Any) -> list[tuple[Sequence[str], Any]]:
         beside = [neighbour(k) for k in range(len(self.others))]
@@ -377,45 +418,3 @@ class Agent(AnyAgent):
 def _one_axis(row: np.ndarray) -> np.ndarray:
     """Return numbers as an array of at least one axis, as expressions take them."""
     return np.atleast_1d(np.asarray(row, dtype=float)) if is_host(row) else row
-
-
-def _texts(value: Any, argument: str, length: int | None) -> tuple[str, ...]:
-    """Return a list of strings, as many as there should be, or raise ValueError."""
-    is_list = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(t, str) for t in value)
-    if not is_list or not 0 < len(value) <= MOST_STATES or (length is not None and len(value) != length):
-        wanted = f"{length} strings, one for each state" if length else f"1 to {MOST_STATES} strings"
-        raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}")
-    return tuple(value)
-
-
-def _names(value: Any, argument: str) -> tuple[str, ...]:
-    """Return names that can stand in expressions, or raise ValueError."""
-    return tuple(checked_variable(name, argument) for name in _texts(value, argument, None))
-
-
-def _numbers(value: Any) -> dict[str, float]:
-    """Return parameters by name, or raise ValueError."""
-    named = _named(value, "parameters", "{'damping': 0.2}")
-    return {
-        name: float(float_array([number], f"parameters.{name}", (1,), "[0.2]")[0]) for name, number in named.items()
-    }
-
-
-def _ranges(value: Any) -> dict[str, tuple[float, float]]:
-    """Return the ends of disturbances by name, or raise ValueError."""
-    ranges = {}
-    for name, ends in _named(value, "disturbances", "{'wind': [-0.1, 0.1]}").items():
-        low, high = read_only(float_array(ends, f"disturbances.{name}", (2,), "[-0.1, 0.1]")).tolist()
-        if low > high:
-            raise ValueError(f"`disturbances.{name}`: expected low and high, got {low:g} > {high:g}; exchange the two")
-        ranges[name] = (low, high)
-    return ranges
-
-
-def _named(value: Any, argument: str, example: str) -> dict[str, Any]:
-    """Return a mapping from names of expressions, or raise ValueError."""
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping) or len(value) > MOST_STATES:
-        raise ValueError(f"`{argument}`: expected a mapping such as {example}, got {shown(value)}")
-    return {checked_variable(name, argument): item for name, item in value.items()}

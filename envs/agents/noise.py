@@ -155,8 +155,8 @@ def declared_noise(noise: Any, covariance: Any, axes: Any, d: int) -> Noise:
     product = directions * variances @ directions.T
     total = checked_covariance(0.5 * (product + product.T), d)
     is_gaussian = all(isinstance(law, Gaussian) for law in laws)
-    if not is_gaussian and not np.all(variances > 0.0):
-        raise ValueError("`noise`: expected positive deviations beside laws that are not Gaussian, got 0")
+    if not is_gaussian and not np.all(variances > 0.0) and np.any(directions != identity):
+        raise ValueError("`noise`: expected positive deviations along `noise_axes` that are no states, got 0")
     return Noise(total, None if is_gaussian else laws, directions)
 
 

@@ -62,7 +62,10 @@ class AgentNumbers(NamedTuple):
         others = None
         if self.beside:
             others = np.array([team[p.is_input][p.agent][p.component] for p in self.beside], dtype=float)[:, None]
-        means = self.written.mean(np.array(x)[:, None], np.array(u, dtype=float)[:, None], v, others)
+        here, applied = np.array(x)[:, None], np.array(u, dtype=float)[:, None]
+        if self.written.noise_scale is not None:
+            z = (self.written.scales(here, applied, v)[:, 0] * np.array(z)).tolist()
+        means = self.written.mean(here, applied, v, others)
         return noisy(means[:, 0].tolist(), self.noise_factor, z)
 
     def outputs(self, x: Any) -> Any:

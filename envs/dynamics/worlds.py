@@ -363,7 +363,9 @@ def successor(
     z = block.noise_of.components(z[: len(x)])
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
-            return namespace(x).stack(noisy(block.motion.agent.mean(x, u, v, beside), block.noise_factor, z))
+            agent = block.motion.agent
+            z = z if agent.noise_scale is None else agent.scales(x, u, v) * z
+            return namespace(x).stack(noisy(agent.mean(x, u, v, beside), block.noise_factor, z))
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]

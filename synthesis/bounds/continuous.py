@@ -188,7 +188,7 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
     for agent, model, follows in zip(problem.agents, joint.models, favourable_successors(problem), strict=True):
         # Agents with equal dynamics and cells share the optimistic model; with equal letters, too, the values.
         possible = _possible(model, follows)
-        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+        if not isinstance(agent, LinearAgent) or agent.laws is not None or not agent.has_plain_noise:
             return None
         arrays = (agent.noise_covariance, agent.input_low, agent.input_high)
         alike = (id(model), *agent.motion_key, *(array.tobytes() for array in arrays))

@@ -1,12 +1,13 @@
 """A workspace cut into cells along the edges of regions."""
 
 from .agent_grids import DEFAULT_TARGETS, CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
+from .axes_of_lattices import LatticeAxis, cell_points, deviations_of, lattice_axes
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
-from .refusal import RelationRefused, linear_agent
+from .refusal import RelationRefused, linear_agent, refuse_uneven_noise
 from .sizes import alike_text, shape_text
 
 __all__ = [
@@ -16,14 +17,17 @@ __all__ = [
     "FloatArray",
     "Grid",
     "GridDynamics",
+    "LatticeAxis",
     "RelationRefused",
     "agent_grid",
     "alike_text",
     "axis_finder",
     "cell_finder",
     "cell_labels",
+    "cell_points",
     "cells_of_agent",
     "corner_sides",
+    "deviations_of",
     "error_labels",
     "hat_share_of",
     "hats",
@@ -32,8 +36,10 @@ __all__ = [
     "sharpness",
     "in_grid_coordinates",
     "label_room",
+    "lattice_axes",
     "linear_agent",
     "of_cells",
+    "refuse_uneven_noise",
     "region_boundaries",
     "shape_text",
     "spread",

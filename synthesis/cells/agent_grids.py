@@ -65,6 +65,8 @@ def _noise_coordinates(agent: AnyAgent) -> FloatArray:
     if agent.laws is not None:
         return agent.noise_axes
     covariance = agent.noise_covariance
+    if np.any(agent.still_axes) and np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
+        return np.eye(agent.n_states)
     # Units of the states do not matter: what counts are the correlations.
     deviations = np.sqrt(np.diag(covariance))
     known = bool(np.all(deviations > 0))
@@ -72,7 +74,7 @@ def _noise_coordinates(agent: AnyAgent) -> FloatArray:
     if smallest <= SINGULAR:
         raise RelationRefused(
             f"agent `{agent.name}`: the abstraction needs a positive definite `noise_covariance`, got the smallest "
-            f"eigenvalue {smallest:.3g} of its correlations; give every state some noise"
+            f"eigenvalue {smallest:.3g} of its correlations; give every state some noise, or none and no correlations"
         )
     if np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 0:
         return np.eye(agent.n_states)

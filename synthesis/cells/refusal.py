@@ -15,6 +15,16 @@ class RelationRefused(ValueError):
     """
 
 
+def refuse_uneven_noise(agent: AnyAgent, relation: str) -> None:
+    """Refuse a relation that needs noise in every state, of one size everywhere."""
+    if not agent.has_plain_noise:
+        what = "a `noise_scale`" if agent.noise_scale is not None else "a state without noise"
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{relation}` is for noise in every state that is the same everywhere, "
+            f"got {what}; ask for `boxes`"
+        )
+
+
 def linear_agent(agent: AnyAgent, relation: str) -> LinearAgent:
     """Return an agent whose dynamics are matrices, or refuse a relation that needs them, or Gaussian noise."""
     if not isinstance(agent, LinearAgent):

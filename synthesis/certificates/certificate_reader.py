@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import problem_from_dict
-from ..cells import Grid
+from ..cells import Grid, lattice_axes
 from ..relations import check_description
 from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate
@@ -108,8 +108,10 @@ class CertificateReader:
 
     def _agent(self, entry: dict[str, Any]) -> AgentPart:
         """Return what is stored of one agent."""
-        d = self.problem.agents[self._position].n_states
-        if len(entry["edges"]) != d or len(entry["lattice"]) != d:
+        agent = self.problem.agents[self._position]
+        d = agent.n_states
+        n_axes = len(lattice_axes(agent)) if entry["relation"]["kind"] == "boxes" else d
+        if len(entry["edges"]) != d or len(entry["lattice"]) != n_axes:
             raise ValueError("an agent has the wrong number of axes")
         grid = Grid(tuple(self._array(k, "f", (None,)) for k in entry["edges"]))
         lattice = tuple(self._array(k, "f", (None,)) for k in entry["lattice"])

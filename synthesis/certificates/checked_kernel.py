@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erfc
 
-from ..cells import FloatArray
+from ..cells import FloatArray, lattice_axes
 from .checked_laws import law_error, lawful_masses
 
 if TYPE_CHECKING:
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...], list[FloatArray]]) -> list[FloatArray]:
-    """Cell masses around every lattice point, per axis, from the complementary error function of the smaller tail."""
+    """Cell masses around every lattice point, per state, from the complementary error function of the smaller tail.
+
+    Where the noise of a state has scales, the points of all means come scale after scale.
+    """
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     key = (
         *agent.noise_key,
@@ -26,17 +29,42 @@ def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...],
     )
     if key not in known:
         known[key] = []
+        if not agent.has_plain_noise:
+            known[key] = _uneven_tables(agent, part, deviations)
+            return known[key]
         if agent.laws is not None:
             triples = zip(part.grid.edges, part.lattice, agent.laws, strict=True)
             known[key] = [lawful_masses(law, edges, axis) for edges, axis, law in triples]
             return known[key]
         for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
-            x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))
-            right, left = 0.5 * erfc(x), 0.5 * erfc(-x)
-            upper_half = x[:, :-1] + x[:, 1:] > 0
-            mass = np.where(upper_half, right[:, :-1] - right[:, 1:], left[:, 1:] - left[:, :-1])
-            known[key].append(np.maximum(mass - 1e-15 * np.where(upper_half, right[:, :-1], left[:, 1:]), 0.0))
+            known[key].append(_gaussian_masses(edges, axis, deviation))
     return known[key]
+
+
+def _gaussian_masses(edges: FloatArray, axis: FloatArray, deviation: float) -> FloatArray:
+    """Cell masses (Z, S) around means (Z,), from below."""
+    x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))
+    right, left = 0.5 * erfc(x), 0.5 * erfc(-x)
+    upper_half = x[:, :-1] + x[:, 1:] > 0
+    mass = np.where(upper_half, right[:, :-1] - right[:, 1:], left[:, 1:] - left[:, :-1])
+    return np.maximum(mass - 1e-15 * np.where(upper_half, right[:, :-1], left[:, 1:]), 0.0)
+
+
+def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> list[FloatArray]:
+    """Cell masses of an agent with scales, or with states without noise, whose next cell is that of the mean."""
+    points = dict(zip(((axis.kind, axis.state) for axis in lattice_axes(agent)), part.lattice, strict=True))
+    tables = []
+    for k, edges in enumerate(part.grid.edges):
+        if ("cell", k) in points:
+            tables.append((points["cell", k][:, None] == np.arange(len(edges) - 1)).astype(float))
+        elif agent.laws is None:
+            tables.append(_gaussian_masses(edges, points["mean", k], deviations[k]))
+        else:
+            scales = np.exp(points.get(("scale", k), np.zeros(1)))
+            tables.append(
+                np.concatenate([lawful_masses(agent.laws[k], edges, points["mean", k], scale) for scale in scales])
+            )
+    return tables
 
 
 def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
@@ -49,6 +77,8 @@ def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
         return sum(5.0 * law_error(law) * n for law, n in zip(agent.laws, part.grid.shape, strict=True))
     total, deviations = 0.0, np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
+        if deviation == 0.0:
+            continue  # whole numbers
         x = np.abs(edges - axis[:, None]) / (deviation * np.sqrt(2.0))
         total += 8e-15 * float(np.max(np.sum(0.5 * erfc(x) * (1.0 + x * x), axis=1)))
     return total

@@ -8,6 +8,9 @@ derivatives (docs/theory/boxes.md, "The charge"). Taking both off at lattice poi
 least over a box at a point each of whose coordinates is an end of the box or a lattice point between the ends; here all
 of them are tried.
 
+Where noise has scales, its logarithm is one more coordinate of a box, and what interpolation may add is bounded by the
+laws, at the smallest noise between two points. A state without noise lands in a cell that the box touches.
+
 Nothing of the kernels, choices and minima of the search is used.
 """
 
@@ -21,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
-from ..cells import FloatArray
-from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, smooth
+from ..cells import FloatArray, lattice_axes
+from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
-from .mean_spans import enclosed_means, steered_spans
+from .mean_spans import enclosed_means, enclosed_scales, steered_spans
 from .network_spans import network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -58,8 +61,11 @@ class BoxTables:
     ----------
     masses : list of (Z_k, S_k) arrays
         Cell masses around every lattice point, from below.
-    slack : float
-        What is taken off besides second differences, per unit of the largest value.
+    slack : array
+        What is taken off, per unit of the largest value, besides second differences: numbers that broadcast to the
+        lattice.
+    bent : tuple of int, or None
+        Axes of the lattice along which second differences are taken off; None where laws bound what they do.
     off : (d,) array
         What means are off by in floating point, at most.
     written : WrittenBoxes or None
@@ -67,18 +73,23 @@ class BoxTables:
     """
 
     masses: list[FloatArray]
-    slack: float
+    slack: FloatArray
+    bent: tuple[int, ...] | None
     off: FloatArray
     written: WrittenBoxes | None
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenBoxes:
-    """Corners (K, d) of boxes in grid coordinates, by increasing numbers ``cell * A + choice`` (K,)."""
+    """Corners (K, d) of boxes in grid coordinates, by increasing numbers ``cell * A + choice`` (K,).
+
+    ``scales`` are the ends (K, d) of what the noise is multiplied with; None where it is the same everywhere.
+    """
 
     numbers: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
+    scales: tuple[FloatArray, FloatArray] | None
 
     @classmethod
     def of(cls, agent: Agent, part: AgentPart) -> WrittenBoxes:
@@ -89,7 +100,7 @@ class WrittenBoxes:
         numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
         cell, choice = np.divmod(numbers, len(menu))
         low, high = cell_boxes(part)
-        corners = []
+        corners, scales = [], []
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], menu[choice[some]]
             parts = int(part.relation["parts"])
@@ -102,32 +113,99 @@ class WrittenBoxes:
                     knowing, low[here][at], high[here][at], inputs[at], commands_of(knowing), parts
                 )
             corners.append((first, last))
-        return cls(numbers, *(np.concatenate(ends) for ends in zip(*corners, strict=True)))
+            if agent.noise_scale is not None:
+                scales.append(enclosed_scales(agent, low[here], high[here], inputs, parts))
+        least, most = (np.concatenate(ends) for ends in zip(*corners, strict=True))
+        if not scales:
+            return cls(numbers, least, most, None)
+        small, large = (np.concatenate(ends) for ends in zip(*scales, strict=True))
+        return cls(numbers, least, most, (small, large))
 
     def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Corners (C, d) of the boxes with some numbers (C,)."""
         places = np.searchsorted(self.numbers, numbers)
         return self.low[places], self.high[places]
 
+    def scales_at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Ends (C, d) of the scales of boxes with some numbers (C,)."""
+        assert self.scales is not None
+        places = np.searchsorted(self.numbers, numbers)
+        return self.scales[0][places], self.scales[1][places]
+
 
 def box_tables(
     agent: AnyAgent, part: AgentPart, off: FloatArray, known: dict[tuple[bytes, ...], list[FloatArray]]
 ) -> BoxTables:
     """Compute the tables of one agent anew; ``off`` (d,) is what its means are off by."""
-    deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-    steps = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
-    r, slack = steps / deviations, 0.0
-    if agent.laws is not None:
-        # What positions are off by counts by the height of the density; that of a normal one is .4 / sigma.
-        r = np.maximum(r, 2.6 * steps * np.array([law.height for law in agent.laws]))
-        slack = sum(law_charge(law, step) for law, step in zip(agent.laws, steps.tolist(), strict=True))
-    for k, own in enumerate(r.tolist() if agent.laws is None else []):
+    slack, r, bent = _slack_of_laws(agent, part), np.zeros(0), None
+    if slack is None:
+        # All laws are normal, and the noise is the same everywhere; states without noise are not interpolated.
+        bent = tuple(place for place, axis in enumerate(lattice_axes(agent)) if axis.kind == "mean")
+        deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
+        r, slack = np.array([_step(part.lattice[k]) / deviations[k] for k in bent]), np.zeros(1)
+    elif agent.laws is not None:
+        r = _rounded_steps(agent, part)
+    for k, own in enumerate(r.tolist() if bent is not None else []):
         # Of eta^2/8: second differences are off by a twelfth of fourth ones, and more between the corners.
-        slack += STRAIGHT * own**4 / 96.0
-        slack += sum((STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist()))
-    slack += ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
+        slack = slack + STRAIGHT * own**4 / 96.0
+        slack = slack + sum(
+            (STRAIGHT if e == k else CROSSED) * own**2 * other**2 / 64.0 for e, other in enumerate(r.tolist())
+        )
+    slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
     written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
-    return BoxTables(axis_tables(agent, part, known), slack, off, written)
+    return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
+
+
+def _step(axis: FloatArray) -> float:
+    return float((axis[-1] - axis[0]) / (len(axis) - 1))
+
+
+def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
+    """Scales (L,) of the noise of a state, by level: the smallest one between a level and its neighbours."""
+    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
+        if axis.kind == "scale" and axis.state == k:
+            return np.exp(np.maximum(points - _step(points), points[0]))
+    return np.ones(1)
+
+
+def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
+    """What interpolation adds, as far as laws bound it: numbers that broadcast to the lattice.
+
+    None where all laws are normal and the noise is the same everywhere, so that second differences say more.
+    """
+    axes = lattice_axes(agent)
+    if agent.laws is None:
+        return None
+    total = np.zeros((1,) * len(axes))
+    for place, (axis, points) in enumerate(zip(axes, part.lattice, strict=True)):
+        law = agent.laws[axis.state]
+        if axis.kind == "scale":
+            total = total + scale_charge(law, _step(points))
+        elif axis.kind == "mean":
+            # A scale s divides the density by s, and its argument: jumps count 1 / s, bends 1 / s^2.
+            scales = _smallest(agent, part, axis.state)
+            costs = np.array([law_charge(law, _step(points) / scale) for scale in scales])
+            total = total + (
+                costs.reshape([-1 if p == place - 1 else 1 for p in range(len(axes))]) if len(costs) > 1 else costs[0]
+            )
+    return total
+
+
+def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
+    """Lattice steps, in deviations or what counts as such, by which positions are off by a small share.
+
+    That counts by the height of the density; a normal one has .4 / sigma.
+    """
+    assert agent.laws is not None
+    steps = []
+    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
+        law = agent.laws[axis.state]
+        if axis.kind == "scale":
+            steps.append(_step(points))
+        elif axis.kind == "mean":
+            small = float(_smallest(agent, part, axis.state).min())
+            steps.append(_step(points) / small * max(1.0 / law.std, 2.6 * law.height))
+    return np.array(steps)
 
 
 def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int) -> FloatArray:
@@ -146,8 +224,7 @@ def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: Flo
     for row, factor in zip(values, factors, strict=True):
         smoothed = smooth(factor[None], tables.masses)[0].reshape(last + 1)
         slack = tables.slack * factor.max(initial=0.0)
-        # The charge of other laws than the normal one is constant.
-        table = below(smoothed, slack) if agent.laws is None else smoothed - slack
+        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
         for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
             row[cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
     return values
@@ -156,12 +233,13 @@ def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: Flo
 def mean_positions(
     agent: AnyAgent, part: AgentPart, tables: BoxTables, cells: NDArray[np.int64], choices: NDArray[np.integer]
 ) -> tuple[FloatArray, FloatArray]:
-    """Corners (C, d), in lattice steps, of boxes that hold the means from all points of cells under choices."""
-    first = np.array([axis[0] for axis in part.lattice])
-    step = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+    """Corners (C, D), in lattice steps, of boxes that hold what moves from all points of cells under choices."""
     if tables.written is not None:
-        low, high = tables.written.at(cells * len(part.relation["menu"]) + choices)
-        return (low - tables.off - first) / step, (high + tables.off - first) / step
+        numbers = cells * len(part.relation["menu"]) + choices
+        low, high = tables.written.at(numbers)
+        ends = low - tables.off, high + tables.off
+        scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
+        return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
     assert isinstance(agent, LinearAgent)
     inverse = np.linalg.inv(part.coordinates)
     plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
@@ -181,19 +259,37 @@ def mean_positions(
     for a in np.unique(choices[choices < network_modes(part)]):
         low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
     off = tables.off
-    return (low - off - first) / step, (high + off - first) / step
+    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
 
 
-def below(table: FloatArray, slack: float) -> FloatArray:
-    """Values on a lattice, less what an interpolant of them may be above the truth around each point."""
-    charge = np.full(table.shape, slack)
-    for k in range(table.ndim):
+def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: FloatArray) -> FloatArray:
+    """Places (C, D) on the lattice of means and scales (C, d); not numbers where a scale is not positive."""
+    columns = []
+    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
+        k = axis.state
+        if axis.kind == "cell":
+            # The number of edges at or below, 0 and the last number being outside; the workspace holds its upper face.
+            edges = part.grid.edges[k]
+            below = np.sum(means[:, k, None] >= edges, axis=1)
+            columns.append(np.where(means[:, k] == edges[-1], len(edges) - 1, below).astype(float))
+            continue
+        value = means[:, k]
+        if axis.kind == "scale":
+            value = np.log(np.where(scales[:, k] > 0.0, scales[:, k], np.nan))
+        columns.append((value - points[0]) / _step(points))
+    return np.stack(columns, axis=1)
+
+
+def below(table: FloatArray, slack: FloatArray, bent: tuple[int, ...]) -> FloatArray:
+    """Values on a lattice, less what an interpolant along axes ``bent`` may be above the truth around each point."""
+    charge = np.broadcast_to(slack, table.shape).copy()
+    for k in bent:
         bend = np.zeros(table.shape)
         middle = tuple(slice(1, -1) if j == k else slice(None) for j in range(table.ndim))
         bend[middle] = np.diff(table, 2, axis=k)
         padded = np.pad(np.maximum(bend, 0.0), 1)
         # The small boxes around a point have their corners among its neighbours.
-        shifts = itertools.product((0, 1, 2), repeat=table.ndim)
+        shifts = itertools.product(*((0, 1, 2) if j in bent else (1,) for j in range(table.ndim)))
         views = [padded[tuple(slice(s, s + n) for s, n in zip(shift, table.shape, strict=True))] for shift in shifts]
         largest = views[0]
         for view in views[1:]:

@@ -72,7 +72,7 @@ def _wrong_means(
     count = max(64, PROBES // len(part.policy))
     cells, q = rng.integers(part.grid.n_cells, size=count), rng.integers(part.policy.shape[1], size=count)
     # inside the cells; a quarter of the coordinates on their lower faces where these can be told
-    share = NEAR + rng.random((len(part.lattice), count)) * (1.0 - 2.0 * NEAR)
+    share = NEAR + rng.random((len(part.grid.shape), count)) * (1.0 - 2.0 * NEAR)
     if is_identity(part.coordinates):
         share[rng.random(share.shape) < 0.25] = 0.0
     index = np.unravel_index(cells, part.grid.shape)

@@ -137,7 +137,7 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
         A_off=off @ np.abs(moves[0]) @ np.abs(C), B_off=off @ np.abs(moves[1]), c_off=off @ np.abs(moves[2]),
         x=x, u=u, read=read,
         deviations=deviations * (1.0 - 1e-9),
-        law=float(np.linalg.norm(noise_off / np.outer(deviations, deviations))),
+        law=_not_independent(noise_off, deviations),
         narrow=np.array([np.min(np.diff(edges)) for edges in part.grid.edges]),
         unit=unit,
         lawful=agent.laws is not None,
@@ -216,4 +216,11 @@ def _misread(s: _Setting, off: FloatArray) -> float:
 
     Along an axis the densities at edges a cell apart sum to at most ``1 / width + largest density``.
     """
-    return float(np.sum(2.0 * off * (1.0 / s.narrow + DENSITY / s.deviations)))
+    with np.errstate(divide="ignore", invalid="ignore"):  # a state without noise must be read without an error
+        return float(np.sum(np.where(off == 0.0, 0.0, 2.0 * off * (1.0 / s.narrow + DENSITY / s.deviations))))
+
+
+def _not_independent(noise_off: FloatArray, deviations: FloatArray) -> float:
+    """Upper bound on what noise lacks, in total variation, to be independent; infinite beside states without noise."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.linalg.norm(np.where(noise_off == 0.0, 0.0, noise_off / np.outer(deviations, deviations))))

@@ -76,6 +76,26 @@ def enclosed_means(
     return first, last
 
 
+def enclosed_scales(
+    agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, parts: int
+) -> tuple[FloatArray, FloatArray]:
+    """Ends (n, d) of what the noise is multiplied with on closed cells (n, d) of states, under inputs (n, m)."""
+    first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
+    cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
+    unknown = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
+
+    def outputs(on: FloatArray, with_slopes: bool = False) -> list[Span]:
+        leaves = leaves_of(agent, on, inputs, np.eye(agent.n_states), with_slopes)
+        return [span(tree, leaves) for tree in agent.scale_trees]
+
+    with np.errstate(all="ignore"):
+        for part in itertools.product(range(parts), repeat=low.shape[1]):
+            box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)]
+            ends = np.stack(bounds(outputs, np.array(box + unknown)), axis=-1)
+            first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+    return first, last
+
+
 def steered_spans(
     agent: Agent, low: FloatArray, high: FloatArray, inputs: FloatArray, commands: Sequence[Command], parts: int
 ) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ...envs.problem import Problem
-from ..cells import DEFAULT_TARGETS, FloatArray, region_boundaries
+from ..cells import DEFAULT_TARGETS, FloatArray, deviations_of, region_boundaries
 from ..models import BAND_BYTES, INPUT_LEVELS, LATTICE_BLOCK, REACH_DEVIATIONS, SNAPPED_POINTS, has_full_rank
 from ..relations import commands_of, coupling_failure
 
@@ -129,7 +129,7 @@ def snapping_loss(problem: Problem, cells: Mapping[str, AgentCells]) -> float:
     log_kept = 0.0
     for agent in problem.agents:
         agent_cells = cells[agent.name]
-        deviations = np.sqrt(np.diag(agent.noise_covariance))
+        deviations = deviations_of(agent)
         points = np.array(agent_cells.shape) * np.array(agent_cells.per_cell)
         spacing = (agent.state_high - agent.state_low) / points
         lost = coupling_failure(float(np.linalg.norm(0.5 * spacing / deviations)))
@@ -152,7 +152,7 @@ def axis_weights(agent: AnyAgent) -> FloatArray:
     span = agent.state_high - agent.state_low
     states = (agent.state_low + shares * span).T
     inputs = np.broadcast_to(middle[:, None], (len(middle), WEIGHING_STATES))
-    deviations = np.maximum(np.sqrt(np.diag(agent.noise_covariance)), 1e-12 * span)
+    deviations = np.maximum(deviations_of(agent), 1e-12 * span)
     free = np.ones(d, dtype=bool)
     free[[command.axis for command in commands_of(agent)]] = False
     free = free if np.any(free) else ~free
@@ -174,7 +174,7 @@ def _agent_cells(
 ) -> AgentCells:
     """Return the cells of one agent: of the numbers near the resolution those with the fewest lattice points."""
     span = agent.state_high - agent.state_low
-    deviations = np.sqrt(np.diag(agent.noise_covariance))
+    deviations = deviations_of(agent)
     fineness = resolution * axis_weights(agent)
     wanted = [max(1.0, float(r * s / max(d, 1e-12 * s))) for r, s, d in zip(fineness, span, deviations, strict=True)]
     options = [
@@ -268,7 +268,7 @@ def _sized(
     """Return the cells with the bytes of tables, choices and policies (an estimate)."""
     d, m, n_cells = agent.n_states, agent.n_inputs, math.prod(shape)
     widths = (agent.state_high - agent.state_low) / np.array(shape)
-    deviations = np.sqrt(np.diag(agent.noise_covariance))
+    deviations = deviations_of(agent)
     reach = np.abs(agent.B) @ (0.5 * (agent.input_high - agent.input_low))
     # Kernel: lattice points inside the grid and as far beyond as means get, times the cells in the band of each.
     lattice, kernel = 1.0, 0.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ...envs.problem import Problem
-from ..cells import RelationRefused, region_boundaries
+from ..cells import RelationRefused, deviations_of, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
     Abstraction,
@@ -290,7 +290,7 @@ def _widest(problem: Problem, shapes: dict[str, tuple[int, ...]]) -> float:
     """Return the width of the widest cells, in standard deviations of the noise and as axes are weighted."""
     widths = []
     for agent in problem.agents:
-        deviations = np.sqrt(np.diag(agent.noise_covariance))
+        deviations = deviations_of(agent)
         cell = (agent.state_high - agent.state_low) / np.array(shapes[agent.name]) / deviations
         widths.append(np.max(cell * axis_weights(agent)))
     return float(max(widths))
@@ -303,7 +303,7 @@ def level_cells(problem: Problem, width: float) -> dict[str, tuple[int, ...]]:
 
 def _cells(problem: Problem, i: int, agent: AnyAgent, width: float) -> tuple[int, ...]:
     """Return cells per axis of about ``width`` standard deviations; equal ones, if boundaries allow for them."""
-    span, deviations = agent.state_high - agent.state_low, np.sqrt(np.diag(agent.noise_covariance))
+    span, deviations = agent.state_high - agent.state_low, deviations_of(agent)
     numbers = []
     for k in range(agent.n_states):
         wanted = max(FEWEST, float(span[k]) / (width * float(deviations[k])))

@@ -133,6 +133,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
     models: dict[str, dict[int, AgentModel]] = {}
     refused: dict[str, str] = {}
     first = problem.agents[members[0]]
+    if asked in ("auto", "best") and not first.has_plain_noise:
+        asked = "boxes"
     automatic = ALL_RELATIONS[:3] if has_full_rank(first) else ALL_RELATIONS[1:3]
     wanted: dict[str, tuple[str, ...]] = {"auto": automatic, "best": ALL_RELATIONS}
     if not isinstance(first, LinearAgent):
@@ -168,6 +170,8 @@ def has_linear_cells(agent: AnyAgent) -> bool:
 
     Neighbours would be disturbances under linear cells; mean boxes cancel those that are communicated.
     """
+    if not agent.has_plain_noise:
+        return False
     if isinstance(agent, Agent):
         laws = [] if agent.laws is None else [law.name for law in agent.laws]
         return not agent.others and {*laws} <= {"gaussian", "uniform"} and laws.count("uniform") <= 1

@@ -9,13 +9,11 @@ from .abstraction import (
     abstraction_of,
     check_names,
     check_settings,
-    has_full_rank,
     models_of,
-    reaches_every_mean,
     relations_of,
 )
 from .affine_choices import AffineChoices, Choices
-from .agent_models import SNAPPED_POINTS
+from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
 from .box_kernel import BoxKernel

@@ -40,11 +40,12 @@ from ..cells import (
     label_room,
     linear_agent,
     of_cells,
+    refuse_uneven_noise,
     shape_text,
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CommonInputs, CoupledRelation, LinearRelation, Relation, written_targets
+from ..relations import BoxRelation, CommonInputs, CoupledRelation, LinearRelation, Relation
 from ..values import Residents
 from .affine_choices import Choices
 from .agent_models import (
@@ -53,7 +54,9 @@ from .agent_models import (
     cheapest_model,
     ellipsoid_model,
     exact_model,
+    has_full_rank,
     paper_model,
+    reaches_every_mean,
     tube_model,
 )
 from .box_model import box_model
@@ -373,11 +376,17 @@ def _shared_model(
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
+    if is_any and not agent.has_plain_noise:
+        kind = "boxes"
+    elif kind != "boxes":
+        refuse_uneven_noise(agent, kind)
+    if kind == "boxes":
+        return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and isinstance(agent, Agent) and reaches_every_mean(agent):
         exact = exact_model(agent, grid, coordinates, per_cell)
         if np.mean(exact[3].resting_choice < 0) <= STRANDED_CELLS:
             return exact
-    if kind == "boxes" or (is_any and not isinstance(agent, LinearAgent)):
+    if is_any and not isinstance(agent, LinearAgent):
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
@@ -427,19 +436,3 @@ def check_settings(settings: Mapping[str, object]) -> None:
             close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
-
-
-def has_full_rank(agent: AnyAgent) -> bool:
-    """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
-    return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
-
-
-def reaches_every_mean(agent: AnyAgent) -> bool:
-    """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
-    if isinstance(agent, LinearAgent):
-        return has_full_rank(agent)
-    assert isinstance(agent, Agent)
-    try:
-        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
-    except RelationRefused:
-        return False

@@ -6,15 +6,15 @@ rounded to the nearest lattice points: about right, and 2^d readings for each.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cells import FloatArray, Grid, RelationRefused, shape_text
+from ..cells import FloatArray, Grid, LatticeAxis, RelationRefused, shape_text
 from ..relations import Enclosing, MeanBoxes
 from .box_minima import least_over_boxes, window_minima
 from .choices import StepPolicy
@@ -39,15 +39,17 @@ class BoxChoices:
     Parameters
     ----------
     grid : Grid
-    lattice : tuple of (Z_k,) arrays
+    lattice : tuple of D arrays (Z_k,)
         Evenly spaced lattice axes; a point is numbered in C order.
-    low, high : (S, A, d) arrays
+    axes : tuple of LatticeAxis
+        What they stand for.
+    low, high : (S, A, D) arrays
         Corners of boxes in lattice steps; -1 for boxes that leave the lattice, where the value is 0.
-    sizes : (W, d) int array
+    sizes : (W, D) int array
         Sides of windows, powers of two.
     size : (S, A) int16 array
         Which of the sizes is used for the box of each cell and choice; -1 where the choice is not admissible.
-    corners : (S, A, 2^d) int32 array
+    corners : (S, A, 2^D) int32 array
         Lattice points at which the windows begin that cover the box, rounded to the nearest lattice points.
     n_parts : int
         Parts of equal length in which the choices come, one for each number that is chosen in common; 1 if none is.
@@ -55,6 +57,7 @@ class BoxChoices:
 
     grid: Grid
     lattice: tuple[FloatArray, ...]
+    axes: tuple[LatticeAxis, ...]
     low: FloatArray
     high: FloatArray
     sizes: NDArray[np.int64]
@@ -88,7 +91,7 @@ class BoxChoices:
             low, high, size, corners = (
                 np.ascontiguousarray(table[:, columns]) for table in (self.low, self.high, self.size, self.corners)
             )
-            found.append(BoxChoices(self.grid, self.lattice, low, high, self.sizes, size, corners))
+            found.append(replace(self, low=low, high=high, size=size, corners=corners, n_parts=1))
         return tuple(found)
 
     def points(self, policy: StepPolicy) -> NDArray[np.int64]:
@@ -104,8 +107,19 @@ class BoxChoices:
 
     def middles(self, choice: int) -> FloatArray:
         """Return the middles (S, d) of one choice's boxes in grid coordinates, infinite off the lattice."""
-        middle = 0.5 * (self.low[:, choice] + self.high[:, choice])
-        return np.where(middle > 0, self._origin + self._pitch * middle, np.inf)
+        middle, d = 0.5 * (self.low[:, choice] + self.high[:, choice]), len(self.grid.shape)
+        result = np.full((len(middle), d), np.inf)
+        inside = middle[:, 0] > 0
+        for place, (axis, points) in enumerate(zip(self.axes, self.lattice, strict=True)):
+            if axis.kind == "mean":
+                step = (points[-1] - points[0]) / (len(points) - 1)
+                result[inside, axis.state] = points[0] + step * middle[inside, place]
+            elif axis.kind == "cell":
+                # Number 1 is the first cell, whose centre is half a cell beyond the first edge.
+                edges = self.grid.edges[axis.state]
+                numbers = middle[inside, place] - 0.5
+                result[inside, axis.state] = np.interp(numbers, np.arange(len(edges)), edges)
+        return result
 
     def read(self, table: FloatArray, policy: StepPolicy) -> FloatArray:
         """Return the least values (n, S), over the boxes of a policy, of the interpolants of numbers (n, Z).
@@ -172,12 +186,11 @@ class BoxChoices:
         return [np.flatnonzero(flat == number) for number in range(len(self.sizes))]
 
     @cached_property
-    def _origin(self) -> FloatArray:
-        return np.array([axis[0] for axis in self.lattice])
-
-    @cached_property
     def _pitch(self) -> FloatArray:
-        return steps_of(self.lattice)
+        """Widths (d,) by which distances are measured: steps of the lattice, or cells of states without noise."""
+        steps, widths = steps_of(self.lattice), [np.mean(np.diff(edges)) for edges in self.grid.edges]
+        means = {axis.state: step for axis, step in zip(self.axes, steps.tolist(), strict=True) if axis.kind == "mean"}
+        return np.array([means.get(k, width) for k, width in enumerate(widths)])
 
     @cached_property
     def resting_choice(self) -> StepPolicy:
@@ -197,8 +210,10 @@ def steps_of(lattice: tuple[FloatArray, ...]) -> FloatArray:
     return np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in lattice])
 
 
-def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -> BoxChoices:
-    """Return the choices of an agent on a lattice.
+def box_choices(
+    grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing, axes: tuple[LatticeAxis, ...] | None = None
+) -> BoxChoices:
+    """Return the choices of an agent on a lattice, whose axes are those of the means by default.
 
     Raises
     ------
@@ -206,6 +221,7 @@ def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -
         If no choice is admissible in any cell.
     """
     n_cells, n_choices, d = grid.n_cells, agent.n_choices, len(lattice)
+    axes = tuple(LatticeAxis("mean", k) for k in range(d)) if axes is None else axes
     low, high = (np.empty((n_cells, n_choices, d)) for _ in range(2))
     exponents = np.empty((n_cells, n_choices, d), dtype=np.int8)
     corners = np.empty((n_cells, n_choices, 2**d), dtype=np.int32)
@@ -213,7 +229,7 @@ def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -
     for first in range(0, n_cells, CELLS_AT_ONCE):
         block = slice(first, first + CELLS_AT_ONCE)
         boxes = agent.mean_boxes(grid.low[block], grid.high[block])
-        low[block], high[block] = positions(lattice, boxes)
+        low[block], high[block] = positions(grid, lattice, axes, boxes)
         # The largest power of two that is no wider than the rounded box; two such windows cover it.
         begin, end = (np.rint(np.maximum(side[block], 0)).astype(np.int64) for side in (low, high))
         power = np.frexp((end - begin + 1).astype(float))[1] - 1
@@ -233,17 +249,51 @@ def box_choices(grid: Grid, lattice: tuple[FloatArray, ...], agent: Enclosing) -
     if len(distinct) == n_refused:
         raise RelationRefused("no choice is admissible in a whole cell; ask for more `cells`")
     numbers = (size.reshape(n_cells, n_choices) - n_refused).astype(np.int16)
-    return BoxChoices(grid, lattice, low, high, 2 ** distinct[n_refused:].astype(np.int64), numbers, corners)
+    return BoxChoices(grid, lattice, axes, low, high, 2 ** distinct[n_refused:].astype(np.int64), numbers, corners)
 
 
-def positions(lattice: tuple[FloatArray, ...], boxes: MeanBoxes) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (.., d) of boxes in lattice steps; -1 for boxes that leave the lattice.
+def positions(
+    grid: Grid, lattice: tuple[FloatArray, ...], axes: Sequence[LatticeAxis], boxes: MeanBoxes
+) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (.., D) of boxes in lattice steps; -1 for boxes that leave the lattice.
 
     The outermost points count as outside, since second differences are not known there. What positions are off by in
     floating point is part of what kernels take off (``ROUNDING``).
     """
-    origin, steps = np.array([axis[0] for axis in lattice]), steps_of(lattice)
+    ends = []
+    for side in (0, 1):
+        columns = []
+        for axis, points in zip(axes, lattice, strict=True):
+            if axis.kind == "cell":
+                columns.append(cells_at((boxes.low, boxes.high)[side][..., axis.state], grid.edges[axis.state], side))
+                continue
+            if axis.kind == "scale":
+                assert boxes.scales is not None
+                with np.errstate(invalid="ignore", divide="ignore"):  # such choices are not admissible
+                    column = np.log(boxes.scales[side][..., axis.state])
+            else:
+                column = (boxes.low, boxes.high)[side][..., axis.state]
+            columns.append((column - points[0]) / ((points[-1] - points[0]) / (len(points) - 1)))
+        ends.append(np.stack(columns, axis=-1))
+    low, high = ends
     last = np.array([len(axis) - 1 for axis in lattice])
-    low, high = ((side - origin) / steps for side in (boxes.low, boxes.high))
     inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=-1)[..., None]
     return np.where(inside, low, -1.0), np.where(inside, high, -1.0)
+
+
+ROUNDED_EDGES = 1e-9
+"""Share of the narrowest cell within which a next state counts as on an edge: the check rounds in its own way."""
+
+
+def cells_at(means: FloatArray, edges: FloatArray, side: int) -> FloatArray:
+    """Return positions of ends of intervals of next states without noise, lower ones (0) or upper ones (1).
+
+    Cell s has number s + 1, what is in no cell 0 or the last number. A state on an edge is in the cell above it, on the
+    upper face of the workspace in the last one, as in labels. What is not a number is outside.
+    """
+    outward = (2 * side - 1) * ROUNDED_EDGES * np.min(np.diff(edges))
+    numbers = np.searchsorted(edges, means + outward, side="right")
+    # Faces of the workspace are told apart exactly: states that are capped come to lie on them.
+    inside = (edges[0] <= means) & (means <= edges[-1])
+    numbers = np.where(inside, np.clip(numbers, 1, len(edges) - 1), np.where(means > edges[-1], len(edges), 0))
+    return numbers.astype(float)

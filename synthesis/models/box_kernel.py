@@ -13,8 +13,11 @@ second differences of g itself, ``D_k = g(z + eta_k) - 2 g(z) + g(z - eta_k)``. 
 
 where c_4 = c_kk and c_ke are half the L1 norms of phi'''' and of phi'' phi'' (docs/theory/boxes.md, "The charge"). What
 is stored at a point takes off the largest D_k of all its neighbours. So the interpolant of the stored numbers is below
-g everywhere, and so is its least value over a box. Where an axis has another law than the normal one, what
-interpolation adds along each axis is bounded by the law alone (``Law.charge``), for factors of at most M.
+g everywhere, and so is its least value over a box. Where an axis has another law than the normal one, or its noise is
+larger in some places, what interpolation adds along each axis is bounded by the law alone (``Law.charge`` along the
+mean, ``Law.scale_charge`` along the logarithm of the scale), for factors of at most M.
+
+Along a state without noise nothing is interpolated: its points are cells (``lattice_axes``).
 """
 
 from __future__ import annotations
@@ -27,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Gaussian, Law
-from ..cells import FloatArray, Grid
+from ..cells import FloatArray, Grid, LatticeAxis
 from .bends import FOURTH, SQUARED
-from .kernel import Kernel, law_table
+from .kernel import AxisTable, Kernel, law_table
 
 ROUNDING = 3e-9
 """Share of the largest value that is taken off for rounding, per unit of ``1 + sum of pitches in deviations``: axes may
@@ -69,12 +72,19 @@ class BoxKernel(Kernel):
         See ``Kernel``.
     ratios : (d,) array
         Lattice steps in standard deviations of the noise (or what counts as such, see ``ratio_of``).
-    charge : float or None
-        What interpolation adds, for factors of at most 1, where it is bounded by laws; None where all are normal.
+    charge : array or None
+        What interpolation adds, for factors of at most 1, where it is bounded by laws: numbers that broadcast to the
+        lattice; None where all laws are normal.
+    points : tuple of int
+        Lattice points per axis; by default those of the tables.
+    bent : tuple of int
+        Axes of the lattice that are interpolated; all by default.
     """
 
     ratios: FloatArray = field(default_factory=lambda: np.zeros(0))
-    charge: float | None = None
+    charge: FloatArray | None = None
+    points: tuple[int, ...] = ()
+    bent: tuple[int, ...] | None = None
 
     def smooth(self, factors: NDArray) -> NDArray:
         """Return numbers (n, Z) whose multilinear interpolant is below g, up to the border of the lattice.
@@ -84,17 +94,19 @@ class BoxKernel(Kernel):
         values = super().smooth(factors)
         largest = factors.max(axis=1, initial=0.0)
         for row, most in zip(values, largest.tolist(), strict=True):
+            table = row.reshape(self.points or self.lattice_shape)
             if self.charge is None:
-                take_charge(row.reshape(self.lattice_shape), most * self.slack)
+                take_charge(table, most * self.slack, self.bent)
             else:
-                row -= most * self.slack
+                table -= most * self.charge
+                table -= most * self.slack
         return values
 
     @property
     def slack(self) -> float:
-        """What is taken off besides second differences, for factors of at most 1."""
+        """What is taken off everywhere, besides second differences or charges, for factors of at most 1."""
         if self.charge is not None:
-            return self.charge + rounding_of(self.ratios) + self.loss
+            return rounding_of(self.ratios) + self.loss
         return slack_of(self.ratios) + self.loss
 
 
@@ -111,17 +123,17 @@ def rounding_of(ratios: FloatArray) -> float:
     return ROUNDING * (1.0 + float(np.sum(ratios)))
 
 
-def take_charge(table: NDArray, slack: float) -> None:
-    """Take off second differences and slack from values (Z_1, .., Z_d) on a lattice, in place."""
-    d = table.ndim
+def take_charge(table: NDArray, slack: float, bent: tuple[int, ...] | None = None) -> None:
+    """Take off slack and second differences along some axes (all by default) from values (Z_1, ..), in place."""
+    along_axes = range(table.ndim) if bent is None else bent
     charge = np.full(table.shape, slack)
-    for k in range(d):
+    for k in along_axes:
         along = np.moveaxis(table, k, 0)
         second = np.zeros_like(along)
         np.maximum(along[2:] - 2.0 * along[1:-1] + along[:-2], 0.0, out=second[1:-1])
         second = np.moveaxis(second, 0, k)
         # Every point answers for all small boxes of which it is a corner: the largest of its neighbours counts.
-        for axis in range(d):
+        for axis in along_axes:
             second = largest_of_neighbours(second, axis)
         charge += 0.125 * second
     table -= charge
@@ -140,17 +152,22 @@ def points_per_cell(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
     d = len(grid.shape)
     widths = np.array([(axis[-1] - axis[0]) / n for axis, n in zip(grid.edges, grid.shape, strict=True)])
+    still = [law.std == 0.0 for law in laws]
     fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
     # Cells may be very wide: the smaller number is taken before it is rounded to a whole one.
     normal = all(isinstance(law, Gaussian) for law in laws)
+    per_deviation = POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION)
     pitches = np.array(
-        [law.std / POINTS_PER_DEVIATION.get(d, FEWER_PER_DEVIATION) if normal else law.pitch(CHARGE) for law in laws]
+        [
+            width if none else law.std / per_deviation if normal else law.pitch(CHARGE)
+            for law, none, width in zip(laws, still, widths.tolist(), strict=True)
+        ]
     )
     needed = np.minimum(widths / pitches, most)
-    wanted = [max(fewest, math.ceil(count)) for count in needed.tolist()]
+    wanted = [1 if none else max(fewest, math.ceil(n)) for n, none in zip(needed.tolist(), still, strict=True)]
     size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))
-    share = min(1.0, (MOST_POINTS / size) ** (1.0 / d))
-    return tuple(max(2, math.floor(count * share)) for count in wanted)
+    share = min(1.0, (MOST_POINTS / size) ** (1.0 / max(1, d - sum(still))))
+    return tuple(1 if none else max(2, math.floor(n * share)) for n, none in zip(wanted, still, strict=True))
 
 
 def box_lattice(
@@ -171,18 +188,80 @@ def box_lattice(
     return tuple(axes)
 
 
-def box_kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law]) -> BoxKernel:
-    """Return the kernel on a lattice."""
-    tables, loss, ratios, charge = [], 0.0, [], 0.0
-    for axis, edges, law in zip(lattice, grid.edges, laws, strict=True):
-        table, missing = law_table(axis, edges, law)
+def box_kernel(
+    grid: Grid,
+    lattice: tuple[FloatArray, ...],
+    laws: Sequence[Law],
+    axes: Sequence[LatticeAxis] | None = None,
+) -> BoxKernel:
+    """Return the kernel on a lattice, whose axes are those of the means by default."""
+    axes = [LatticeAxis("mean", k) for k in range(len(laws))] if axes is None else axes
+    points = dict(zip(axes, lattice, strict=True))
+    tables, loss, ratios, charges = [], 0.0, [], list[FloatArray]()
+    for k, (edges, law) in enumerate(zip(grid.edges, laws, strict=True)):
+        if LatticeAxis("cell", k) in points:
+            tables.append(AxisTable.dense(_staying(grid.shape[k])))
+            continue
+        axis, levels = points[LatticeAxis("mean", k)], points.get(LatticeAxis("scale", k))
+        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
+        own = [law] if levels is None else [law.scaled(math.exp(level)) for level in levels.tolist()]
+        table, missing = _stacked([law_table(axis, edges, each) for each in own])
         tables.append(table)
         loss += missing
-        pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
-        ratios.append(ratio_of(law, pitch))
-        charge += law.charge(pitch * (1.0 + 1e-9))
-    normal = all(isinstance(law, Gaussian) for law in laws)
-    return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge)
+        ratios.append(max(ratio_of(each, pitch) for each in own))
+        along = axes.index(LatticeAxis("mean" if levels is None else "scale", k))
+        shape = [-1 if place == along else 1 for place in range(len(axes))]
+        costs = [each.charge(pitch * (1.0 + 1e-9)) for each in own]
+        if levels is not None:
+            step = float(levels[-1] - levels[0]) / (len(levels) - 1)
+            ratios.append(step)
+            # Between two levels the noise may be as small as at the lower one, so that both take off what that costs.
+            costs = [cost + law.scale_charge(step * (1.0 + 1e-9)) for cost in (costs[0], *costs[:-1])]
+        charges.append(np.array(costs).reshape(shape))
+    normal = all(isinstance(law, Gaussian) for law in laws) and not any(axis.kind == "scale" for axis in axes)
+    bent = tuple(place for place, axis in enumerate(axes) if axis.kind != "cell")
+    shape_of = tuple(len(axis) for axis in lattice)
+    charge = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
+    return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge, shape_of, bent)
+
+
+def _staying(n_cells: int) -> FloatArray:
+    """Return the masses of a state without noise: all in the cell of the mean, none where that is no cell."""
+    return np.vstack([np.zeros(n_cells), np.eye(n_cells), np.zeros(n_cells)])
+
+
+def _stacked(found: Sequence[tuple[AxisTable, float]]) -> tuple[AxisTable, float]:
+    """Return tables of the same means under several laws as one, law after law, and the largest loss."""
+    if len(found) == 1:
+        return found[0]
+    blocks, first = [], 0
+    for table, _ in found:
+        blocks += [(first + z0, first + z1, s0, s1, entries) for z0, z1, s0, s1, entries in table.blocks]
+        first += table.shape[0]
+    return AxisTable((first, found[0][0].shape[1]), tuple(blocks)), max(loss for _, loss in found)
+
+
+LEAST_LEVELS, LEAST_STEP = 3, 1e-3
+"""Fewest levels of a scale, and the step where the scale is the same everywhere."""
+
+LEVELS_OF_A_CELL = 12.0
+"""Levels within the scales of one cell beyond which more are not worth it: the least value over them costs more."""
+
+MOST_SCALED = 6_000_000
+"""Lattice points up to which scales get more levels."""
+
+
+def scale_levels(least: float, most: float, of_cell: float, law: Law, count: float) -> FloatArray:
+    """Return evenly spaced logarithms of scales between ``least`` and ``most``, with one and a half steps to spare.
+
+    As many as the law's charge asks for, ``count`` at most, and not many more in a cell, over which the logarithm of
+    the scale varies by ``of_cell``.
+    """
+    width = math.log(most) - math.log(least)
+    wanted = max(law.scale_step(CHARGE), of_cell / LEVELS_OF_A_CELL)
+    n = max(LEAST_LEVELS, math.ceil(min(width / wanted, count)))
+    step = max(width / n, LEAST_STEP)
+    return math.log(least) + step * (np.arange(n + 4) - 1.5)
 
 
 def ratio_of(law: Law, pitch: float) -> float:

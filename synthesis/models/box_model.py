@@ -12,10 +12,10 @@ import numpy as np
 from scipy.linalg import qr
 
 from ...envs.agents import Agent, AnyAgent, Box, LinearAgent
-from ..cells import FloatArray, Grid, RelationRefused, grid_laws, in_grid_coordinates
+from ..cells import FloatArray, Grid, RelationRefused, cell_points, grid_laws, in_grid_coordinates, lattice_axes
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
-from .box_kernel import BoxKernel, box_kernel, box_lattice, points_per_cell
+from .box_kernel import MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
 
 INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
 """Levels of each input, by the number of inputs; 3 beyond."""
@@ -35,6 +35,9 @@ MOST_CUTS = 64
 SAMPLED_CELLS = 500
 """Cells by which that is judged."""
 
+CELLS_AT_ONCE = 4096
+"""Cells whose scales are enclosed at once."""
+
 MOST_BOXES = 20_000_000
 """Most boxes of an agent, cells times choices: 1 GB in two dimensions."""
 
@@ -52,9 +55,13 @@ def box_model(
     """Return relation, lattice, kernel and choices under the relation ``boxes``: a given one, or that of defaults."""
     relation = relation_of(agent, grid, coordinates) if relation is None else relation
     menu, gains = relation.menu, relation.gains
-    laws = grid_laws(agent, coordinates)
-    deviations = np.array([law.std for law in laws])
-    points = points_per_cell(grid, laws) if per_cell is None else (per_cell,) * agent.n_states
+    laws, spread = grid_laws(agent, coordinates), scale_range(agent, relation, grid)
+    if spread is not None:  # the lattice of the means is made for the smallest noise
+        smallest = [law.scaled(least) for law, least in zip(laws, spread[0].tolist(), strict=True)]
+    else:
+        smallest = list(laws)
+    deviations = np.sqrt(np.diag(agent.noise_covariance)) if spread is not None else np.array([w.std for w in laws])
+    points = points_per_cell(grid, smallest) if per_cell is None else (per_cell,) * agent.n_states
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
     if isinstance(relation.means, WrittenMeans | CommonMeans) and relation.means.steer is not None:
@@ -69,11 +76,40 @@ def box_model(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
             f"{grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
         )
-    lattice = box_lattice(grid, deviations, points, low, high)
-    choices = box_choices(grid, lattice, relation)
+    means, axes = box_lattice(grid, deviations, points, low, high), lattice_axes(agent)
+    by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
+    if spread is not None:
+        n_scaled = sum(axis.kind == "scale" for axis in axes)
+        levels = (MOST_SCALED / math.prod(len(axis) for axis in means)) ** (1.0 / max(1, n_scaled))
+        least, most, usual = (numbers.tolist() for numbers in spread)
+        by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
+    lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
+    choices = box_choices(grid, lattice, relation, axes)
     if relation.common is not None:
         choices = replace(choices, n_parts=len(relation.common.numbers))
-    return relation, lattice, box_kernel(grid, lattice, laws), choices
+    return relation, lattice, box_kernel(grid, lattice, laws, axes), choices
+
+
+def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in most cells.
+
+    None if the noise is the same everywhere.
+    """
+    if agent.noise_scale is None:
+        return None
+    least, most = np.full(agent.n_states, np.inf), np.zeros(agent.n_states)
+    within = list[FloatArray]()
+    for first in range(0, grid.n_cells, CELLS_AT_ONCE):
+        block = slice(first, first + CELLS_AT_ONCE)
+        scales = relation.scales(grid.low[block], grid.high[block])
+        assert scales is not None
+        usable = np.all((scales[0] > 0.0) & np.isfinite(scales[1]), axis=2)
+        least = np.minimum(least, scales[0][usable].min(axis=0, initial=np.inf))
+        most = np.maximum(most, scales[1][usable].max(axis=0, initial=0.0))
+        within.append(np.log(scales[1][usable] / scales[0][usable]))
+    if not np.all(most > 0.0):
+        raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
+    return least, most, np.median(np.concatenate(within), axis=0)
 
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:

@@ -14,7 +14,16 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
-from ..cells import CellCounts, FloatArray, Grid, RelationRefused, agent_grid, cell_labels, cells_of_agent
+from ..cells import (
+    CellCounts,
+    FloatArray,
+    Grid,
+    RelationRefused,
+    agent_grid,
+    cell_labels,
+    cells_of_agent,
+    refuse_uneven_noise,
+)
 from ..relations import BoxRelation, NetworkPolicy, box_relation, network_linear_relation
 from .abstraction import Abstraction, AgentModel
 from .box_choices import BoxChoices
@@ -105,6 +114,7 @@ def network_abstraction(
                 f"agent `{agent.name}`: expected linear dynamics to certify a network as it is, got expressions; leave "
                 "out `raw` to certify it wrapped on cells"
             )
+        refuse_uneven_noise(agent, relation)
         asked = DEFAULT_CELLS.get(agent.n_states) if cells is None else cells
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, asked))
         labels = cell_labels(problem, i, grid, coordinates)

@@ -45,11 +45,15 @@ class MeanBoxes:
         Corners, in grid coordinates: the mean from every point of the closed cell lies between them.
     admissible : (n, A) bool array
         Whether the input of the choice is admissible at every point of the closed cell.
+    scales : pair of (n, A, d) arrays, or None
+        Ends of what the noise of each state is multiplied with, positive where a choice is admissible; None where the
+        noise is the same everywhere.
     """
 
     low: FloatArray
     high: FloatArray
     admissible: NDArray[np.bool_]
+    scales: tuple[FloatArray, FloatArray] | None = None
 
 
 class Enclosing(Protocol):
@@ -202,7 +206,19 @@ class BoxRelation:
         need = need + moves * (INPUT_MARGIN * (scale + need))
         inside = (self.input_low <= self.menu - need) & (self.menu + need <= self.input_high)
         known = np.all(np.isfinite(first) & np.isfinite(last), axis=2)
-        return MeanBoxes(first, last, np.all(inside, axis=2) & known)
+        scales = self.scales(low, high)
+        if scales is not None:
+            known &= np.all((scales[0] > 0.0) & np.isfinite(scales[1]), axis=2)
+        return MeanBoxes(first, last, np.all(inside, axis=2) & known, scales)
+
+    def scales(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return ends (n, A, d) of what noise is multiplied with in the closed cells ``[low, high]``, (n, d) each.
+
+        They are not numbers where nothing is known; None where the noise is the same everywhere.
+        """
+        if not isinstance(self.means, WrittenMeans | CommonMeans) or self.means.agent.noise_scale is None:
+            return None
+        return self.means.scales(low, high, self.menu)
 
     def inputs(self, choices: NDArray[np.intp], offsets: FloatArray) -> FloatArray:
         """Return the inputs ``u_a + K_a e`` (m, ...) of choices (...) at states e (d, ...) from centres of cells.

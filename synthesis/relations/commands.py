@@ -65,9 +65,12 @@ class Command:
 def commands_of(agent: Agent) -> tuple[Command, ...]:
     """Return the axes that inputs command, at most one for each input: that which the input moves farthest.
 
-    The distance is measured at the middle of the workspace, in shares of its width.
+    The distance is measured at the middle of the workspace, in shares of its width. There are none where inputs make
+    the noise larger: what steers applies many of them in one cell.
     """
     commands: list[Command] = []
+    if any(names_in(tree) & {*agent.inputs} for tree in agent.scale_trees):
+        return ()
     middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}
     middle |= {name: np.array([0.5 * low + 0.5 * high]) for name, (low, high) in agent.unknowns.items()}
     for j, name in enumerate(agent.inputs):

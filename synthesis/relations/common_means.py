@@ -101,6 +101,15 @@ class CommonMeans:
             u = np.where(number == k, piece.steered(np.where(number == k, own, 0), points, centres, u, others), u)
         return u
 
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ends (n, A, d) of what the noise is multiplied with, as ``WrittenMeans.scales`` does."""
+        return self.pieces[0].scales(low, high, menu)  # scales name nothing of others
+
+    @property
+    def agent(self) -> Agent:
+        """The agent, with the first row of numbers in the place of the names."""
+        return self.pieces[0].agent
+
     @property
     def parts(self) -> int:
         """Parts into which cells are cut along each axis."""

@@ -168,5 +168,8 @@ def missed_cells(sizes: Sizes | Reading, off: FloatArray, edges: Sequence[FloatA
     dependent = np.abs(covariance - np.diag(np.diag(covariance)))
     if not np.array_equal(spread, np.eye(len(spread))):
         dependent = dependent + 16.0 * sizes.unit * spread @ spread @ size @ spread.T @ spread.T
-    missed = float(np.sum(2.0 * off * (1.0 / narrow + DENSITY / sizes.deviations)))
-    return (missed + float(np.linalg.norm(dependent / size))) * (1 + 1e-9)
+    # A state without noise has no density: it has to be read without an error, and to depend on no other.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        missed = float(np.sum(np.where(off == 0.0, 0.0, 2.0 * off * (1.0 / narrow + DENSITY / sizes.deviations))))
+        lacking = np.where(dependent == 0.0, 0.0, dependent / size)
+    return (missed + float(np.linalg.norm(lacking))) * (1 + 1e-9)

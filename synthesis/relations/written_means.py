@@ -68,6 +68,21 @@ class WrittenMeans:
         first[:, self.steer], last[:, self.steer] = self._steered(low, high, menu[self.steer])
         return first, last
 
+    def scales(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ends (n, A, d) of what the noise is multiplied with in the closed cells, for every choice.
+
+        They are not numbers where nothing is known.
+        """
+        shape = (len(low), len(menu), self.agent.n_states)
+        first, last = np.full(shape, np.inf), np.full(shape, -np.inf)
+        for box in self._parts(low, high):
+            # Choices that steer apply other inputs than the menu's; there are none where the scale depends on inputs.
+            ends = enclosed(self.agent.scale_trees, self._names(menu), self._with_disturbances(box))
+            for k, (below, above) in enumerate(ends):
+                first[..., k] = np.minimum(first[..., k], below)
+                last[..., k] = np.maximum(last[..., k], above)
+        return first, last
+
     def _of_menu(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the corners for choices that apply one input in the whole cell."""
         shape = (len(low), len(menu), self.agent.n_states)

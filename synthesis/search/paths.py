@@ -209,12 +209,13 @@ def _reached(joint: JointModel, start: Occupancy) -> list[list[NDArray[np.bool_]
 def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the cells reached in one step by extreme and resting choices, and everything between them."""
     indicator = cells.astype(float)[None]
-    n_lattice = int(np.prod(model.kernel.lattice_shape))
+    shape = tuple(len(axis) for axis in model.lattice)
+    n_lattice = math.prod(shape)
     # The best choices for a constant stay where they are; those for a ramp go as far up, or down, an axis as they can.
     ramps = [np.ones(n_lattice)]
-    for axis, size in enumerate(model.kernel.lattice_shape):
-        ramp = np.linspace(1.0, 2.0, size).reshape([-1 if k == axis else 1 for k in range(len(model.lattice))])
-        ramp = np.broadcast_to(ramp, model.kernel.lattice_shape).ravel()
+    for axis, size in enumerate(shape):
+        ramp = np.linspace(1.0, 2.0, size).reshape([-1 if k == axis else 1 for k in range(len(shape))])
+        ramp = np.broadcast_to(ramp, shape).ravel()
         ramps += [ramp, 3.0 - ramp]
     reached = cells.copy()
     for ramp in ramps:

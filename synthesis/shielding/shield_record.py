@@ -226,6 +226,11 @@ def _check_certificate(certificate: Certificate) -> None:
                 f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "
                 "relies on what others apply, and nobody knows what a learner applies; synthesize with `common=False`"
             )
+        if not agent.has_plain_noise:
+            raise ValueError(
+                f"`certificate`: expected noise in every state that is the same everywhere, got another for agent "
+                f"`{agent.name}`; a shield does not compute what inputs are worth there"
+            )
         if relation.delta > 0.0:
             raise ValueError(
                 f"`certificate`: expected relations with delta = 0, got {relation.delta:.3g} for agent "
