@@ -17,7 +17,8 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
-        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws envs.agents.labeling "
+        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
+        "envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "

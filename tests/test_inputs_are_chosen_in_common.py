@@ -161,6 +161,13 @@ def test_rollouts_do_not_refute_the_bound(problem: cg.Problem) -> None:
         assert np.any(heat[:, 1:] != heat[:, :1])
 
 
+def test_rooms_may_have_noise_whose_scale_depends_on_their_state() -> None:
+    problem = boiler_problem(1, noise_scale=["1 + 0.1*(warmth - 19)"])
+    certificate = certified(problem, 16)
+    assert cg.check(certificate) and certificate.lower_bound > 0.5
+    assert cg.validate(certificate, 10_000, seed=2, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
+
+
 def test_the_example_holds_and_a_joint_agent_does_better() -> None:
     """A joint agent of both zones looks at both of them when it chooses the heat; five zones have no joint grid."""
     building = cg.load_problem(EXAMPLE).replace(horizon=4)
