@@ -26,7 +26,7 @@ from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
 from independent import successes
 from measuring import Rows, show
-from random_expressions import aimed_spec, written_spec
+from random_expressions import aimed_spec, uneven_spec, written_spec
 from random_problems import Spec, random_spec
 
 FALSE_ALARM = 1e-6
@@ -42,10 +42,9 @@ def agent_of(agent: Spec) -> cg.LinearAgent | cg.Agent:
 
 
 def drawn(seed: int, relation: str | None) -> Spec:
-    """A random problem; those of the relations `written` and `aimed` have agents with expressions."""
-    if relation == "aimed":
-        return aimed_spec(seed)
-    return written_spec(seed) if relation == "written" else random_spec(seed, relation)
+    """A random problem; those of the relations `written`, `aimed` and `uneven` have agents with expressions."""
+    kinds = {"aimed": aimed_spec, "written": written_spec, "uneven": uneven_spec}
+    return kinds[relation](seed) if relation in kinds else random_spec(seed, relation)
 
 
 def problem_of(spec: Spec) -> cg.Problem:
@@ -237,7 +236,9 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
-    parser.add_argument("--relation", help="one relation for all, such as linear; `written` and `aimed`: expressions")
+    parser.add_argument(
+        "--relation", help="one relation for all, such as linear; `written`, `aimed`, `uneven`: expressions"
+    )
     parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
     given = parser.parse_args()
     if given.part == "files":

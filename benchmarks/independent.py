@@ -217,8 +217,11 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
     winds = np.random.default_rng([seed, 2])
     factors, states = [], []
     for agent in agents:
-        values, vectors = np.linalg.eigh(np.array(agent["noise_covariance"], dtype=float))
-        factors.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+        if "laws" in agent:
+            factors.append(np.eye(len(agent["laws"])))
+        else:
+            values, vectors = np.linalg.eigh(np.array(agent["noise_covariance"], dtype=float))
+            factors.append(vectors * np.sqrt(np.maximum(values, 0.0)))
         low = np.array(agent.get("initial_state") or agent["initial_low"], dtype=float)[:, None]
         high = np.array(agent.get("initial_state") or agent["initial_high"], dtype=float)[:, None]
         states.append(low + (high - low) * rng.random((len(low), episodes)))
@@ -246,10 +249,14 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
             if running.any():
                 width = np.maximum(high - low, 1e-300)
                 beyond = max(beyond, float(np.max((np.maximum(low - u, u - high) / width)[:, running])))
-            noise = factors[i] @ rng.standard_normal(x.shape)
             if "tuples" in agent:
-                states[i] = _bent(agent, x, np.clip(u, low, high), winds) + noise
+                applied = np.clip(u, low, high)
+                noise = (
+                    _uneven(agent, x, applied, rng) if "laws" in agent else factors[i] @ rng.standard_normal(x.shape)
+                )
+                states[i] = _bent(agent, x, applied, winds) + noise
                 continue
+            noise = factors[i] @ rng.standard_normal(x.shape)
             offset = np.array(agent.get("offset") or np.zeros(len(x)), dtype=float)[:, None]
             states[i] = np.array(agent["A"]) @ x + np.array(agent["B"]) @ u + offset + noise
     return _count(spec, names, words, left), beyond
@@ -263,6 +270,22 @@ def _bent(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Ge
     with np.errstate(all="ignore"):
         rows = [value_of(expression, values) for expression in agent["tuples"]]
     return np.stack([np.broadcast_to(row, x.shape[1:]) for row in rows])
+
+
+def _uneven(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Noise (d, M) of laws of its own, times scales of state and input."""
+    values = {f"x{k}": row for k, row in enumerate(x)} | {f"u{j}": row for j, row in enumerate(u)}
+    rows = []
+    for law, scale in zip(agent["laws"], agent["scales"]):
+        drawn = {
+            "gaussian": lambda n, law=law: law["std"] * rng.standard_normal(n),
+            "laplace": lambda n, law=law: rng.laplace(0.0, law["scale"], n),
+            "logistic": lambda n, law=law: rng.logistic(0.0, law["scale"], n),
+            "uniform": lambda n, law=law: rng.uniform(law["low"], law["high"], n),
+        }[law["law"]](x.shape[1])
+        with np.errstate(all="ignore"):
+            rows.append(np.broadcast_to(value_of(scale, values), drawn.shape) * drawn)
+    return np.stack(rows)
 
 
 def _count(spec: dict[str, Any], names: list[str], words: np.ndarray, left: np.ndarray) -> int:

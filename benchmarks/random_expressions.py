@@ -38,6 +38,66 @@ def aimed_spec(seed: int) -> Spec:
     return spec
 
 
+def uneven_spec(seed: int) -> Spec:
+    """A random problem of agents with expressions whose noise has scales, or that have states without noise.
+
+    Further keys are ``scales`` (nested tuples) and ``law``, a pair of names of laws and their numbers.
+    """
+    spec = random_spec(seed, "boxes")
+    rng = np.random.default_rng([20261124, seed])
+    for agent in spec["agents"]:
+        agent.pop("output_matrix", None)
+        _write(rng, agent)
+        _make_uneven(rng, agent)
+    sizes = {agent["name"]: len(agent["state_low"]) for agent in spec["agents"]}
+    if any(len(region["low"]) != sizes[region["agent"]] for region in spec["propositions"].values()):
+        return uneven_spec(seed + 1_000_003)
+    spec["options"] = {"cells": spec["options"]["cells"], "relation": "boxes"}
+    return spec
+
+
+def _make_uneven(rng: np.random.Generator, agent: Spec) -> None:
+    """Give noise of an agent scales of state and input, and take it away from some states."""
+    d = len(agent["state_low"])
+    low, high = np.array(agent["state_low"]), np.array(agent["state_high"])
+    scaled: list[Expression] = [
+        ("/", ("-", f"x{k}", float(c)), float(h))
+        for k, (c, h) in enumerate(zip(0.5 * (high + low), 0.5 * (high - low)))
+    ]
+    push = np.maximum(np.abs(agent["input_low"]), np.abs(agent["input_high"]))
+    deviations = np.sqrt(np.diag(agent.pop("noise_covariance")))
+    still = rng.random(d) < 0.3
+    if still.all() and d > 1:
+        still[int(rng.integers(d))] = False
+    scales: list[Expression] = []
+    for k in range(d):
+        kind = int(rng.integers(4))
+        a = scaled[int(rng.integers(d))]
+        forms: list[Expression] = [
+            ("+", 0.6, ("*", 0.4, ("abs", a))),
+            ("exp", ("*", 0.3, a)),
+            ("+", 1.0, ("*", 0.3 / float(push[0]), ("abs", "u0"))),
+            ("max", 0.7, a),
+        ]
+        scales.append(1.0 if still[k] else forms[kind])
+    names = [
+        "gaussian" if rng.random() < 0.5 else str(rng.choice(["laplace", "uniform", "logistic"])) for _ in range(d)
+    ]
+    laws = []
+    for name, deviation, none in zip(names, deviations.tolist(), still):
+        size = 0.0 if none else deviation
+        if none or name == "gaussian":
+            laws.append({"law": "gaussian", "std": size})
+        elif name == "uniform":
+            laws.append({"law": name, "low": -(3.0**0.5) * size, "high": 3.0**0.5 * size})
+        else:
+            laws.append({"law": name, "scale": size / (2.0**0.5 if name == "laplace" else np.pi / 3.0**0.5)})
+    agent["scales"], agent["laws"] = scales, laws
+    written = agent["written"]
+    del written["noise_covariance"]
+    written |= {"noise": laws, "noise_scale": [text_of(scale) if scale != 1.0 else "1" for scale in scales]}
+
+
 def _write_aimed(rng: np.random.Generator, agent: Spec) -> None:
     """Means ``a(x) + B(x) v``: inputs v one by one or tied, in the plane sometimes as size and angle."""
     d, m = len(agent["A"]), len(agent["B"][0])

@@ -173,7 +173,7 @@ AGENTS_THAT_NO_RELATION_TAKES = [
     ({"A": [[1.5, 0.5], [0.0, 1.2]], "input_low": [-0.01], "input_high": [0.01]}, "tube", "ask for more `cells`"),
     ({}, "exact", "as many independent inputs as states"),
     ({}, "paper", "take `exact` or `tube`"),
-    ({"noise_covariance": np.zeros((2, 2))}, "auto", "give every state some noise"),
+    ({"noise_covariance": np.full((2, 2), 0.01)}, "auto", "give every state some noise"),
 ]
 
 

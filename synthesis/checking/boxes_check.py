@@ -169,7 +169,7 @@ def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
 
 
 def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
-    """What interpolation adds, as far as laws bound it: numbers that broadcast to the lattice.
+    """What interpolation adds, as far as laws bound it, at most 1 along each axis: an array that broadcasts.
 
     None where all laws are normal and the noise is the same everywhere, so that second differences say more.
     """
@@ -180,11 +180,11 @@ def _slack_of_laws(agent: AnyAgent, part: AgentPart) -> FloatArray | None:
     for place, (axis, points) in enumerate(zip(axes, part.lattice, strict=True)):
         law = agent.laws[axis.state]
         if axis.kind == "scale":
-            total = total + scale_charge(law, _step(points))
+            total = total + min(1.0, scale_charge(law, _step(points)))
         elif axis.kind == "mean":
             # A scale s divides the density by s, and its argument: jumps count 1 / s, bends 1 / s^2.
             scales = _smallest(agent, part, axis.state)
-            costs = np.array([law_charge(law, _step(points) / scale) for scale in scales])
+            costs = np.array([min(1.0, law_charge(law, _step(points) / scale)) for scale in scales])
             total = total + (
                 costs.reshape([-1 if p == place - 1 else 1 for p in range(len(axes))]) if len(costs) > 1 else costs[0]
             )
@@ -204,7 +204,8 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
             steps.append(_step(points))
         elif axis.kind == "mean":
             small = float(_smallest(agent, part, axis.state).min())
-            steps.append(_step(points) / small * max(1.0 / law.std, 2.6 * law.height))
+            sharp = 1.0 / law.std if law.name == "gaussian" else max(1.0 / law.std, 2.6 * law.height)
+            steps.append(_step(points) / small * sharp)
     return np.array(steps)
 
 

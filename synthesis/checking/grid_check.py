@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, Box
-from ..cells import FloatArray, lattice_axes
-from ..certificates import AgentPart, Certificate, grid_noise
+from ...envs.agents import Box
+from ..cells import FloatArray
+from ..certificates import Certificate, grid_noise
+from .relation_check import wrong_for_uneven_noise
 
 CORRELATION = 1e-11
 """Largest correlation between the noises of two grid axes that counts as rounding."""
@@ -51,25 +52,13 @@ def wrong_grids(certificate: Certificate) -> list[str]:
         variances = np.diag(noise)
         off = np.abs(noise - np.diag(variances))
         if not agent.has_plain_noise:
-            failures += _wrong_for_uneven_noise(agent, part)
+            failures += wrong_for_uneven_noise(agent, part)
             variances = np.where(agent.still_axes, 1.0, variances)
         if np.any(variances <= 0) or np.any(off > CORRELATION * np.sqrt(np.outer(variances, variances))):
             failures.append(f"the noise of agent `{agent.name}` is not independent along its grid axes")
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
-
-
-def _wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
-    """What is wrong with the grid of an agent whose noise has scales, or that has states without noise."""
-    if part.relation["kind"] != "boxes":
-        return [f"the relation of agent `{agent.name}` is not for noise that is larger in places, or nowhere at all"]
-    if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
-        return [f"the grid axes of agent `{agent.name}` are not its states"]
-    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
-        if axis.kind == "cell" and not np.array_equal(points, np.arange(-1.0, part.grid.shape[axis.state] + 1.0)):
-            return [f"the lattice of agent `{agent.name}` does not number the cells of a state without noise"]
-    return []
 
 
 def _is_inverted(coordinates: FloatArray, covariance: FloatArray) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from ...envs.agents import AnyAgent, LinearAgent
-from ..cells import FloatArray
+from ..cells import FloatArray, lattice_axes
 from ..certificates import AgentPart
 from ..relations import (
     BoxRelation,
@@ -74,6 +74,18 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     if isinstance(relation, LinearRelation):
         return _verify_affine(agent, part, relation, execution)
     return _verify_coupled(agent, part, relation, execution)
+
+
+def wrong_for_uneven_noise(agent: AnyAgent, part: AgentPart) -> list[str]:
+    """What is wrong with the grid of an agent whose noise has scales, or that has states without noise."""
+    if part.relation["kind"] != "boxes":
+        return [f"the relation of agent `{agent.name}` is not for noise that is larger in places, or nowhere at all"]
+    if not np.array_equal(part.coordinates, np.eye(agent.n_states)):
+        return [f"the grid axes of agent `{agent.name}` are not its states"]
+    for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
+        if axis.kind == "cell" and not np.array_equal(points, np.arange(-1.0, part.grid.shape[axis.state] + 1.0)):
+            return [f"the lattice of agent `{agent.name}` does not number the cells of a state without noise"]
+    return []
 
 
 def label_margin(part: AgentPart, relation: Relation, execution: Execution) -> FloatArray | None:

@@ -148,9 +148,12 @@ def largest_of_neighbours(table: NDArray, axis: int) -> NDArray:
     return np.moveaxis(result, 0, axis)
 
 
-def points_per_cell(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
-    """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows."""
-    d = len(grid.shape)
+def points_per_cell(grid: Grid, laws: Sequence[Law], n_axes: int | None = None) -> tuple[int, ...]:
+    """Return lattice points per cell and axis: fine against the noise and against cells, as long as memory allows.
+
+    ``n_axes`` is the number of axes of the lattice, if it has more than the grid: boxes then hold more points.
+    """
+    d = len(grid.shape) if n_axes is None else n_axes
     widths = np.array([(axis[-1] - axis[0]) / n for axis, n in zip(grid.edges, grid.shape, strict=True)])
     still = [law.std == 0.0 for law in laws]
     fewest, most = POINTS_PER_CELL.get(d, 2), MOST_PER_CELL.get(d, 4)
@@ -166,7 +169,7 @@ def points_per_cell(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     needed = np.minimum(widths / pitches, most)
     wanted = [1 if none else max(fewest, math.ceil(n)) for n, none in zip(needed.tolist(), still, strict=True)]
     size = math.prod(n * count for n, count in zip(grid.shape, wanted, strict=True))
-    share = min(1.0, (MOST_POINTS / size) ** (1.0 / max(1, d - sum(still))))
+    share = min(1.0, (MOST_POINTS / size) ** (1.0 / max(1, len(grid.shape) - sum(still))))
     return tuple(1 if none else max(2, math.floor(n * share)) for n, none in zip(wanted, still, strict=True))
 
 
@@ -244,11 +247,11 @@ def _stacked(found: Sequence[tuple[AxisTable, float]]) -> tuple[AxisTable, float
 LEAST_LEVELS, LEAST_STEP = 3, 1e-3
 """Fewest levels of a scale, and the step where the scale is the same everywhere."""
 
-LEVELS_OF_A_CELL = 12.0
+LEVELS_OF_A_CELL = 6.0
 """Levels within the scales of one cell beyond which more are not worth it: the least value over them costs more."""
 
-MOST_SCALED = 6_000_000
-"""Lattice points up to which scales get more levels."""
+MOST_SCALED, MOST_LEVELS = 3_000_000, 128
+"""Lattice points, and combinations of scales, up to which scales get more levels."""
 
 
 def scale_levels(least: float, most: float, of_cell: float, law: Law, count: float) -> FloatArray:

@@ -15,7 +15,7 @@ from ...envs.agents import Agent, AnyAgent, Box, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, cell_points, grid_laws, in_grid_coordinates, lattice_axes
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
-from .box_kernel import MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
+from .box_kernel import MOST_LEVELS, MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
 
 INPUT_LEVELS = {1: 17, 2: 7, 3: 4}
 """Levels of each input, by the number of inputs; 3 beyond."""
@@ -61,7 +61,8 @@ def box_model(
     else:
         smallest = list(laws)
     deviations = np.sqrt(np.diag(agent.noise_covariance)) if spread is not None else np.array([w.std for w in laws])
-    points = points_per_cell(grid, smallest) if per_cell is None else (per_cell,) * agent.n_states
+    axes = lattice_axes(agent)
+    points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
     if isinstance(relation.means, WrittenMeans | CommonMeans) and relation.means.steer is not None:
@@ -76,11 +77,11 @@ def box_model(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
             f"{grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
         )
-    means, axes = box_lattice(grid, deviations, points, low, high), lattice_axes(agent)
+    means = box_lattice(grid, deviations, points, low, high)
     by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
     if spread is not None:
         n_scaled = sum(axis.kind == "scale" for axis in axes)
-        levels = (MOST_SCALED / math.prod(len(axis) for axis in means)) ** (1.0 / max(1, n_scaled))
+        levels = min(MOST_LEVELS, MOST_SCALED / math.prod(map(len, means))) ** (1.0 / max(1, n_scaled))
         least, most, usual = (numbers.tolist() for numbers in spread)
         by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
     lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
@@ -91,7 +92,7 @@ def box_model(
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in most cells.
+    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in a cell on average.
 
     None if the noise is the same everywhere.
     """
@@ -109,7 +110,7 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
         within.append(np.log(scales[1][usable] / scales[0][usable]))
     if not np.all(most > 0.0):
         raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
-    return least, most, np.median(np.concatenate(within), axis=0)
+    return least, most, np.mean(np.concatenate(within), axis=0)
 
 
 def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRelation:
