@@ -17,7 +17,8 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.ri
 TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
-        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.laws envs.agents.labeling "
+        "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
+        "envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
         "envs.agents.products envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
@@ -46,15 +47,16 @@ TRUSTED = {
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
-        "synthesis.relations.input_forms synthesis.relations.solved_means synthesis.relations.sectors "
+        "synthesis.relations.common_means synthesis.relations.sectors "
+        "synthesis.relations.input_forms synthesis.relations.solved_means "
         "synthesis.relations.exact synthesis.relations.linear synthesis.relations.networks synthesis.relations.rows "
         "synthesis.relations.written_means"
     ),
     "The check": (
         "synthesis.certificates.checked_kernel synthesis.certificates.checked_laws "
         "synthesis.checking.certificate_check "
-        "synthesis.checking.carrying_out synthesis.checking.execution "
-        "synthesis.checking.forward_mass synthesis.checking.geometry "
+        "synthesis.checking.carrying_out synthesis.checking.common_check synthesis.checking.execution "
+        "synthesis.checking.forward_mass synthesis.checking.geometry synthesis.checking.grid_check "
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "

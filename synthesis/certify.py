@@ -306,6 +306,10 @@ def _wrapped(
     problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
 ) -> _Wrapped:
     """Put a policy on the cells of finite models."""
+    if settings.get("common"):
+        raise ValueError(
+            "`common`: expected none for given policies, whose inputs depend on states, got True; leave it out"
+        )
     raw = decentralised(problem, policy)
     abstraction = abstract(problem, cells, relation=relation, **settings)
     return _Wrapped(abstraction, join(problem, abstraction), wrap(problem, abstraction, raw))

@@ -18,6 +18,7 @@ from .choosing import (
     Budget,
     refine,
 )
+from .in_common import either_way, names_inputs
 from .models import (
     Relations,
     Settings,
@@ -180,6 +181,8 @@ def _on_grids(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
 ) -> Synthesis:
     """Synthesize one task on grids."""
+    if plan.settings.common is None and start is None and names_inputs(problem):
+        return either_way(plan, lambda chosen: _on_grids(problem, cells, relation, chosen, None))
     kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
     if plan.budget is not None:
         _refuse_start(start, "a budget")
@@ -213,6 +216,8 @@ def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan
     start_kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
     if cells is None and len(start_kinds) == problem.n_agents:
         cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
+    if plan.settings.common is None and any("common" in part.relation for part in start.agents):
+        plan = replace(plan, settings=replace(plan.settings, common=True))
     if len(start_kinds) == len(kinds) and "auto" in kinds:
         kinds = [from_start if kind == "auto" else kind for kind, from_start in zip(kinds, start_kinds, strict=True)]
         plan = replace(plan, settings=plan.settings.of_kinds(kinds))

@@ -14,7 +14,7 @@ import pytest
 import certigym as cg
 from certigym.synthesis.cells import Grid
 from certigym.synthesis.certificates.certificate import Certificate
-from certigym.synthesis.checking.certificate_check import _is_inverted
+from certigym.synthesis.checking.grid_check import _is_inverted
 from certigym.synthesis.values.terms import Terms
 from problems import scalar_agent, two_agents
 

@@ -219,7 +219,8 @@ def test_the_noise_has_the_stated_moments(id: str) -> None:
         u = agent.input_box.center
         if isinstance(agent, cg.Agent):
             places = [place_of(name, problem.agents) for name in agent.others]
-            beside = before[:, [ends[i] + k for i, k in places]].T
+            assert not any(place.is_input for place in places)
+            beside = before[:, [ends[place.agent] + place.component for place in places]].T
             mean = agent.mean(before[:, part].T, np.tile(u[:, None], n), None, beside).T
         else:
             mean = before[:, part] @ linear(agent).A.T + linear(agent).B @ u + linear(agent).offset

@@ -20,8 +20,9 @@ from certigym.synthesis.models.choices import InputMenu
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.relations.coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from certigym.synthesis.relations.scalar import paper_relation
-from certigym.synthesis.search.ascent import forward, resting_policies, start_value, sweep
+from certigym.synthesis.search.ascent import resting_policies, start_value, sweep
 from certigym.synthesis.search.limits import Limits
+from certigym.synthesis.search.occupancy import forward
 from certigym.validation.paper.heuristics import paper_policies, paper_steps
 from certigym.validation.statistics.binomial import CONFIRMED, REFUTED, clopper_pearson
 from problems import scalar_agent, two_agents

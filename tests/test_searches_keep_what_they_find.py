@@ -20,7 +20,8 @@ from certigym.synthesis.models.joint import JointModel, join, start_of
 from certigym.synthesis.search.ascent import sweep
 from certigym.synthesis.search.best_response import TIE
 from certigym.synthesis.search.limits import Limits
-from certigym.synthesis.search.policy_search import FINAL, find_policies, perturbed
+from certigym.synthesis.search.paths import perturbed
+from certigym.synthesis.search.policy_search import FINAL, find_policies
 from certigym.synthesis.search.relaxation import relax
 from certigym.synthesis.search.search_settings import Search
 from certigym.synthesis.values.devices import UNIT

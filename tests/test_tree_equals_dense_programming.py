@@ -16,8 +16,9 @@ from certigym.synthesis.models.abstraction import AgentModel, abstract
 from certigym.synthesis.models.choices import TargetWindows
 from certigym.synthesis.models.guards import compile_guards
 from certigym.synthesis.models.joint import cell_masks, join, start_of
-from certigym.synthesis.search.ascent import forward, resting_policies, sweep
+from certigym.synthesis.search.ascent import resting_policies, sweep
 from certigym.synthesis.search.limits import Limits
+from certigym.synthesis.search.occupancy import forward
 from certigym.synthesis.search.tree import assemble, candidates, gather, terminal_terms
 from certigym.synthesis.values.terms import Terms
 from problems import exact_model, fractions, scalar_agent

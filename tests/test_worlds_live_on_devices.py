@@ -98,12 +98,31 @@ def written_agent(rng: np.random.Generator, name: str, disturbed: bool) -> cg.Ag
     )
 
 
+def moved_by_another() -> cg.Agent:
+    """An agent that is moved by a state and by the input of the written agent."""
+    return cg.Agent(
+        name="fourth",
+        states=["x"],
+        inputs=["v"],
+        dynamics=["0.9*x + 0.2*second.u*second.x - 0.1*second.u + v"],
+        noise=[LAWS[0]],
+        state_low=[-2.0],
+        state_high=[2.0],
+        input_low=[-0.5],
+        input_high=[0.3],
+        initial_low=[-0.5],
+        initial_high=[0.5],
+    )
+
+
 def random_problem(seed: int) -> cg.Problem:
     """Linear and written agents of any sizes, any laws of noise, regions of single agents and of a pair."""
     rng = np.random.default_rng(seed)
     agents: list[Any] = [linear_agent(rng, "first"), written_agent(rng, "second", seed % 2 == 0)]
     if rng.random() < 0.5:
         agents.append(agents[0].replace(name="third"))
+    if seed % 2:
+        agents.append(moved_by_another())
     propositions: dict[str, Any] = {}
     for name, agent in zip("ab", agents):
         propositions[name] = cg.Proposition(

@@ -16,7 +16,7 @@ from .checks import (
 from .expression_agent import Agent
 from .labeling import Labeling, Proposition, contains, inside
 from .laws import Gaussian, Law, Uniform
-from .neighbours import neighbour, place_of, states_of_others, tied
+from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
@@ -33,6 +33,7 @@ __all__ = [
     "MOST_AGENTS",
     "Pair",
     "PairRegion",
+    "Place",
     "Proposition",
     "REFUSAL",
     "Uniform",

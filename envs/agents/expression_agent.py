@@ -4,7 +4,7 @@ Model (docs/theory/boxes.md, "Boxes of expressions"), with noise w independent o
 
     x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
 
-`f` may also name states of other agents, such as `leader.position` (see ``neighbours``).
+`f` may also name states and inputs of other agents, such as `leader.position` and `boiler.heat` (see ``neighbours``).
 
 `f` and `g` are functions of real numbers; simulations compute them in double precision.
 """
@@ -20,17 +20,15 @@ from typing import Any
 import numpy as np
 
 from ..arrays import is_host, namespace
-from ..expressions import Affine, Name, Tree, checked_variable, computed, enclosed, read_expression, substituted
+from ..expressions import Affine, Name, Tree, computed, enclosed, read_expression, substituted
 from .any_agent import AnyAgent, shared_fields, summary_rows
-from .checks import float_array, read_only, shown
+from .checks import read_only, shown
 from .composed_laws import ScipyLaw
+from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
 from .laws import Law
-from .neighbours import neighbour, states_of_others
+from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
 from .printing import counted, names_text, shortened, tree_text
-
-MOST_STATES = 30
-"""Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
 
 MOST_SHOWN = 4
 """Dynamics that are written out when an agent prints itself."""
@@ -60,8 +58,8 @@ class Agent(AnyAgent):
     states, inputs : sequence of str
         Names of the d states and m inputs, at least one of each.
     dynamics : sequence of str
-        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states of other
-        agents of the problem (`leader.position`).
+        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states and inputs
+        of other agents of the problem (`leader.position`, `boiler.heat`).
     parameters : mapping from str to float, optional
         Numbers by name.
     disturbances : mapping from str to (low, high), optional
@@ -84,7 +82,8 @@ class Agent(AnyAgent):
         Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
     communicated : sequence of str, optional
         Names of the other agents whose states the agent is told at every step. Controllers then cancel what these do
-        where an input reaches it. Of all others certificates assume anything in their workspaces.
+        where an input reaches it. Of all others certificates assume anything in their workspaces, and of
+        inputs anything in their boxes, unless these are chosen in common.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
 
@@ -124,6 +123,7 @@ class Agent(AnyAgent):
     output_expressions: tuple[str, ...]
     communicated: tuple[str, ...]
     neighbour_ranges: tuple[tuple[float, float], ...] | None
+    neighbour_inputs: tuple[bool, ...]
 
     # Twenty keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
@@ -150,19 +150,20 @@ class Agent(AnyAgent):
         outputs: Any = None,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
-        state_names, input_names = _names(states, "states"), _names(inputs, "inputs")
+        state_names, input_names = checked_names(states, "states"), checked_names(inputs, "inputs")
         d, m = len(state_names), len(input_names)
         values = {
             **shared_fields(d, m, given),
             "states": state_names,
             "inputs": input_names,
-            "dynamics": _texts(dynamics, "dynamics", d),
-            "parameters": MappingProxyType(_numbers(parameters)),
-            "disturbances": MappingProxyType(_ranges(disturbances)),
-            "communicated": () if not communicated else _texts(communicated, "communicated", None),
+            "dynamics": checked_texts(dynamics, "dynamics", d),
+            "parameters": MappingProxyType(checked_numbers(parameters)),
+            "disturbances": MappingProxyType(checked_ranges(disturbances)),
+            "communicated": () if not communicated else checked_texts(communicated, "communicated", None),
             "neighbour_ranges": None,
-            "output_expressions": state_names if outputs is None else _texts(outputs, "outputs", None),
-            "noise_scale": None if noise_scale is None else _texts(noise_scale, "noise_scale", d),
+            "neighbour_inputs": (),
+            "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
+            "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
@@ -197,7 +198,7 @@ class Agent(AnyAgent):
                 seen.add(name)
         owners = [name.split(".")[0] for name in self.others]
         if self.name in owners:
-            raise ValueError(f"`dynamics`: expected states of other agents, got one of {self.name!r} itself")
+            raise ValueError(f"`dynamics`: expected states of other agents, or inputs, got one of {self.name!r} itself")
         for name in self.communicated:
             if name not in owners:
                 raise ValueError(f"`communicated`: expected agents whose states `dynamics` name, got {shown(name)}")
@@ -239,22 +240,34 @@ class Agent(AnyAgent):
 
     @cached_property
     def others(self) -> tuple[str, ...]:
-        """States of other agents that the dynamics name, such as `leader.position`."""
+        """States and inputs of other agents that the dynamics name, such as `leader.position`."""
         return states_of_others(self.dynamics)
 
     @cached_property
     def measured(self) -> frozenset[str]:
         """Names in trees of those states of others that the agent is told."""
         told = [name.split(".")[0] in self.communicated for name in self.others]
-        return frozenset(neighbour(k) for k, is_told in enumerate(told) if is_told)
+        # Inputs are chosen in the same step: nobody can be told of them.
+        chosen = self.neighbour_inputs or (False,) * len(told)
+        return frozenset(neighbour(k) for k, is_told in enumerate(told) if is_told and not chosen[k])
 
-    def tied_to(self, ranges: tuple[tuple[float, float], ...]) -> Agent:
-        """Return the agent in a problem where the states of others lie in these intervals."""
-        if ranges == self.neighbour_ranges:
+    def tied_to(self, ranges: tuple[tuple[float, float], ...], inputs: tuple[bool, ...]) -> Agent:
+        """Return the agent in a problem where `others` lie in these intervals; `inputs` says which are inputs."""
+        if (ranges, inputs) == (self.neighbour_ranges, self.neighbour_inputs):
             return self
         agent = type(self)(**self.to_dict())
         object.__setattr__(agent, "neighbour_ranges", ranges)
+        object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
+
+    def knowing(self, numbers: Mapping[str, float]) -> Agent:
+        """Return the agent of a problem with numbers in the place of some of `others`, such as `boiler.heat`."""
+        if not numbers:
+            return self
+        agent = type(self)(**{**self.to_dict(), "dynamics": with_numbers(self.dynamics, numbers)})
+        rest = [k for k, name in enumerate(self.others) if name not in numbers]
+        ranges = self.neighbour_ranges or ()
+        return agent.tied_to(tuple(ranges[k] for k in rest), tuple(self.neighbour_inputs[k] for k in rest))
 
     @property
     def unknowns(self) -> dict[str, tuple[float, float]]:
@@ -263,10 +276,12 @@ class Agent(AnyAgent):
         Raises
         ------
         ValueError
-            If the agent names states of others and does not belong to a problem.
+            If the agent names states or inputs of others and does not belong to a problem.
         """
         if len(self.neighbour_ranges or ()) != len(self.others):
-            raise ValueError(f"`agent`: expected an agent of a problem, as {self.name!r} names states of others")
+            raise ValueError(
+                f"`agent`: expected an agent of a problem, as {self.name!r} names states or inputs of others"
+            )
         named = {neighbour(k): ends for k, ends in enumerate(self.neighbour_ranges or ())}
         return {**self.disturbances, **named}
 
@@ -314,7 +329,8 @@ class Agent(AnyAgent):
         if self.noise_scale is not None:
             parts = (*parts, self.noise_scale)
         if self.others:  # agents in equal places are equal, though their neighbours have other names
-            parts = (*parts[:2], repr(self.trees), *parts[3:], self.neighbour_ranges, tuple(sorted(self.measured)))
+            beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
+            parts = (*parts[:2], repr(self.trees), *parts[3:], *beside)
         return (b"expressions", repr(parts).encode())
 
     @cached_property
@@ -332,7 +348,7 @@ class Agent(AnyAgent):
         """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)`` (rounded).
 
         `disturbances` ``(k, *S)`` are those of the step; by default each is the number of its interval nearest to 0.
-        `neighbours` ``(l, *S)`` are the states of `others`; by default the middles of their intervals.
+        `neighbours` ``(l, *S)`` are the states and inputs of `others`; by default the middles of their intervals.
         """
         disturbances = self._calm(x) if disturbances is None else disturbances
         if neighbours is None and self.others:
@@ -402,45 +418,3 @@ class Agent(AnyAgent):
 def _one_axis(row: np.ndarray) -> np.ndarray:
     """Return numbers as an array of at least one axis, as expressions take them."""
     return np.atleast_1d(np.asarray(row, dtype=float)) if is_host(row) else row
-
-
-def _texts(value: Any, argument: str, length: int | None) -> tuple[str, ...]:
-    """Return a list of strings, as many as there should be, or raise ValueError."""
-    is_list = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(t, str) for t in value)
-    if not is_list or not 0 < len(value) <= MOST_STATES or (length is not None and len(value) != length):
-        wanted = f"{length} strings, one for each state" if length else f"1 to {MOST_STATES} strings"
-        raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}")
-    return tuple(value)
-
-
-def _names(value: Any, argument: str) -> tuple[str, ...]:
-    """Return names that can stand in expressions, or raise ValueError."""
-    return tuple(checked_variable(name, argument) for name in _texts(value, argument, None))
-
-
-def _numbers(value: Any) -> dict[str, float]:
-    """Return parameters by name, or raise ValueError."""
-    named = _named(value, "parameters", "{'damping': 0.2}")
-    return {
-        name: float(float_array([number], f"parameters.{name}", (1,), "[0.2]")[0]) for name, number in named.items()
-    }
-
-
-def _ranges(value: Any) -> dict[str, tuple[float, float]]:
-    """Return the ends of disturbances by name, or raise ValueError."""
-    ranges = {}
-    for name, ends in _named(value, "disturbances", "{'wind': [-0.1, 0.1]}").items():
-        low, high = read_only(float_array(ends, f"disturbances.{name}", (2,), "[-0.1, 0.1]")).tolist()
-        if low > high:
-            raise ValueError(f"`disturbances.{name}`: expected low and high, got {low:g} > {high:g}; exchange the two")
-        ranges[name] = (low, high)
-    return ranges
-
-
-def _named(value: Any, argument: str, example: str) -> dict[str, Any]:
-    """Return a mapping from names of expressions, or raise ValueError."""
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping) or len(value) > MOST_STATES:
-        raise ValueError(f"`{argument}`: expected a mapping such as {example}, got {shown(value)}")
-    return {checked_variable(name, argument): item for name, item in value.items()}

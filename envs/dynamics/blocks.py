@@ -67,7 +67,7 @@ class Block:
     columns : np.ndarray of int, shape (d, n)
         Positions of the components in a joint state.
     beside : np.ndarray of int, shape (l, n)
-        Positions in a joint state of those states of other agents that the dynamics name.
+        Positions, in a joint state with the joint input behind it, of what the dynamics name of other agents.
     """
 
     agents: np.ndarray
@@ -263,10 +263,14 @@ def block_of(problem: Problem, group: list[int]) -> Block:
 
 
 def _beside(problem: Problem, agent: AnyAgent) -> np.ndarray:
-    """Return the positions (l,) in a joint state of the states of others that an agent's dynamics name."""
+    """Return the positions (l,), in joint state and joint input, of what an agent's dynamics name of others."""
     names = agent.others if isinstance(agent, Agent) else ()
     places = [place_of(name, problem.agents) for name in names]
-    return np.array([problem.columns[i].start + k for i, k in places], dtype=np.int64)
+    first = {
+        False: [c.start for c in problem.columns],
+        True: [problem.n_states + c.start for c in problem.input_columns],
+    }
+    return np.array([first[place.is_input][place.agent] + place.component for place in places], dtype=np.int64)
 
 
 def _motion(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, LinearAgent, contains, counted, inside, place_of, row_times, slices_of
+from ..agents import Agent, AnyAgent, LinearAgent, Place, contains, counted, inside, place_of, row_times, slices_of
 from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
 from .worlds import Dynamics, Worlds, extra_rows, split_joint
@@ -45,21 +45,23 @@ class AgentNumbers(NamedTuple):
     """The agent itself, if its dynamics are expressions."""
     extra: tuple[int, ...]
     """Positions of the numbers that its disturbances take, if these are random."""
-    beside: tuple[tuple[int, int], ...]
-    """Agents and components of the states of others that its dynamics name."""
+    beside: tuple[Place, ...]
+    """Where the states and inputs of others stand that its dynamics name."""
     lawful: AnyAgent | None
     """The agent itself, if its noise is not Gaussian."""
 
-    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None = None, states: Any = ()) -> list[float]:
+    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None, team: tuple[Any, Any]) -> list[float]:
         """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1).
 
-        `states` are those of all agents.
+        `team` holds the states of all agents before the step, and their inputs in it.
         """
         if self.lawful is not None:
             z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
         if self.written is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
-        others = np.array([states[i][k] for i, k in self.beside])[:, None] if self.beside else None
+        others = None
+        if self.beside:
+            others = np.array([team[p.is_input][p.agent][p.component] for p in self.beside], dtype=float)[:, None]
         here, applied = np.array(x)[:, None], np.array(u, dtype=float)[:, None]
         if self.written.noise_scale is not None:
             z = (self.written.scales(here, applied, v)[:, 0] * np.array(z)).tolist()
@@ -183,7 +185,8 @@ class OneWorld:
         # Read the letter, ask the automaton, and decide in the order of `rules.decided`.
         unknown = self._disturbances(world, inputs, normals)
         steps = zip(self.agents, world.states, inputs, unknown)
-        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, world.states) for a, x, u, v in steps])
+        team = world.states, inputs
+        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team) for a, x, u, v in steps])
         letter, outside = self._letter(states)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)

@@ -30,7 +30,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
-from ..arrays import concatenated, namespace, to_host
+from ..arrays import concatenated, double, namespace, to_host
 from ..logic import Automaton
 from ..problem import Problem
 from .blocks import Block, PairBlock, Put, WrittenMotion, block_of, pair_blocks, placed
@@ -122,6 +122,21 @@ class Dynamics:
         """Positions (D,) of the components of a joint state among the rows of all blocks, one after the other."""
         order = [to_host(block.columns).ravel() for block in self.blocks]
         return self.put(np.argsort(np.concatenate(order)))
+
+    @cached_property
+    def input_rows(self) -> Any:
+        """Positions of the components of a joint input among the rows of all blocks, one after the other."""
+        columns = self.problem.input_columns
+        order = [
+            np.stack([np.arange(columns[i].start, columns[i].stop) for i in to_host(block.agents)], axis=1).ravel()
+            for block in self.blocks
+        ]
+        return self.put(np.argsort(np.concatenate(order)))
+
+    @cached_property
+    def names_inputs(self) -> bool:
+        """Whether the dynamics of an agent name an input of another one."""
+        return any(isinstance(agent, Agent) and any(agent.neighbour_inputs) for agent in self.problem.agents)
 
     @cached_property
     def proposition_rows(self) -> Any:
@@ -301,18 +316,34 @@ def transition(
 def moved_on(dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]) -> Worlds:
     """Return the worlds one step later, as `transition` does, without a look at the time: no number leaves a device."""
     unknown = disturbances(dynamics, worlds, inputs, normals)
-    steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, neighbours(dynamics, worlds.states))
+    others = neighbours(dynamics, worlds.states, inputs)
+    steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, others)
     states = tuple(successor(block, x, u, z, v, beside) for block, x, u, z, v, beside in steps)
     return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
-def neighbours(dynamics: Dynamics, states: Sequence[np.ndarray]) -> tuple[np.ndarray | None, ...]:
-    """Return the states of others (l, n, M) that the dynamics of each block name; None for blocks that name none."""
+def neighbours(
+    dynamics: Dynamics, states: Sequence[np.ndarray], inputs: Sequence[np.ndarray] | None = None
+) -> tuple[np.ndarray | None, ...]:
+    """Return the states and inputs of others (l, n, M) that each block's dynamics name; None for blocks without any.
+
+    `inputs` (m, n, M) per block are those of the step; before they are chosen they are no numbers.
+    """
     if not any(len(block.beside) for block in dynamics.blocks):
         return (None,) * len(dynamics.blocks)
     # Rows are counted, not inferred: there may be no world at all.
-    rows = concatenated([x.reshape(x.shape[0] * x.shape[1], x.shape[-1]) for x in states])[dynamics.rows]
+    rows = _rows_of(states)[dynamics.rows]
+    if dynamics.names_inputs and inputs is not None:
+        rows = concatenated([rows, double(_rows_of(inputs)[dynamics.input_rows])])
+    elif dynamics.names_inputs:
+        xp, shape = namespace(rows), (len(dynamics.input_rows), rows.shape[1])
+        rows = concatenated([rows, xp.broadcast_to(xp.full_like(rows[:1], float("nan")), shape)])
     return tuple(rows[block.beside] if len(block.beside) else None for block in dynamics.blocks)
+
+
+def _rows_of(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    """Return arrays (d, n, M) of all blocks as rows, one after the other."""
+    return concatenated([x.reshape(x.shape[0] * x.shape[1], x.shape[-1]) for x in blocks])
 
 
 def successor(
@@ -325,7 +356,7 @@ def successor(
 ) -> np.ndarray:
     """Return the next states of a block, shape (d, n, M).
 
-    `v` (k, n, M) are disturbances and `beside` (l, n, M) states of others, if there are any.
+    `v` (k, n, M) are disturbances and `beside` (l, n, M) states and inputs of others, if there are any.
     Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []

@@ -4,7 +4,8 @@ Layout of a file:
 
     name = "my-task"
     horizon = 12
-    [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`;
+    [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`, where
+                                      # others may be named: `leader.position` (a state), `boiler.heat` (an input);
                                       # `copies = 20` makes name_0 ... name_19
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"

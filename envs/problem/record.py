@@ -126,8 +126,8 @@ class Problem:
         groups = _groups(specification, labeling, families)
         if groups and any(getattr(agent, "others", ()) for agent in members):
             raise ValueError(
-                "`specification`: expected one task of agents whose dynamics name states of others, got independent "
-                "tasks whose joint automaton would be too large; take fewer agents or another formula"
+                "`specification`: expected one task of agents whose dynamics name states or inputs of others, got "
+                "independent tasks whose joint automaton would be too large; take fewer agents or another formula"
             )
         values = {
             "name": title,

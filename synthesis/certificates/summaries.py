@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Protocol
 
-from ...envs.agents import counted, shortened
+from ...envs.agents import counted, names_text, shortened
 from ...envs.problem import Problem
 from ..cells import alike_text, shape_text
 from .digits import shown_bound
@@ -70,7 +70,16 @@ def certificate_facts(certificate: Certified) -> list[tuple[str, str]]:
         ("cells", f"{cells} ({counted(len(certificate.agents), 'agent')})"),
         ("rank", str(certificate.rank)),
         *_told(certificate.problem),
+        *_in_common(certificate.agents),
     ]
+
+
+def _in_common(parts: Sequence[AgentPart]) -> list[tuple[str, str]]:
+    """Return a row about inputs of others that agents are assumed to know; no row if there are none."""
+    names = dict.fromkeys(name for part in parts for name in part.relation.get("common", {}).get("names", ()))
+    if not names:
+        return []
+    return [("in common", f"{names_text([*names])}: by automaton state and time alone, known to all")]
 
 
 def _told(problem: Problem) -> list[tuple[str, str]]:

@@ -27,6 +27,7 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, lattice_axes
 from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth
 from ..relations import commands_of
+from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
 from .mean_spans import enclosed_means, enclosed_scales, steered_spans
 from .network_spans import network_modes, network_spans
@@ -103,12 +104,13 @@ class WrittenBoxes:
         for some in np.array_split(np.arange(len(numbers)), len(numbers) // CELLS_AT_ONCE + 1):
             here, inputs = cell[some], menu[choice[some]]
             parts = int(part.relation["parts"])
-            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts)
-            steered = np.array(part.relation["steer"], dtype=bool)[choice[some]]
-            if np.any(steered):
-                corner = low[here][steered], high[here][steered]
-                first[steered], last[steered] = steered_spans(
-                    agent, *corner, inputs[steered], commands_of(agent), parts
+            known = known_inputs(agent, part, choice[some])
+            first, last = enclosed_means(agent, low[here], high[here], inputs, part.coordinates, parts, applied=known)
+            steered = np.flatnonzero(np.array(part.relation["steer"], dtype=bool)[choice[some]])
+            for which, knowing in by_number(agent, part, choice[some][steered]):
+                at = steered[which]
+                first[at], last[at] = steered_spans(
+                    knowing, low[here][at], high[here][at], inputs[at], commands_of(knowing), parts
                 )
             corners.append((first, last))
             if agent.noise_scale is not None:

@@ -21,6 +21,7 @@ from ..relations import (
     WrittenTargets,
     commands_of,
 )
+from .common_check import by_number, known_inputs
 from .execution import Execution
 from .geometry import cell_boxes, is_identity
 from .mean_spans import steered_spans
@@ -149,20 +150,25 @@ def _wrong_written(
         return ["its controller was seen to do something else than its policy says"]
     assert isinstance(agent, Agent)
     low, high = cell_boxes(part)
-    which = np.flatnonzero(steer & (cells >= 0))
-    centre = (0.5 * (low + high))[cells[which]].T
-    targets = agent.mean(centre, menu[choice[which]].T)
-    others = None if beside is None else beside[:, which]
-    means = agent.mean(states[:, which], inputs[:, which], None, others)
-    commands = commands_of(agent)
-    # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate.
-    first, _ = steered_spans(agent, low[cells[which]], high[cells[which]], menu[choice[which]], commands, 1)
-    known = ~np.isnan(first).any(axis=1)
-    for command in commands:
-        off = np.abs(means[command.axis] - targets[command.axis])
-        size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
-        if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
-            return ["its controller was seen to steer elsewhere than its policy says"]
+    steered = np.flatnonzero(steer & (cells >= 0))
+    for group, knowing in by_number(agent, part, choice[steered]):
+        which = steered[group]
+        centre = (0.5 * (low + high))[cells[which]].T
+        targets = knowing.mean(centre, menu[choice[which]].T)
+        others = None if beside is None else beside[:, which]
+        for place, numbers in known_inputs(agent, part, choice[which]).items():
+            assert others is not None  # they are among what the dynamics name
+            others[place] = numbers
+        means = agent.mean(states[:, which], inputs[:, which], None, others)
+        commands = commands_of(knowing)
+        # Only where the choice is admissible: elsewhere its value is 0, and inputs saturate.
+        first, _ = steered_spans(knowing, low[cells[which]], high[cells[which]], menu[choice[which]], commands, 1)
+        known = ~np.isnan(first).any(axis=1)
+        for command in commands:
+            off = np.abs(means[command.axis] - targets[command.axis])
+            size = np.abs(agent.workspace.low[command.axis]) + np.abs(agent.workspace.high[command.axis])
+            if np.any(known & ~(off <= STEERED * (np.abs(targets[command.axis]) + size))):
+                return ["its controller was seen to steer elsewhere than its policy says"]
     return []
 
 

@@ -5,7 +5,8 @@ inputs with the input box, and it grows the value tree again, vertex by vertex, 
 any set of vertices of a tree is a lower bound. So a certificate is right if
 
 1. its grids tile the workspaces and its noise coordinates make the noise independent;
-2. every relation holds (``verify_relation``), and every choice can be commanded from every related state;
+2. every relation holds (``verify_relation``), and every choice can be commanded from every related state; inputs of
+   others that an agent is said to know are the same for all cells and agents (``wrong_common``);
 3. guards out of one state are disjoint, and every letter of the states related to a guard's cells leads to its target
    (or, for co-safe tasks, to acceptance);
 4. the regrown value at the start, less what lost relations can cost, is at least ``lower_bound``, and no stored factor
@@ -26,7 +27,6 @@ from typing import Any
 
 import numpy as np
 
-from ...envs.agents import Box
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ..cells import FloatArray
@@ -40,15 +40,16 @@ from ..certificates import (
     StartHull,
     TeamCertificate,
     any_certificate,
-    grid_noise,
     load_certificate,
     significant_down,
     significant_up,
 )
 from ..values import UNIT, Terms
 from .carrying_out import wrong_actions
+from .common_check import wrong_common
 from .execution import execution_of
 from .forward_mass import TooManyProducts, masses
+from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
 from .hull_check import wrong_hull
 from .linear_check import places_of
@@ -56,16 +57,10 @@ from .network_spans import wrong_networks
 from .pairs_check import wrong_pairs
 from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
-from .relation_check import label_margin, verify_relation, wrong_for_uneven_noise
+from .relation_check import label_margin, verify_relation
 from .team_check import wrong_team
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
-
-CORRELATION = 1e-11
-"""Largest correlation between the noises of two grid axes that counts as rounding."""
-
-INVERSE = 1e-9
-"""By how much, in deviations of the noise, states may change on the way to grid coordinates and back."""
 
 DROPPED, SPARE = 1e-12, 1e-9
 """Undecided mass that may be dropped per step, and what is added to it for rounding."""
@@ -210,10 +205,11 @@ def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
     recomputed, above = float("nan"), None
     if certificate.fingerprint != problem.fingerprint:
         failures.append("it was made for another problem (the fingerprints differ)")
-    for step in (_check_form, _check_grids, wrong_networks):
+    for step in (_check_form, wrong_grids, wrong_networks):
         failures = failures or step(certificate)
     if not failures:
         failures, margins, loss = _check_agents(certificate)
+        failures = failures or wrong_common(certificate)
     failures = failures or wrong_guards(certificate, margins)
     if not failures:
         try:
@@ -260,7 +256,7 @@ def _check_form(certificate: Certificate) -> list[str]:
     if not all(part.is_additive for part in certificate.agents):
         if not tree or certificate.bound != "nominal" or certificate.gap is not None:
             failures.append("agents whose steps are not additive have a value or a bound that is not for them")
-        failures += _uneven_lattices(certificate)
+        failures += uneven_lattices(certificate)
     if tree and len(certificate.skeleton) != certificate.problem.horizon:
         failures.append("its tree does not cover its horizon")
     if certificate.exact != (certificate.gap is not None and certificate.gap <= EXACT_GAP):
@@ -268,75 +264,6 @@ def _check_form(certificate: Certificate) -> list[str]:
     if certificate.bound not in (("nominal", "a-posteriori", "robust tree") if tree else ("nominal", "a-posteriori")):
         failures.append(f"its bound {certificate.bound!r} is none that is known for its value function")
     return failures
-
-
-def _uneven_lattices(certificate: Certificate) -> list[str]:
-    """Lattices on which values are interpolated are evenly spaced, so that positions in steps are right."""
-    failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        if not part.is_additive:
-            for axis in part.lattice:
-                even = axis[0] + (axis[-1] - axis[0]) * np.linspace(0.0, 1.0, len(axis))
-                step = (axis[-1] - axis[0]) / max(1, len(axis) - 1)
-                if len(axis) < 2 or not step > 0 or np.any(np.abs(axis - even) > 1e-9 * step):
-                    failures.append(f"the lattice of agent `{agent.name}` is not evenly spaced")
-    return failures
-
-
-def _check_grids(certificate: Certificate) -> list[str]:
-    """Grids cover the workspaces and, in their coordinates, the noise is independent and positive."""
-    failures = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        low = np.array([edges[0] for edges in part.grid.edges])
-        high = np.array([edges[-1] for edges in part.grid.edges])
-        if not _is_inverted(part.coordinates, agent.noise_covariance):
-            failures.append(f"the grid coordinates of agent `{agent.name}` cannot be inverted")
-            continue
-        identity = np.array_equal(part.coordinates, np.eye(agent.n_states))
-        if identity and not (np.array_equal(low, agent.workspace.low) and np.array_equal(high, agent.workspace.high)):
-            failures.append(f"the grid of agent `{agent.name}` does not tile its workspace")
-        if not identity and not np.array_equal(agent.initial.low, agent.initial.high):
-            failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
-        if not identity and not _covers(agent.workspace, part.coordinates, low, high):
-            failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
-        if agent.laws is not None and not np.array_equal(part.coordinates, agent.noise_axes):
-            failures.append(f"the grid axes of agent `{agent.name}` are not those of its noise")
-            continue
-        noise = grid_noise(agent.noise_covariance, part.coordinates)
-        variances = np.diag(noise)
-        off = np.abs(noise - np.diag(variances))
-        if not agent.has_plain_noise:
-            failures += wrong_for_uneven_noise(agent, part)
-            variances = np.where(agent.still_axes, 1.0, variances)
-        if np.any(variances <= 0) or np.any(off > CORRELATION * np.sqrt(np.outer(variances, variances))):
-            failures.append(f"the noise of agent `{agent.name}` is not independent along its grid axes")
-        if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
-            failures.append(f"the lattice of agent `{agent.name}` is not increasing")
-    return failures
-
-
-def _is_inverted(coordinates: FloatArray, covariance: FloatArray) -> bool:
-    """Return whether the computed inverse of the grid coordinates is an inverse; everything else relies on it.
-
-    States are counted in deviations of their noise, so that their units do not matter.
-    """
-    try:
-        inverse = np.linalg.inv(coordinates)
-    except np.linalg.LinAlgError:
-        return False
-    variances = np.diag(covariance)
-    units = np.sqrt(np.where(variances > 0, variances, 1.0))
-    off = np.abs(coordinates @ inverse - np.eye(len(coordinates)))
-    return bool(np.all(off * units <= INVERSE * units[:, None]))
-
-
-def _covers(workspace: Box, coordinates: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-    """Whether the grid ``[low, high]`` holds the workspace in its coordinates (up to rounding)."""
-    inverse = np.linalg.inv(coordinates)
-    middle = inverse @ (0.5 * (workspace.low + workspace.high))
-    reach = np.abs(inverse) @ (0.5 * (workspace.high - workspace.low))
-    slack = 1e-12 * (np.abs(middle) + reach)
-    return bool(np.all(low <= middle - reach + slack) and np.all(high >= middle + reach - slack))
 
 
 def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray | None], float]:

@@ -63,7 +63,7 @@ class Greedy:
         if self._value is None:
             self._value = value_in_time(self.certificate)
         means = []
-        others = neighbours(dynamics, worlds.states)
+        others = neighbours(dynamics, worlds.states, inputs)
         for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):
             agents = [dynamics.problem.agents[i] for i in block.agents]
             # Agents with the same expressions move in one call; linear ones one by one.

@@ -7,7 +7,7 @@ coordinates of the mean follow. Choices that steer have their input put into the
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -33,6 +33,7 @@ def enclosed_means(
     coordinates: FloatArray,
     parts: int,
     beside: FloatArray | None = None,
+    applied: Mapping[int, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Corners (n, d) of boxes, in grid coordinates, that hold the means from closed cells under every disturbance.
 
@@ -48,7 +49,10 @@ def enclosed_means(
     parts : int
         Parts into which cells are cut along each axis.
     beside : (l, n) array, optional
-        States of others that the dynamics name; by default they are anywhere.
+        States of others that the dynamics name, in the rows of inputs of others no numbers: these are anywhere in their
+        boxes. By default all of them are anywhere.
+    applied : mapping, optional
+        Inputs (n,) of others that are known, by their places among those states and inputs.
     """
     shape, plain = low.shape, np.array_equal(coordinates, np.eye(low.shape[1]))
     rows = None if plain else np.linalg.inv(coordinates)
@@ -56,7 +60,10 @@ def enclosed_means(
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     calm = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
     if beside is not None:
-        calm[len(agent.disturbances) :] = [(row, row) for row in beside]
+        for k, (row, is_input) in enumerate(zip(beside, agent.neighbour_inputs, strict=True), len(agent.disturbances)):
+            calm[k] = calm[k] if is_input else (row, row)
+    for place, row in (applied or {}).items():
+        calm[len(agent.disturbances) + place] = (row, row)
     with np.errstate(all="ignore"):
         for part in itertools.product(range(parts), repeat=shape[1]):
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + calm

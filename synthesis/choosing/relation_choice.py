@@ -36,6 +36,7 @@ from ..models import (
     Settings,
     TargetWindows,
     check_names,
+    common_inputs_of,
     has_full_rank,
     join,
     models_of,
@@ -142,6 +143,8 @@ def _group(problem: Problem, cells: CellCounts, asked: str, members: tuple[int, 
         wanted = dict.fromkeys(wanted, (*first_try, *(("linear", "boxes") if is_smooth else ("boxes",))))
     elif first.laws is not None:
         wanted = dict.fromkeys(wanted, ("exact", "boxes") if has_full_rank(first) else ("boxes",))
+    if settings.common and {*members} & {*common_inputs_of(problem)}:
+        wanted = dict.fromkeys(wanted, ("boxes",))  # no other relation knows of inputs that are chosen in common
     for relation in wanted.get(asked, (asked,)):
         try:
             member_models = models_of(problem, cells, dict.fromkeys(members, relation), settings)

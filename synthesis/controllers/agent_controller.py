@@ -100,7 +100,7 @@ class AgentController:
         """Return inputs (m, n, M) at states (d, n, M) and automaton states (M,), and the memory for the next step.
 
         The bits are the same for any number of worlds. Agents with a coupling F take ``uniform`` (n, M), one auxiliary
-        draw per step; those whose dynamics name states of others take these, ``beside`` (l, n, M).
+        draw per step; those that name others take their states, ``beside`` (l, n, M); inputs are no numbers there.
         """
         if memory is not None and self.tracker is not None:
             points = self.tracker.points(states)

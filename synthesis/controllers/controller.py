@@ -103,15 +103,19 @@ class Controller:
         return actions
 
     def _beside(self, name: str, seen: Mapping[str, tuple[FloatArray, int, int]]) -> FloatArray | None:
-        """Return the states of others (l, 1, 1) that the dynamics of an agent name; None if they are not all seen."""
+        """Return the states of others (l, 1, 1) that the dynamics of an agent name; None if they are not all seen.
+
+        Inputs of others are no numbers: they are chosen in the same step.
+        """
         agents = self.problem.agents
         model = agents[self.problem.agent_names.index(name)]
         if not isinstance(model, Agent) or not model.others:
             return None
         places = [place_of(other, agents) for other in model.others]
-        if any(agents[i].name not in seen for i, _ in places):
+        if any(agents[place.agent].name not in seen for place in places if not place.is_input):
             return None
-        return np.array([seen[agents[i].name][0][k] for i, k in places])[:, None, None]
+        states = (np.nan if p.is_input else seen[agents[p.agent].name][0][p.component] for p in places)
+        return np.array([*states])[:, None, None]
 
     def _act_one(
         self, agent: AgentController, state: FloatArray, q: int, time: int, beside: FloatArray | None

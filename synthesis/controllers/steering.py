@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray, Grid
 from ..relations import (
     BoxRelation,
+    CommonMeans,
     CoupledRelation,
     ExactRelation,
     LinearRelation,
@@ -207,7 +208,7 @@ class BoxSteering:
         offsets = points - looked_up(self._centres, cells)
         chosen = np.maximum(choices, 0).astype(np.intp)
         inputs = self.relation.inputs(chosen, offsets)
-        if isinstance(self.relation.means, WrittenMeans):
+        if isinstance(self.relation.means, WrittenMeans | CommonMeans):
             centres = looked_up(self._centres, cells)
             inputs = self.relation.means.steered(chosen, points, centres, inputs, beside)
         if isinstance(self.relation.means, NetworkMeans):

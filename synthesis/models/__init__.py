@@ -9,18 +9,17 @@ from .abstraction import (
     abstraction_of,
     check_names,
     check_settings,
-    has_full_rank,
     models_of,
-    reaches_every_mean,
     relations_of,
 )
 from .affine_choices import AffineChoices, Choices
-from .agent_models import SNAPPED_POINTS
+from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
 from .box_kernel import BoxKernel
 from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
+from .common_choices import CommonGroup, common_inputs_of, with_number
 from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
 from .linear_kernel import HatKernel, LinearKernel, hat_table
@@ -36,6 +35,7 @@ __all__ = [
     "BoxChoices",
     "BoxKernel",
     "Choices",
+    "CommonGroup",
     "INPUT_LEVELS",
     "HatKernel",
     "InputMenu",
@@ -56,6 +56,7 @@ __all__ = [
     "abstraction_of",
     "check_names",
     "check_settings",
+    "common_inputs_of",
     "has_full_rank",
     "reaches_every_mean",
     "hat_table",
@@ -66,4 +67,5 @@ __all__ = [
     "relations_of",
     "spread_start",
     "start_of",
+    "with_number",
 ]

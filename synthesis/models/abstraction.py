@@ -45,7 +45,7 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation, written_targets
+from ..relations import BoxRelation, CommonInputs, CoupledRelation, LinearRelation, Relation
 from ..values import Residents
 from .affine_choices import Choices
 from .agent_models import (
@@ -54,10 +54,13 @@ from .agent_models import (
     cheapest_model,
     ellipsoid_model,
     exact_model,
+    has_full_rank,
     paper_model,
+    reaches_every_mean,
     tube_model,
 )
 from .box_model import box_model
+from .common_choices import common_inputs_of, common_relation
 from .kernel import Kernel
 from .linear_model import linear_model
 from .written_model import written_model
@@ -206,6 +209,10 @@ class Settings:
         failure probability per step and agent, in [0, 1), default 0; a larger one makes labels and inputs lose less.
     share : float, optional
         ``ellipsoid``: share of the inputs that the feedback may use, in [0, 1); default: chosen (``ellipsoid_search``).
+    common : bool, optional
+        ``boxes``: whether inputs that expressions of other agents name are chosen in common, by automaton state and
+        time alone, and known to these agents; otherwise such inputs may be anything in their boxes. By default a
+        synthesis tries both.
 
     Raises
     ------
@@ -219,8 +226,11 @@ class Settings:
     inputs: int = 10
     delta: float | None = None
     share: float | None = None
+    common: bool | None = None
 
     def __post_init__(self) -> None:
+        if self.common is not None and not isinstance(self.common, bool):
+            raise ValueError(f"`common`: expected True or False, got {self.common!r}")
         if self.targets_per_cell is not None:
             object.__setattr__(self, "targets_per_cell", checked_count(self.targets_per_cell, "targets_per_cell"))
         for name in ("delta", "share"):
@@ -247,6 +257,8 @@ class Settings:
         names = {"paper": ("epsilon", "feedback", "inputs", "delta"), "ellipsoid": ("delta", "share")}
         for kind in kinds:
             used |= {name: getattr(self, name) for name in names.get(kind, ("targets_per_cell",))}
+        if any(isinstance(model.relation, BoxRelation) and model.relation.common for model in models):
+            used["common"] = True
         return used
 
 
@@ -324,6 +336,7 @@ def models_of(
     by_relation: dict[object, SharedModel] = {}
     by_labels: dict[object, AgentModel] = {}
     models = {}
+    common = common_inputs_of(problem) if settings.common else {}
     for i, kind in kinds.items():
         agent = problem.agents[i]
         grid, coordinates = agent_grid(problem, i, cells_of_agent(agent, cells))
@@ -332,9 +345,14 @@ def models_of(
         # feedback is chosen by it.
         alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
-        wish = (*alike, room.tobytes() if depends_on_room else b"")
+        known = common.get(i)
+        numbers_known = b"" if known is None else repr(known.description).encode()
+        wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
         if wish not in by_wish:
-            model = _shared_model(agent, kind, grid, coordinates, room, settings)
+            if known is None:
+                model = _shared_model(agent, kind, grid, coordinates, room, settings)
+            else:
+                model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
             numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
             by_wish[wish] = by_relation.setdefault(numbers, model)  # different rooms often lead to the same relation
         relation, lattice, kernel, choices = by_wish[wish]
@@ -391,6 +409,17 @@ def _shared_model(
     return cheapest_model(agent, grid, coordinates, per_cell, room)
 
 
+def _common_model(
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, per_cell: int | None, common: CommonInputs
+) -> SharedModel:
+    """Return the model of an agent that names or owns inputs that are chosen in common."""
+    if kind not in ("auto", "quick", "best", "boxes"):
+        raise RelationRefused(f"agent `{agent.name}`: inputs are chosen in common under the relation `boxes` alone")
+    assert isinstance(agent, Agent)  # others have no names for inputs
+    relation = common_relation(agent, grid, coordinates, common)
+    return box_model(agent, grid, coordinates, per_cell, relation)
+
+
 def check_names(argument: str, value: object, problem: Problem) -> None:
     """Raise ValueError if a mapping has keys that are no agents; agents that are left out get the default."""
     for name in value if isinstance(value, Mapping) else ():
@@ -407,19 +436,3 @@ def check_settings(settings: Mapping[str, object]) -> None:
             close = get_close_matches(name, ["cells", *known, "max_sweeps", "limits", "progress"], n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"settings are {', '.join(known)}"
             raise ValueError(f"`{name}`: expected a setting of the relation, got an unknown one; {remedy}")
-
-
-def has_full_rank(agent: AnyAgent) -> bool:
-    """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
-    return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
-
-
-def reaches_every_mean(agent: AnyAgent) -> bool:
-    """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
-    if isinstance(agent, LinearAgent):
-        return has_full_rank(agent)
-    assert isinstance(agent, Agent)
-    try:
-        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
-    except RelationRefused:
-        return False

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import (
     CoupledRelation,
@@ -23,6 +23,7 @@ from ..relations import (
     ellipsoid_relation,
     paper_relation,
     tube_relation,
+    written_targets,
 )
 from .affine_choices import Choices
 from .choices import InputMenu, target_windows, written_windows
@@ -252,3 +253,19 @@ def _lattice_axis(edges: FloatArray, per_cell: int, lowest: float, highest: floa
     above = int(np.ceil(max(0.0, min(highest - edges[-1], beyond)) / last))
     before, after = inside[0] - first * np.arange(below, 0, -1), inside[-1] + last * np.arange(1, above + 1)
     return np.concatenate([before, inside, after])
+
+
+def has_full_rank(agent: AnyAgent) -> bool:
+    """Return whether dynamics are linear and B has full row rank: every mean can be commanded."""
+    return isinstance(agent, LinearAgent) and bool(np.linalg.matrix_rank(agent.B) == agent.n_states)
+
+
+def reaches_every_mean(agent: AnyAgent) -> bool:
+    """Return whether the relation ``exact`` is for an agent: some input leads from every state to every mean nearby."""
+    if isinstance(agent, LinearAgent):
+        return has_full_rank(agent)
+    assert isinstance(agent, Agent)
+    try:
+        return bool(written_targets(agent, agent.noise_axes if agent.laws is not None else np.eye(agent.n_states)))
+    except RelationRefused:
+        return False

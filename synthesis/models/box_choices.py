@@ -7,7 +7,7 @@ rounded to the nearest lattice points: about right, and 2^d readings for each.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -51,6 +51,8 @@ class BoxChoices:
         Which of the sizes is used for the box of each cell and choice; -1 where the choice is not admissible.
     corners : (S, A, 2^D) int32 array
         Lattice points at which the windows begin that cover the box, rounded to the nearest lattice points.
+    n_parts : int
+        Parts of equal length in which the choices come, one for each number that is chosen in common; 1 if none is.
     """
 
     grid: Grid
@@ -61,6 +63,7 @@ class BoxChoices:
     sizes: NDArray[np.int64]
     size: NDArray[np.int16]
     corners: NDArray[np.int32]
+    n_parts: int = field(default=1, kw_only=True)
 
     def __repr__(self) -> str:
         cells, n_choices = self.size.shape
@@ -71,6 +74,25 @@ class BoxChoices:
     def shape(self) -> tuple[int, ...]:
         """Lattice points per axis."""
         return tuple(len(axis) for axis in self.lattice)
+
+    @property
+    def part_length(self) -> int:
+        """Choices of a part."""
+        return self.size.shape[1] // self.n_parts
+
+    @cached_property
+    def parts(self) -> tuple[BoxChoices, ...]:
+        """The choices of each part by themselves, numbered from 0."""
+        if self.n_parts == 1:
+            return (self,)
+        found = []
+        for part in range(self.n_parts):
+            columns = slice(part * self.part_length, (part + 1) * self.part_length)
+            low, high, size, corners = (
+                np.ascontiguousarray(table[:, columns]) for table in (self.low, self.high, self.size, self.corners)
+            )
+            found.append(replace(self, low=low, high=high, size=size, corners=corners, n_parts=1))
+        return tuple(found)
 
     def points(self, policy: StepPolicy) -> NDArray[np.int64]:
         """Return the lattice point (S,) nearest to the middle of each choice's box; -1 where nothing is known.
@@ -130,6 +152,8 @@ class BoxChoices:
             if not heavy.any():
                 continue
             for number in range(len(self.sizes)):
+                if not len(self._by_size[number]):
+                    continue
                 minima = self._window_minima(numbers, number)
                 for boxes in self._boxes_of(number):
                     least = np.maximum(self._least(minima, corners[boxes]), 0.0) * inside[boxes]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
 
 from ...envs.agents import Agent, AnyAgent, Box, LinearAgent
 from ..cells import FloatArray, Grid, RelationRefused, cell_points, grid_laws, in_grid_coordinates, lattice_axes
-from ..relations import BoxRelation, WrittenMeans, box_relation
+from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
 from .box_kernel import MOST_LEVELS, MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
 
@@ -62,7 +65,7 @@ def box_model(
     points = (per_cell,) * agent.n_states if per_cell is not None else points_per_cell(grid, smallest, len(axes))
     # Means from anywhere in the grid under any input; feedback keeps inputs in their box, so it adds none.
     constant = ~np.any(gains, axis=(1, 2))
-    if isinstance(relation.means, WrittenMeans) and relation.means.steer is not None:
+    if isinstance(relation.means, WrittenMeans | CommonMeans) and relation.means.steer is not None:
         constant &= ~relation.means.steer  # targets are means of other choices
     whole = relation.mean_boxes(*(np.array([[edges[k] for edges in grid.edges]]) for k in (0, -1)))
     low, high = whole.low[:, constant].min(axis=(0, 1)), whole.high[:, constant].max(axis=(0, 1))
@@ -82,7 +85,10 @@ def box_model(
         least, most, usual = (numbers.tolist() for numbers in spread)
         by_kind["scale"] = lambda k: scale_levels(least[k], most[k], usual[k], laws[k], levels)
     lattice = tuple(by_kind[axis.kind](axis.state) for axis in axes)
-    return relation, lattice, box_kernel(grid, lattice, laws, axes), box_choices(grid, lattice, relation, axes)
+    choices = box_choices(grid, lattice, relation, axes)
+    if relation.common is not None:
+        choices = replace(choices, n_parts=len(relation.common.numbers))
+    return relation, lattice, box_kernel(grid, lattice, laws, axes), choices
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -116,11 +122,20 @@ def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRela
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
     if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
-    # Cut cells into as many parts as make their boxes noticeably smaller, judged by some of them.
+    return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
+
+
+def in_fitting_parts(
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, menu: FloatArray, written: Mapping[str, Any]
+) -> BoxRelation:
+    """Return the relation with cells cut into as many parts as make boxes noticeably smaller, judged by some of them.
+
+    ``written`` are settings of the relation without ``parts``.
+    """
     some = np.unique(np.linspace(0, grid.n_cells - 1, SAMPLED_CELLS).astype(np.int64))
-    best, width = box_relation(agent, coordinates, menu, written={"steer": steer}), np.inf
+    best, width = box_relation(agent, coordinates, menu, written=written), np.inf
     for parts in (number for number in PARTS if number**agent.n_states <= MOST_CUTS):
-        relation = box_relation(agent, coordinates, menu, written={"parts": parts, "steer": steer})
+        relation = box_relation(agent, coordinates, menu, written={**written, "parts": parts})
         boxes = relation.mean_boxes(grid.low[some], grid.high[some])
         widths = (boxes.high - boxes.low)[boxes.admissible]
         mean = float(np.mean(widths / np.mean(grid.half_widths, axis=0))) if len(widths) else np.inf
@@ -134,9 +149,14 @@ def with_rest(box: Box) -> FloatArray:
     """Return evenly spaced inputs (A, m) of a box: its corners, and 0 on every axis on which it is admissible."""
     levels, axes = INPUT_LEVELS.get(box.dimension, 3), []
     for low, high in zip(box.low.tolist(), box.high.tolist(), strict=True):
-        axis = np.linspace(low, high, levels) if high > low else np.array([low])
-        axes.append(np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis)
+        axes.append(evenly_with_rest(low, high, levels))
     return np.clip(np.array(list(product(*axes))), box.low, box.high)
+
+
+def evenly_with_rest(low: float, high: float, levels: int) -> FloatArray:
+    """Return evenly spaced numbers of an interval, both ends among them, and 0 if it lies in the interval."""
+    axis = np.clip(np.linspace(low, high, levels), low, high) if high > low else np.array([low])
+    return np.unique(np.append(axis, 0.0)) if low <= 0.0 <= high else axis
 
 
 def input_menu(agent: LinearAgent, grid: Grid, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,9 @@ from ...envs.problem import Problem
 from ..cells import CellLabels, FloatArray, alike_text, shape_text
 from ..values import HOST, Array, Guards, Occupancy, Terms, device_put
 from .abstraction import Abstraction, AgentModel
+from .box_choices import BoxChoices
+from .choices import Policies
+from .common_choices import CommonGroup, agreed, common_groups, with_number
 from .guards import compile_guards
 
 MOST_OCCURRING = 0.5
@@ -47,6 +50,8 @@ class JointModel:
     finds_alike : bool
         Whether sweeps look for factors that are equal without being the same: it keeps trees of tasks small that look
         at the end alone, and leaves the bits of all others to what they were if it is not asked for.
+    common : tuple of CommonGroup
+        Agents whose choices must agree at each time and in each automaton state (``agreed``).
     """
 
     models: tuple[AgentModel, ...]
@@ -59,6 +64,7 @@ class JointModel:
     horizon: int
     device: str = HOST
     finds_alike: bool = False
+    common: tuple[CommonGroup, ...] = ()
 
     def __repr__(self) -> str:
         rows: list[tuple[str, object]] = [
@@ -98,6 +104,26 @@ class JointModel:
         is_sparse = np.any(undecided) and np.mean(table[:, undecided]) <= MOST_OCCURRING
         return table if is_sparse else np.ones_like(table)
 
+    def agreed(self, policies: Policies) -> Policies:
+        """Return policies in which inputs that are chosen in common are the same for the whole team (``agreed``)."""
+        return agreed(self.common, [model.choices for model in self.models], policies) if self.common else policies
+
+    @property
+    def most_numbers(self) -> int:
+        """Most numbers of a group; 0 if nothing is chosen in common."""
+        return max((len(group.numbers) for group in self.common), default=0)
+
+    def with_numbers(self, policies: Policies, number: int) -> Policies:
+        """Return policies in which every group has the number, or its last one, at all times and automaton states."""
+        result = [policy.copy() for policy in policies]
+        for group in self.common:
+            for i, part in zip(group.members, group.parts, strict=True):
+                choices = self.models[i].choices
+                assert isinstance(choices, BoxChoices)
+                for t, q in np.ndindex(result[i].shape[:2]):
+                    result[i][t, q] = with_number(choices, result[i][t, q], int(part[min(number, len(part) - 1)]))
+        return tuple(result)
+
     @property
     def n_cells(self) -> tuple[int, ...]:
         """Cells of each agent."""
@@ -129,6 +155,7 @@ def join(problem: Problem, abstraction: Abstraction, device: str = HOST) -> Join
         absorbing=automaton.absorbing,
         horizon=problem.horizon,
         device=device,
+        common=common_groups(models),
     )
 
 

@@ -3,6 +3,7 @@
 from .affine_means import AffineBoxes, AffineMeans, WrittenRelation, written_relation
 from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
+from .common_means import CommonInputs, CommonMeans
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
 from .description import Relation, aimed_relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
@@ -34,6 +35,8 @@ __all__ = [
     "AffineMeans",
     "BoxRelation",
     "Command",
+    "CommonInputs",
+    "CommonMeans",
     "CoupledRelation",
     "Ellipsoid",
     "Enclosing",

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
+from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
 from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy, network_policy
@@ -154,7 +155,7 @@ class BoxRelation:
 
     Parameters
     ----------
-    means : LinearMeans, WrittenMeans or NetworkMeans
+    means : LinearMeans, WrittenMeans, CommonMeans or NetworkMeans
         What makes the boxes.
     coordinates : (d, d) array
         Grid coordinates to state.
@@ -164,14 +165,17 @@ class BoxRelation:
         Feedback K_a of each choice inside its cell.
     input_low, input_high : (m,) arrays
         Input box.
+    common : CommonInputs or None
+        Inputs that are chosen in common, by automaton state and time alone, and their numbers in the menu.
     """
 
-    means: LinearMeans | WrittenMeans | NetworkMeans
+    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans
     coordinates: FloatArray
     menu: FloatArray
     gains: FloatArray
     input_low: FloatArray
     input_high: FloatArray
+    common: CommonInputs | None = None
 
     kind = "boxes"
     delta = 0.0
@@ -212,7 +216,7 @@ class BoxRelation:
 
         They are not numbers where nothing is known; None where the noise is the same everywhere.
         """
-        if not isinstance(self.means, WrittenMeans) or self.means.agent.noise_scale is None:
+        if not isinstance(self.means, WrittenMeans | CommonMeans) or self.means.agent.noise_scale is None:
             return None
         return self.means.scales(low, high, self.menu)
 
@@ -258,7 +262,8 @@ class BoxRelation:
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All matrices, for comparing relations."""
-        return (*self.means.arrays, self.coordinates, self.menu, self.gains, self.input_low, self.input_high)
+        common = () if self.common is None else self.common.arrays
+        return (*self.means.arrays, self.coordinates, self.menu, self.gains, self.input_low, self.input_high, *common)
 
     def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
@@ -287,8 +292,8 @@ def box_relation(
     gains : (A, m, d) array, optional
         Feedback of each choice inside its cell; none by default.
     written : mapping, optional
-        Further settings of ``WrittenMeans``: ``parts``, and which choices ``steer``; or of ``NetworkMeans``: the
-        description of a ``network``, and ``parts``.
+        Further settings of ``WrittenMeans``: ``parts``, which choices ``steer``, and inputs chosen in ``common``; or of
+        ``NetworkMeans``: the description of a ``network``, and ``parts``.
 
     Raises
     ------
@@ -301,13 +306,17 @@ def box_relation(
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need one feedback for each input of their menu")
     if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: mean boxes need inputs inside their box")
-    means: LinearMeans | WrittenMeans | NetworkMeans
+    means: LinearMeans | WrittenMeans | CommonMeans | NetworkMeans
     if isinstance(agent, Agent):
         if np.any(gains):
             raise RelationRefused(f"agent `{agent.name}`: mean boxes of expressions have no feedback inside a cell")
         written = {"parts": 1, **(written or {})}
         steer = written.get("steer")
         steer = np.zeros(len(menu), dtype=bool) if steer is None else np.array(steer, dtype=bool)
+        if "common" in written:
+            common = common_inputs(written["common"], agent)
+            means = common_means(agent, coordinates, menu, {**written, "steer": steer}, common)
+            return BoxRelation(means, coordinates, menu, gains, box.low, box.high, common)
         means = WrittenMeans(agent, coordinates, int(written["parts"]), steer)
         if steer.shape != (len(menu),) or (np.any(steer) and not means.commands):
             raise RelationRefused(f"agent `{agent.name}`: its choices cannot steer, as no input commands an axis")

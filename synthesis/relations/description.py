@@ -1,7 +1,8 @@
 """Relations in certificates: the few numbers from which everything else about a relation is computed anew.
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
-expressions, with ``"parts"`` and ``"network"`` where networks move agents), ``{"kind": "linear", "menu", "parts"}``
+expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
+agents), ``{"kind": "linear", "menu", "parts"}``
 (with ``"cuts"`` and ``"reach"`` where dynamics are expressions, and ``"network"`` besides where networks move agents),
 ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
@@ -19,6 +20,7 @@ from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
 from .affine_means import WrittenRelation, written_relation
 from .boxes import BoxRelation, NetworkMeans, box_relation
+from .common_means import CommonMeans
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .exact import ExactRelation, exact_relation
@@ -73,11 +75,13 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
         return {"kind": "exact"}
     if isinstance(relation, BoxRelation):
         written: dict[str, Any] = {}
-        if isinstance(relation.means, WrittenMeans):
+        if isinstance(relation.means, WrittenMeans | CommonMeans):
             steer = relation.means.steer
             written = {"parts": relation.means.parts, "steer": [] if steer is None else steer.tolist()}
         if isinstance(relation.means, NetworkMeans):
             written = {"parts": relation.means.parts, "network": relation.means.policy.description}
+        if relation.common is not None:
+            written["common"] = relation.common.description
         return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
     if isinstance(relation, WrittenRelation):
         assert relation.means is not None
@@ -112,7 +116,7 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     if kind == "boxes":
         menu, gains = (np.array(description[name], dtype=float) for name in ("menu", "gains"))
         written: dict[str, Any] = {
-            name: description[name] for name in ("parts", "steer", "network") if name in description
+            name: description[name] for name in ("parts", "steer", "network", "common") if name in description
         }
         return box_relation(agent, coordinates, menu, gains, written)
     if kind == "linear" and isinstance(agent, Agent):
@@ -194,6 +198,9 @@ def check_description(description: Any, agent: AnyAgent) -> None:
             raise ValueError("a relation says of its choices neither that they steer nor that they do not")
         if len(steer) != len(description["menu"]):
             raise ValueError("a relation has other choices that steer than its menu")
+        _check_common(description.get("common"), len(description["menu"]))
+    elif "common" in description:
+        raise ValueError("it has inputs that are chosen in common for an agent that has no names for them")
     d, m = agent.n_states, agent.n_inputs
     # -1 stands for any length: the number of abstract inputs.
     shapes = {"shape": (d, d), "feedback": (m, d), "coupling": (d, d), "inputs": (-1, m), "snap": (d,)}
@@ -205,6 +212,24 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         expected = tuple(len(array) if n < 0 else n for n in shapes[name]) if array.ndim else ()
         if not array.ndim or array.shape != expected or not array.size or not np.all(np.abs(array) <= LARGEST):
             raise ValueError(f"a relation has settings that are not matrices: `{name}` has shape {array.shape}")
+
+
+def _check_common(common: Any, n_choices: int) -> None:
+    """Raise ValueError unless a value describes inputs that are chosen in common, or is None."""
+    if common is None:
+        return
+    if not isinstance(common, dict) or {*common} != {"names", "numbers"}:
+        raise ValueError("a relation does not say which inputs are chosen in common, and among which numbers")
+    names, numbers = common["names"], common["numbers"]
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise ValueError("inputs that are chosen in common have no names")
+    if len({*names}) != len(names):
+        raise ValueError("inputs that are chosen in common are named twice")
+    if not isinstance(numbers, list) or not 0 < len(numbers) <= n_choices or n_choices % len(numbers):
+        raise ValueError("a menu has not the same choices for each of the numbers that are chosen in common")
+    rows = all(isinstance(row, list) and len(row) == len(names) for row in numbers)
+    if not rows or any(type(x) not in (int, float) or not abs(x) <= LARGEST for row in numbers for x in row):
+        raise ValueError("a relation has numbers chosen in common that are no numbers")
 
 
 def _check_modes(description: dict[str, Any]) -> None:

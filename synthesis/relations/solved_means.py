@@ -370,6 +370,10 @@ def written_targets(agent: Agent, coordinates: FloatArray) -> WrittenTargets:
 
     if agent.disturbances:
         raise refused("cancels what it measures, got disturbances")
+    if any(agent.neighbour_inputs):
+        raise refused(
+            "cancels what it is told, and nobody is told of inputs of others, which are chosen in the same step"
+        )
     told = {owner.split(".")[0] for owner in agent.others} - {*agent.communicated}
     if told:
         raise refused(f"cancels what it is told, and the states of {', '.join(sorted(told))} are not `communicated`")

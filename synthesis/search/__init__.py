@@ -1,8 +1,9 @@
 """The search for policies: starts, coordinate ascent, relaxations."""
 
-from .ascent import Stage, Sweep, forward, start_value, sweep
+from .ascent import Stage, Sweep, start_value, sweep
 from .best_response import best_choices
 from .limits import Limits
+from .occupancy import forward
 from .policy_search import FINAL, MANY_TERMS, Found, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
 from .search_settings import Search, sweep_bar

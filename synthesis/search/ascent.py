@@ -24,19 +24,17 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, alike_text
-from ..models import AffineChoices, BoxChoices, JointModel, Policies, StepPolicy
-from ..values import IndexArray, Occupancy, Skeleton, Terms, add_rows, beside, compress, namespace, take, to_host
-from .best_response import best_choices
+from ..models import AffineChoices, BoxChoices, Choices, CommonGroup, JointModel, Policies, StepPolicy, with_number
+from ..values import IndexArray, Occupancy, Skeleton, Terms, beside, compress, namespace, take, to_host
+from .best_response import TIE, best_choices
+from .inner_products import Others, collected, inner_products
 from .ladder import Arrivals
 from .limits import Limits
-from .occupancy import push
+from .occupancy import forward_on_device, nowhere, put_everywhere
 from .tree import Candidates, Loss, assemble, candidates, read, shared, terminal_terms
 
 MOST_WEIGHTS = 30_000_000
 """Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
-
-PRODUCTS_AT_ONCE = 4_000_000
-"""Products of a mass term and a value term that are formed at once: 32 MB."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,26 +90,6 @@ def resting_policies(joint: JointModel) -> Policies:
     return tuple(np.tile(model.choices.resting_choice, shape) for model in joint.models)
 
 
-def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
-    """Return the alive mass at times 0 .. T - 1, from below, as arrays of numpy."""
-    on_device = _forward(joint, policies, start, limits)
-    return [Occupancy(_everywhere(occupancy.terms, to_host), occupancy.leftover) for occupancy in on_device]
-
-
-def _everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
-    """Return the same terms with all factors put elsewhere."""
-    return Terms(tuple(put(factors) for factors in terms.factors), terms.index)
-
-
-def _forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
-    """Return the alive mass at times 0 .. T - 1, from below, on the device."""
-    occupancies = [Occupancy(_everywhere(start.terms, joint.put), start.leftover)]
-    for t in range(joint.horizon - 1):
-        step = [policy[t] for policy in policies]
-        occupancies.append(push(occupancies[-1], step, joint, limits.mass, limits.rank))
-    return occupancies
-
-
 def start_value(start: Occupancy, terms: Terms) -> float:
     """Return ``sum_q <mu_0,q , V_q>``, up to rounding."""
     total = 0.0
@@ -153,9 +131,12 @@ def sweep(
     climb : bool
         Whether terms of linear agents are united from below (``ladders``).
     """
-    occupancies = [_nowhere(joint)] * joint.horizon if start is None else _forward(joint, policies, start, limits)
+    policies = joint.agreed(policies)
+    occupancies = [nowhere(joint)] * joint.horizon
+    if start is not None:
+        occupancies = forward_on_device(joint, policies, start, limits)
     policies = tuple(policy.copy() for policy in policies) if improve else policies
-    terms = _everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
+    terms = put_everywhere(terminal_terms(joint.accepting, joint.n_cells), joint.put)
     dropped, rank, skeletons = 0.0, terms.rank, []
     ones = [joint.put(np.ones((1, n))) for n in joint.n_cells]
     for t in reversed(range(joint.horizon)):
@@ -193,7 +174,7 @@ def sweep(
         rank = max(rank, terms.rank)
         skeletons.append(Skeleton(options.origin, options.merges, tuple(kept)))
         del options
-    terms = _everywhere(terms, to_host)
+    terms = put_everywhere(terms, to_host)
     value = 0.0 if start is None else start_value(start, terms)
     return Sweep(policies, terms, value, dropped * (1 + 1e-9), rank, tuple(reversed(skeletons)))
 
@@ -218,12 +199,6 @@ def _arrivals(joint: JointModel, occupancy: Occupancy, policies: Policies, t: in
     return arriving
 
 
-def _nowhere(joint: JointModel) -> Occupancy:
-    """Return an occupancy without any mass."""
-    rows = np.zeros((0, len(joint.models)), dtype=np.int64)
-    return Occupancy(Terms(tuple(np.zeros((0, n)) for n in joint.n_cells), (rows,) * joint.n_states), 0.0)
-
-
 class Stage:
     """One (time, automaton state): candidate terms, the mass that reaches them, and each agent's policy."""
 
@@ -236,8 +211,12 @@ class Stage:
         policies: Sequence[StepPolicy],
         rough: bool = False,
     ) -> None:
-        self.rough = rough
+        self.rough, self.groups = rough, joint.common
         self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
+        # What each agent may choose from, and the number of the first of these choices: groups keep their numbers.
+        self.offered: list[tuple[Choices, int]] = [(model.choices, 0) for model in joint.models]
+        for group in self.groups:
+            self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
         self.smoothed, self.values, known = [], [], dict[object, FloatArray]()
@@ -270,23 +249,76 @@ class Stage:
         return known[key]
 
     def improve(self) -> None:
-        """Let every agent answer once, in order.
+        """Let every agent answer once, in order; before that every group takes the best number of its inputs."""
+        for group in self.groups:
+            self._choose_number(group)
+        self._answer(range(len(self.models)))
+
+    def _choose_number(self, group: CommonGroup) -> None:
+        """Let the members of a group answer under each number, and keep the number under which the team does best.
+
+        The present number is tried first and stays among equals, so that the value at the start does not fall.
+        """
+        now = self._number_of(group)
+        # With one objective each, members answer whatever the values of others are.
+        weighed = any(len(self.values[i]) > 1 for i in group.members)
+        before, best = (list(self.policies), list(self.values)), (-np.inf, self.offered, self.policies, self.values)
+        for number in (now, *(k for k in range(len(group.numbers)) if k != now)):
+            self.policies, self.values = [*before[0]], [*before[1]]
+            self.offered = self._with_number(group, number)
+            for i, part in zip(group.members, group.parts, strict=True) if number != now else ():
+                choices = self.models[i].choices
+                assert isinstance(choices, BoxChoices)
+                self.policies[i] = with_number(choices, self.policies[i], int(part[number]))
+                if weighed:
+                    self.values[i] = read(choices, self.smoothed[i], self.policies[i], self.rough)
+            self._answer(group.members)
+            worth = self._worth()
+            if worth > best[0] * (1.0 + TIE):
+                best = worth, self.offered, self.policies, self.values
+        _, self.offered, self.policies, self.values = best
+
+    def _number_of(self, group: CommonGroup) -> int:
+        """Return the number that the members of a group share now."""
+        chosen, offered = zip(*((self.policies[i], self.models[i].choices) for i in group.members), strict=True)
+        return group.number_of(chosen, offered)
+
+    def _with_number(self, group: CommonGroup, number: int) -> list[tuple[Choices, int]]:
+        """Return what agents are offered if a group has a number."""
+        offered = [*self.offered]
+        for i, part in zip(group.members, group.parts, strict=True):
+            choices = self.models[i].choices
+            assert isinstance(choices, BoxChoices)
+            offered[i] = choices.parts[part[number]], int(part[number]) * choices.part_length
+        return offered
+
+    def _worth(self) -> float:
+        """Return what all terms contribute at the start, weighed with the mass that reaches them."""
+        inner = [self._inner(i) for i in range(len(self.models))]
+        return float(inner_products(inner, self._heaviest(len(self.models)), self.rows).sum())
+
+    def _answer(self, who: Sequence[int]) -> None:
+        """Let some agents answer once, in order, with what they are offered.
 
         Cells that the alive mass does not meet are weighed as if the other agents might be anywhere.
         """
         n_agents = len(self.models)
         chosen = self._heaviest(n_agents)
         met = self._met(chosen)
-        anywhere = _Others([_means(values)[self.rows[:, i]] for i, values in enumerate(self.values)])
-        answers: dict[tuple[int, bytes, bytes], StepPolicy] = {}
+        anywhere = Others([_means(values)[self.rows[:, i]] for i, values in enumerate(self.values)])
+        answers: dict[tuple[int, int, bytes, bytes], StepPolicy] = {}
         for i, model in enumerate(self.models):
             n_values = len(self.values[i])
+            if i not in who:
+                met.replace(self._inner_by_terms(i, chosen))
+                anywhere.replace(_means(self.values[i])[self.rows[:, i]])
+                continue
             # With a single objective its weights do not matter, and equal agents have equal answers.
             if n_values == 1:
                 table = to_host(self.smoothed[i])
-                key = (id(model), table.tobytes(), self.policies[i].tobytes())
+                key = (id(model), self.offered[i][1], table.tobytes(), self.policies[i].tobytes())
                 if key not in answers:
-                    answers[key] = best_choices(model.choices, np.ones((model.n_cells, 1)), table, self.policies[i])
+                    answers[key] = self.best(i, np.ones((model.n_cells, 1)), table)
                 self.policies[i] = answers[key]
             else:
                 weights = self._weights(i, met, chosen)
@@ -297,11 +329,20 @@ class Stage:
                         weights = beside(usual[None], weights)
                     else:
                         weights[unmet] = beside(usual, weights)
-                self.policies[i] = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
+                self.policies[i] = self.best(i, weights, self.smoothed[i])
             # The next agents answer to what this one does now.
             self.values[i] = read(model.choices, self.smoothed[i], self.policies[i], self.rough)
             met.replace(self._inner_by_terms(i, chosen))
             anywhere.replace(_means(self.values[i])[self.rows[:, i]])
+
+    def best(self, i: int, weights: FloatArray, table: FloatArray) -> StepPolicy:
+        """Return the best of the choices that agent i is offered."""
+        choices, first = self.offered[i]
+        if not first:
+            return best_choices(choices, weights, table, self.policies[i])
+        incumbent = np.where(self.policies[i] >= 0, self.policies[i] - first, -1).astype(np.int32)
+        best = best_choices(choices, weights, table, incumbent)
+        return np.where(best >= 0, best + first, -1).astype(np.int32)
 
     def gain(self) -> float:
         """Return the largest increase of the start value if one agent changes its choices here (an estimate).
@@ -312,7 +353,7 @@ class Stage:
             return 0.0
         most = 0.0
         for i, (model, weights) in enumerate(zip(self.models, self.weights(), strict=True)):
-            better = best_choices(model.choices, weights, self.smoothed[i], self.policies[i])
+            better = self.best(i, weights, self.smoothed[i])
             added = read(model.choices, self.smoothed[i], better) - self.values[i]
             most = max(most, float(namespace(added).einsum("sn,ns->", weights, added)))
         return most
@@ -326,14 +367,14 @@ class Stage:
             met.replace(self._inner_by_terms(i, chosen))
         return result
 
-    def _met(self, chosen: IndexArray) -> _Others:
+    def _met(self, chosen: IndexArray) -> Others:
         """Return the inner products of mass and value per agent, (mass terms, terms)."""
-        return _Others([self._inner_by_terms(i, chosen) for i in range(len(self.models))])
+        return Others([self._inner_by_terms(i, chosen) for i in range(len(self.models))])
 
-    def _weights(self, i: int, met: _Others, chosen: IndexArray) -> FloatArray:
+    def _weights(self, i: int, met: Others, chosen: IndexArray) -> FloatArray:
         """Return omega (S, n) of agent i's value factors in its cells: the mass there, times the others' products."""
-        collected = _collect(met.product(), chosen[:, i], len(self.mass[i]), self.rows[:, i], len(self.values[i]))
-        weights: FloatArray = self.mass[i].T @ collected
+        sums = collected(met.product(), chosen[:, i], len(self.mass[i]), self.rows[:, i], len(self.values[i]))
+        weights: FloatArray = self.mass[i].T @ sums
         return weights
 
     def _heaviest(self, n_agents: int) -> IndexArray:
@@ -388,51 +429,9 @@ class Stage:
         return factors, rows
 
 
-class _Others:
-    """Products of per-agent arrays over all agents but one, the agents being replaced one after the other."""
-
-    def __init__(self, factors: Sequence[FloatArray]) -> None:
-        # `before` is the product over agents that were replaced; `after` ends with that over agents still to come.
-        self.before = namespace(factors[0]).ones_like(factors[0])
-        self.after = [self.before]
-        for factor in reversed(factors[1:]):
-            self.after.append(self.after[-1] * factor)
-
-    def product(self) -> FloatArray:
-        """Return the product over the agents other than the current one."""
-        return self.before * self.after[-1]
-
-    def replace(self, factor: FloatArray) -> None:
-        """Set the current agent's factor and go on to the next agent."""
-        self.before = self.before * factor
-        self.after.pop()
-
-
-def inner_products(inner: Sequence[FloatArray], mass_rows: IndexArray, rows: IndexArray) -> FloatArray:
-    """Return ``sum_k prod_i inner[i][mass_rows[k, i], rows[l, i]]`` for every term l, in chunks of mass terms."""
-    total = beside(np.zeros(len(rows)), inner[0])
-    chunk = max(1, PRODUCTS_AT_ONCE // max(1, len(rows)))
-    for first in range(0, len(mass_rows), chunk):
-        chosen = mass_rows[first : first + chunk]
-        product = take(take(inner[0], chosen[:, 0]), rows[:, 0], axis=1)
-        for i in range(1, len(inner)):
-            product *= take(take(inner[i], chosen[:, i]), rows[:, i], axis=1)
-        total += product.sum(axis=0)
-    return total
-
-
 def _means(factors: FloatArray) -> FloatArray:
     """Return the mean of every factor over the cells, as an array of numpy."""
     return to_host(namespace(factors).mean(factors, axis=1))
-
-
-def _collect(values: FloatArray, rows: IndexArray, n_rows: int, columns: IndexArray, n_columns: int) -> FloatArray:
-    """Sum entries of ``values`` that share a row number and a column number: (K, L) -> (n_rows, n_columns)."""
-    if n_columns < len(columns) or not np.array_equal(columns, np.arange(n_columns)):
-        values = add_rows(values.T, columns, n_columns).T
-    if n_rows < len(rows) or not np.array_equal(rows, np.arange(n_rows)):
-        values = add_rows(values, rows, n_rows)
-    return values
 
 
 def _small(values: FloatArray, share: float) -> NDArray[np.bool_]:

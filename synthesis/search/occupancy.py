@@ -11,16 +11,43 @@ Terms may be dropped; ``leftover`` then bounds the dropped mass from above, so t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import JointModel, StepPolicy
+from ..models import JointModel, Policies, StepPolicy
 from ..values import Guards, Occupancy, Terms, beside, compress, distinct, empty, merge_rows, take, term_masses, to_host
+from .limits import Limits
 
 MANY_ALIKE = 2
 """Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
+
+
+def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Return the alive mass at times 0 .. T - 1, from below, as arrays of numpy."""
+    on_device = forward_on_device(joint, policies, start, limits)
+    return [Occupancy(put_everywhere(occupancy.terms, to_host), occupancy.leftover) for occupancy in on_device]
+
+
+def put_everywhere(terms: Terms, put: Callable[[NDArray], NDArray]) -> Terms:
+    """Return the same terms with all factors put elsewhere."""
+    return Terms(tuple(put(factors) for factors in terms.factors), terms.index)
+
+
+def forward_on_device(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
+    """Return the alive mass at times 0 .. T - 1, from below, on the device."""
+    occupancies = [Occupancy(put_everywhere(start.terms, joint.put), start.leftover)]
+    for t in range(joint.horizon - 1):
+        step = [policy[t] for policy in policies]
+        occupancies.append(push(occupancies[-1], step, joint, limits.mass, limits.rank))
+    return occupancies
+
+
+def nowhere(joint: JointModel) -> Occupancy:
+    """Return an occupancy without any mass."""
+    rows = np.zeros((0, len(joint.models)), dtype=np.int64)
+    return Occupancy(Terms(tuple(np.zeros((0, n)) for n in joint.n_cells), (rows,) * joint.n_states), 0.0)
 
 
 def push(

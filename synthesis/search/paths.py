@@ -32,6 +32,10 @@ REACHED_SHARE = 1e-3
 """Share of the largest mass of a step above which a cell counts as reached."""
 
 
+LONGEST_SHIFT = 2
+"""Most steps by which a perturbed start advances or delays the plan of an agent."""
+
+
 @dataclass(frozen=True, eq=False)
 class GuardPath:
     """One guard per time, and the probability of following it under the best policies for it.
@@ -242,3 +246,13 @@ def staged_starts(joint: JointModel, start: Occupancy, naive: Policies) -> dict[
         for path in staged_paths(joint, likely):
             starts[f"staged start {len(starts) + 1}"] = path_policies(joint, path, naive)
     return starts
+
+
+def perturbed(policies: Policies, rng: np.random.Generator) -> Policies:
+    """Return policies whose plans are advanced or delayed from a random step on, another one for each agent."""
+    shifted = []
+    for policy in policies:
+        times = np.arange(len(policy))
+        shift = np.where(times >= rng.integers(len(policy)), rng.integers(-LONGEST_SHIFT, LONGEST_SHIFT + 1), 0)
+        shifted.append(policy[np.clip(times + shift, 0, len(policy) - 1)])
+    return tuple(shifted)

@@ -24,7 +24,7 @@ from ..values import Occupancy
 from ..values import start_value as train_start_value
 from .ascent import Sweep, resting_policies, start_value, sweep
 from .limits import Limits
-from .paths import staged_starts
+from .paths import perturbed, staged_starts
 from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
 from .search_settings import Search
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
@@ -84,11 +84,12 @@ That tree is pruned as little as possible: pruning during the search has hidden 
 POLISHING = 4
 """Most such sweeps."""
 
+COMMON_STARTS = 3
+"""Numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
+best later, depends on earlier numbers."""
+
 RESTART_SEED = 1
 """Seed of the perturbed starts."""
-
-LONGEST_SHIFT = 2
-"""Most steps by which a perturbed start advances or delays the plan of an agent."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -292,6 +293,8 @@ class _TreeAscent:
         elif self.best is not None:
             self.run("given start", self.best.policies, sweeps - 1, self.best.value)
         if not self.is_solved and sweeps >= 2:
+            self.common_starts(relaxed_policies(relaxations))
+        if not self.is_solved and sweeps >= 2:
             self.more_starts(resting, relaxations)
         rng = np.random.default_rng(RESTART_SEED)
         for k in range(self.how.restarts):
@@ -302,6 +305,16 @@ class _TreeAscent:
     def each(self, starts: dict[str, Policies]) -> list[Sweep]:
         """Make one sweep from every start and return them."""
         return [self.run(name, policies, min(1, self.how.max_sweeps)) for name, policies in starts.items()]
+
+    def common_starts(self, policies: Policies) -> None:
+        """Try some numbers of inputs that are chosen in common, each at all times; go on from the best of them."""
+        # Numbers from the middle: at the ends of input boxes hardly any task stays.
+        inner = np.linspace(0, self.joint.most_numbers - 1, COMMON_STARTS + 2)[1:-1] if self.joint.common else ()
+        some = np.unique(np.rint(inner).astype(int)).tolist()
+        starts = {f"number {k + 1} in common": self.joint.with_numbers(policies, k) for k in some}
+        if starts:
+            best = max(zip(starts, self.each(starts), strict=True), key=lambda pair: pair[1].value)
+            self.run(best[0], best[1].policies, self.how.max_sweeps - 1, best[1].value)
 
     def more_starts(self, naive: Policies, relaxations: tuple[Relaxation, ...]) -> None:
         """Try the relaxed start and, unless it comes to the same, the staged ones; continue with the best two."""
@@ -427,16 +440,6 @@ class _TrainAscent:
     def is_solved(self) -> bool:
         """Whether more sweeps are not worth their time."""
         return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
-
-
-def perturbed(policies: Policies, rng: np.random.Generator) -> Policies:
-    """Return policies whose plans are advanced or delayed from a random step on, another one for each agent."""
-    shifted = []
-    for policy in policies:
-        times = np.arange(len(policy))
-        shift = np.where(times >= rng.integers(len(policy)), rng.integers(-LONGEST_SHIFT, LONGEST_SHIFT + 1), 0)
-        shifted.append(policy[np.clip(times + shift, 0, len(policy) - 1)])
-    return tuple(shifted)
 
 
 def _tolerance(wanted: float) -> float:

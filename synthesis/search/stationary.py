@@ -21,9 +21,9 @@ import numpy as np
 from ...envs.problem import Problem
 from ..models import JointModel, Policies, start_of
 from ..values import Occupancy, to_host
-from .ascent import Stage, Sweep, forward, sweep
-from .best_response import best_choices
+from .ascent import Stage, Sweep, sweep
 from .limits import Limits
+from .occupancy import forward
 from .policy_search import FINAL, Found
 from .train_ascent import TrainLimits, TrainSweep, sweep_trains
 
@@ -42,11 +42,13 @@ def stationary_best(problem: Problem, joint: JointModel, found: Found, limits: L
     start = start_of(problem, joint)
     evaluate = _evaluation(joint, start, found.best, limits)
     shape = (joint.horizon, joint.n_states)
-    # Candidates: the choices of the first step, those of the relaxations, and those of the most likely times.
+    # Candidates: the choices of the first step, those of the relaxations, and those of the most likely times; where
+    # inputs are chosen in common, each of their numbers for all automaton states.
     first = tuple(policy[:1] for policy in found.best.policies)
     candidates = [first, tuple(relaxation.policy[:1] for relaxation in found.relaxations)]
     if isinstance(found.best, Sweep):
         candidates.append(_modal(joint, found.best.policies, forward(joint, found.best.policies, start, limits)))
+    candidates += [joint.with_numbers(first, number) for number in range(joint.most_numbers)]
     tried = [evaluate(_at_all_times(policies, shape)) for policies in candidates]
     best = max(tried, key=lambda outcome: outcome.value)
     if isinstance(best, TrainSweep):
@@ -117,8 +119,8 @@ def _answers(joint: JointModel, policies: Policies, start: Occupancy, limits: Li
             return None
         # The objectives of all times side by side, each with its weights: their sum is maximised.
         weights = [stage.weights() for stage in met]
-        for i, model in enumerate(joint.models):
+        for i in range(len(joint.models)):
             table = np.concatenate([to_host(stage.smoothed[i]) for stage in met])
             heavy = np.concatenate([to_host(each[i]) for each in weights], axis=1)
-            answers[i][0, q] = best_choices(model.choices, heavy, table, answers[i][0, q])
+            answers[i][0, q] = met[0].best(i, heavy, table)
     return tuple(answers)

@@ -221,6 +221,11 @@ def _check_certificate(certificate: Certificate) -> None:
                 f"`certificate`: expected Gaussian noise, got another law for agent `{agent.name}`; a shield does not "
                 "compute what inputs are worth under other laws"
             )
+        if "common" in part.relation:
+            raise ValueError(
+                f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "
+                "relies on what others apply, and nobody knows what a learner applies; synthesize with `common=False`"
+            )
         if not agent.has_plain_noise:
             raise ValueError(
                 f"`certificate`: expected noise in every state that is the same everywhere, got another for agent "

@@ -125,13 +125,17 @@ class ActionValues:
         return np.asarray(np.maximum(least - largest[:, None] * box.charge, 0.0))
 
     def beside(self, i: int, states: tuple[FloatArray, ...]) -> FloatArray | None:
-        """Return the states (l, M) of others that the dynamics of agent i name; None if there are none."""
+        """Return the states (l, M) of others that the dynamics of agent i name; None if there are none.
+
+        Inputs of others are no numbers: what an agent's input is worth holds whatever the others apply.
+        """
         agents = self.certificate.problem.agents
         agent = agents[i]
         if not isinstance(agent, Agent) or not agent.others:
             return None
         places = [place_of(name, agents) for name in agent.others]
-        return np.array([states[owner][k] for owner, k in places])
+        unknown = np.full(states[0].shape[1], np.nan)
+        return np.array([unknown if p.is_input else states[p.agent][p.component] for p in places])
 
     def mean(self, i: int, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the mean (d, M) of the next state of agent i at states (d, M) under inputs (m, M), grid coordinates.
