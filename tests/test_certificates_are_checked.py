@@ -367,12 +367,22 @@ def test_the_exact_relation_needs_inputs_for_every_state() -> None:
 
 
 def test_singular_noise_is_refused_with_advice() -> None:
-    agent = scalar_agent("one", noise_covariance=[[0.0]])
+    agent = cg.LinearAgent(
+        name="one",
+        A=np.eye(2),
+        B=np.eye(2),
+        noise_covariance=np.full((2, 2), 0.01),
+        state_low=[-2, -2],
+        state_high=[2, 2],
+        input_low=[-1, -1],
+        input_high=[1, 1],
+        initial_state=[-1, -1],
+    )
     problem = cg.Problem(
-        name="still",
+        name="tied",
         horizon=2,
         agents=[agent],
-        propositions={"g": cg.Proposition("one", [0], [1])},
+        propositions={"g": cg.Proposition("one", [0, 0], [1, 1])},
         specification=cg.Specification("F g", "co-safe"),
     )
     with pytest.raises(ValueError, match="positive definite"):

@@ -92,7 +92,7 @@ def box_model(
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the least and largest positive scales (d,) of the noise, and how much logarithms vary in a cell on average.
+    """Return least and largest positive scales (d,) of the noise, and how much logarithms vary in a cell on average.
 
     None if the noise is the same everywhere.
     """
