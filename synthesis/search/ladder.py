@@ -6,8 +6,8 @@ the cut, on both sides. Two terms may be united from below in the factor of one 
     a x b + a' x b'  >=  (a + a') x m  +  remainder,        m = min(b, b'),
 
 where the remainder ``a x (b - m)`` or ``a' x (b' - m)`` takes the place of the second term. A ladder starts with the
-heaviest term and climbs down the others by weight, as long as the weight of the union grows; then the next ladder
-starts. With terms of more than two agents, m is the minimum in every other factor, and the remainder differs in one of
+heaviest term and climbs down the others by weight, as long as the weight of the union grows, in the factor of one
+agent after the other; then the next ladder starts. With terms of more than two agents, m is the minimum in every other factor, and the remainder differs in one of
 them (docs/theory/linear.md, "Uniting from below"). Whatever is united, the sum is a lower bound; weights, from the mass
 that arrives, only say what pays.
 """
@@ -35,6 +35,9 @@ REST = 1.0 - 1e-9
 
 MOST_STEPS = 48
 """Terms that a ladder looks at: the heaviest ones."""
+
+MOST_TURNS = 3
+"""Ladders of one head in the factor of each agent, on average."""
 
 Arrivals = Callable[[int], Sequence[NDArray]]
 """Mass (S_i,) of every agent that arrives from an automaton state, a heuristic weight."""
@@ -89,21 +92,29 @@ def _climb(
             break
         head, others = order[0], order[1:]
         done[head] = True
-        # Try the sum in the factor of each agent and take the ladder that gathers most.
-        tried = [_joined(terms, masses, i, head, others) for i in range(n_agents)]
-        best = max(range(n_agents), key=lambda i: tried[i][0])
-        for k in tried[best][1]:
-            pair = [head, k]
-            before, weight = [term[pair] for term in terms], float(shares[:, pair].prod(axis=0).sum())
-            rest = _unite(terms, masses, best, head, k)
-            after = np.stack([term[pair] @ mass for term, mass in zip(terms, masses, strict=True)])
-            if weight - float(after.prod(axis=0).sum()) > MOST_LOST * weights.sum():
-                # What is lost here is certain, what bends less is small: leave the two as they were.
-                for term, factors_before in zip(terms, before, strict=True):
-                    term[pair] = factors_before
-                continue
-            history.append((int(here[head]), int(here[k]), best, rest))
-            shares[:, pair], changed[pair] = after, True
+        left = set(range(n_agents))
+        for _ in range(MOST_TURNS * n_agents):
+            if not left:
+                break
+            # Try the sum in the factor of each agent and take the ladder that gathers most.
+            tried = {i: _joined(terms, masses, i, head, others) for i in sorted(left)}
+            best = max(tried, key=lambda i: tried[i][0])
+            left.remove(best)
+            united = False
+            for k in tried[best][1]:
+                pair = [head, k]
+                before, weight = [term[pair] for term in terms], float(shares[:, pair].prod(axis=0).sum())
+                rest = _unite(terms, masses, best, head, k)
+                after = np.stack([term[pair] @ mass for term, mass in zip(terms, masses, strict=True)])
+                if weight - float(after.prod(axis=0).sum()) > MOST_LOST * weights.sum():
+                    # What is lost here is certain, what bends less is small: leave the two as they were.
+                    for term, factors_before in zip(terms, before, strict=True):
+                        term[pair] = factors_before
+                    continue
+                history.append((int(here[head]), int(here[k]), best, rest))
+                shares[:, pair], changed[pair], united = after, True, True
+            if united:  # often makes way for unions in the factors of the others
+                left = set(range(n_agents)) - {best}
     for i in range(n_agents):
         moved = np.flatnonzero(changed[:, i])
         rows[here[moved], i] = len(factors[i]) + np.arange(len(moved))
