@@ -257,7 +257,7 @@ def _certified(
     joint = join(problem, abstraction)
     start = start_of(problem, joint)
     # Whether unions from below pay is not known before; the policies are the same. With linear cells they hardly lose.
-    climbs = (True,) if abstraction.settings["relation"] == "linear" else (True, False)
+    climbs = (0.0,) if abstraction.settings["relation"] == "linear" else (0.0, None)
     tries = [sweep(joint, tables, start, FINAL, improve=False, climb=climb) for climb in climbs]
     best = max(tries, key=lambda found: found.value)
     settings = {**abstraction.settings, **facts, "final_limits": vars(FINAL)}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import certigym as cg
 from certigym.synthesis.search.ladder import apply_rest, ladders
 
 
@@ -58,16 +59,46 @@ def test_a_remainder_of_the_wrong_term_would_be_caught() -> None:
 
 @pytest.mark.parametrize("n_agents", [2, 3])
 @pytest.mark.parametrize("seed", range(4))
-def test_whole_ladders_stay_below(n_agents: int, seed: int) -> None:
+@pytest.mark.parametrize("spent", [0.0, 0.05])
+def test_whole_ladders_stay_below(n_agents: int, seed: int, spent: float) -> None:
     rng, count = np.random.default_rng(100 + seed), 6
     factors = random_terms(rng, n_agents, count)
     before = [factor.copy() for factor in factors]
     rows = np.tile(np.arange(count)[:, None], n_agents)
     masses = [rng.random(4) for _ in range(n_agents)]
-    merges = ladders(factors, rows, np.arange(count), np.zeros(count, dtype=np.int64), lambda q: masses)
+    merges = ladders(factors, rows, np.arange(count), np.zeros(count, dtype=np.int64), lambda q: masses, spent)
     assert len(merges.into)
     after = [factor[rows[:, i]] for i, factor in enumerate(factors)]
     assert all(np.all(factor >= 0.0) for factor in after)
     for joint in product(range(4), repeat=n_agents):
         # Sums of three and more 64ths are still exact; remainders are rounded, far below what is taken off them.
         assert total(after, joint) <= total(before, joint)
+
+
+def test_the_edge_of_a_region_for_two_disappears() -> None:
+    """In it together all is won, elsewhere u x u is left: three terms make one without an edge, and little more."""
+    u, inside = np.array([0.7, 0.9, 0.95, 0.9]), np.array([0.0, 1.0, 1.0, 0.0])
+    out = 1.0 - inside
+    factors = [np.array([inside, inside * u, out * u]), np.array([inside, out * u, u])]
+    rows, mass = np.tile(np.arange(3)[:, None], 2), np.array([0.1, 0.4, 0.4, 0.1])
+    ladders(factors, rows, np.arange(3), np.zeros(3, dtype=np.int64), lambda q: [mass, mass], 0.0)
+    after = [factor[rows[:, i]] for i, factor in enumerate(factors)]
+    weights = np.prod([own @ mass for own in after], axis=0)
+    head = int(np.argmax(weights))
+    np.testing.assert_allclose(after[0][head], u, atol=1e-9)
+    np.testing.assert_allclose(after[1][head], u, atol=1e-9)
+    assert weights[head] > 0.85 * weights.sum()
+
+
+def test_teams_in_the_wind_meet_in_a_region() -> None:
+    """Two drones and a bounded wind: no step may pay for the edge of a region that both have not reached yet."""
+    windy = cg.make_problem("windy-delivery-v0", n_agents=2)
+    problem = cg.Problem(
+        name="windy",
+        horizon=3,
+        agents=windy.agents,
+        propositions=windy.declared,
+        specification=cg.Specification("F all(pickup)", "co-safe"),
+    )
+    certificate = cg.synthesize(problem, [40, 32], relation="linear").certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.99

@@ -108,7 +108,7 @@ def sweep(
     improve: bool,
     loss: Loss | None = None,
     watch: Callable[[Stage], None] | None = None,
-    climb: bool = True,
+    climb: float | None = 0.0,
 ) -> Sweep:
     """Make one pass: alive mass forward under ``policies``, value backward; every agent answers if ``improve``.
 
@@ -128,8 +128,8 @@ def sweep(
         What lost relations take from smoothed factors, see ``candidates``.
     watch : callable, optional
         Shown every (time, automaton state) once its policies are set.
-    climb : bool
-        Whether terms of linear agents are united from below (``ladders``).
+    climb : float or None
+        Share that uniting two terms from below may lose where steps are not additive (``ladders``); None: none are.
     """
     policies = joint.agreed(policies)
     occupancies = [nowhere(joint)] * joint.horizon
@@ -142,8 +142,9 @@ def sweep(
     for t in reversed(range(joint.horizon)):
         # Taken off the list to free memory: early times have many terms, late ones much mass.
         occupancy = occupancies.pop()
-        arrivals = _arrivals(joint, occupancy, policies, t) if climb else None
-        options = candidates(joint.guards, joint.masks, joint.models, terms, loss, arrivals, improve, joint.finds_alike)
+        arrivals = None if climb is None else _arrivals(joint, occupancy, policies, t)
+        steps = joint.guards, joint.masks, joint.models, terms
+        options = candidates(*steps, loss, arrivals, climb or 0.0, improve, joint.finds_alike)
         parts, kept = [], []
         for q in range(joint.n_states):
             # Where nothing is left to decide the value is 1 or 0.

@@ -7,9 +7,9 @@ the cut, on both sides. Two terms may be united from below in the factor of one 
 
 where the remainder ``a x (b - m)`` or ``a' x (b' - m)`` takes the place of the second term. A ladder starts with the
 heaviest term and climbs down the others by weight, as long as the weight of the union grows, in the factor of one
-agent after the other; then the next ladder starts. With terms of more than two agents, m is the minimum in every other factor, and the remainder differs in one of
-them (docs/theory/linear.md, "Uniting from below"). Whatever is united, the sum is a lower bound; weights, from the mass
-that arrives, only say what pays.
+agent after the other; then the next ladder starts. With terms of more than two agents, m is the minimum in every other
+factor, and the remainder differs in one of them (docs/theory/linear.md, "Uniting from below"). Whatever is united, the
+sum is a lower bound; weights, from the mass that arrives, only say what pays.
 """
 
 from __future__ import annotations
@@ -44,7 +44,12 @@ Arrivals = Callable[[int], Sequence[NDArray]]
 
 
 def ladders(
-    factors: list[NDArray], rows: IndexArray, remaining: IndexArray, source: IndexArray, arrivals: Arrivals
+    factors: list[NDArray],
+    rows: IndexArray,
+    remaining: IndexArray,
+    source: IndexArray,
+    arrivals: Arrivals,
+    spent: float,
 ) -> Merges:
     """Unite terms from below, state by state; ``factors`` and ``rows`` are changed in place.
 
@@ -59,12 +64,14 @@ def ladders(
     source : (N,) array
         Automaton state of each row.
     arrivals : callable
+    spent : float
+        Share of the lighter of two terms that uniting them may lose: where guards cut them they may lose more apart.
     """
     history: list[tuple[int, int, int, int]] = []
     for q in np.unique(source[remaining]):
         here = remaining[source[remaining] == q]
         if len(here) > 1:
-            _climb(factors, rows, here, arrivals(int(q)), history)
+            _climb(factors, rows, here, arrivals(int(q)), history, spent)
     if not history:
         return Merges.none()
     columns = np.array(history, dtype=np.int64).T
@@ -77,6 +84,7 @@ def _climb(
     here: IndexArray,
     masses: Sequence[NDArray],
     history: list[tuple[int, int, int, int]],
+    spent: float,
 ) -> None:
     """Unite the terms ``here`` of one automaton state; what is done is added to the history."""
     n_agents = rows.shape[1]
@@ -106,7 +114,8 @@ def _climb(
                 before, weight = [term[pair] for term in terms], float(shares[:, pair].prod(axis=0).sum())
                 rest = _unite(terms, masses, best, head, k)
                 after = np.stack([term[pair] @ mass for term, mass in zip(terms, masses, strict=True)])
-                if weight - float(after.prod(axis=0).sum()) > MOST_LOST * weights.sum():
+                lost, lighter = weight - float(after.prod(axis=0).sum()), float(shares[:, pair].prod(axis=0).min())
+                if lost > MOST_LOST * weights.sum() + spent * lighter:
                     # What is lost here is certain, what bends less is small: leave the two as they were.
                     for term, factors_before in zip(terms, before, strict=True):
                         term[pair] = factors_before

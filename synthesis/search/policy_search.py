@@ -21,13 +21,13 @@ from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..models import JointModel, Policies, WrittenChoices, spread_start, start_of
 from ..values import Occupancy
-from ..values import start_value as train_start_value
 from .ascent import Sweep, resting_policies, start_value, sweep
 from .limits import Limits
 from .paths import perturbed, staged_starts
 from .relaxation import Relaxation, relax, relaxed_policies, upper_bound
 from .search_settings import Search
-from .train_ascent import TrainLimits, TrainSweep, sweep_trains
+from .train_ascent import TrainSweep
+from .train_search import RESTART_SEED, TrainAscent
 
 FINAL = Limits(contribution=1e-10, elsewhere=1e-4, mass=1e-11, rank=1500)
 """What the last pass over a tree, with frozen policies, may leave out."""
@@ -40,6 +40,12 @@ LINEAR_FINAL = Limits(contribution=1e-6, elsewhere=1e-2, mass=1e-7, rank=60)
 
 HOPE = 0.02
 """What the evaluation of linear agents may be below their last sweep without being tried in another way."""
+
+SPENT = (0.0, 0.05, None)
+"""Shares that unions from below may lose, one after the other; None: nothing is united."""
+
+MOST_ENDS = 3
+"""Policies that are evaluated in all these ways, at most: those of the largest value in sweeps."""
 
 MANY_TERMS = 64
 """Terms of a naive value tree from which tensor trains are used instead, unless the caller decides."""
@@ -62,19 +68,6 @@ LINEAR_PROGRESS = 3e-4
 LEAST_ROOM = 1e-9
 """Relative distance from the upper bound below which nothing is left to gain on these cells."""
 
-SEARCH_ROUNDING, REPORTED_ROUNDING, PAIR_ROUNDING = 1e-2, 1e-4, 1e-7
-"""What rounding of trains may change, as a share of the value: during the search, for what is reported, and that for
-two agents, whose rank is that of a matrix."""
-
-FAILURE_ROUNDING = 0.05
-"""The same for what is reported, as a share of the probability of failing, where that is less."""
-
-LEFT_OUT_SHARE = 1e-2
-"""Share of the mass of each step that may lie on cells which trains leave out, as a share of the tolerance."""
-
-TOLERANCES = (1e-9, 0.5)
-"""Least and largest tolerance of trains: floating point keeps no smaller one, and a larger one says nothing."""
-
 LEAST_GAIN_SHARE = 1e-5
 """What one agent alone could gain, as a share of the value, from which policies are improved on the full tree.
 
@@ -87,9 +80,6 @@ POLISHING = 4
 COMMON_STARTS = 3
 """Numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
 best later, depends on earlier numbers."""
-
-RESTART_SEED = 1
-"""Seed of the perturbed starts."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,17 +173,12 @@ def find_policies(
         if naive is not None:
             starts["naive start"] = naive.policies
         # Beyond two agents trains leave out the cells beside the path: with them their ranks grow too large.
-        trains = _TrainAscent(joint, start, spread if len(joint.models) <= 2 else start, search, most)
+        trains = TrainAscent(joint, start, spread if len(joint.models) <= 2 else start, search, most)
         best = trains.search(starts, resting_policies(joint) if naive is None else naive.policies)
         return Found(best, trains.values, trains.starts, relaxations, trains.gain)
     policies = trees.search(naive, relaxations)
     if lossy:
-        evaluated = sweep(joint, policies, start, LINEAR_FINAL, improve=False)
-        if max(trees.values, default=0.0) > evaluated.value + HOPE:
-            # Far below what sweeps see: unions from below may lose more than they save.
-            plain = sweep(joint, policies, start, LINEAR_FINAL, improve=False, climb=False)
-            evaluated = max(evaluated, plain, key=lambda outcome: outcome.value)
-        return Found(evaluated, trees.values, trees.starts, relaxations, None)
+        return Found(trees.evaluated(policies), trees.values, trees.starts, relaxations, None)
     frozen, gain = _frozen(joint, policies, start)
     # Go on with the full tree while one agent alone could still gain.
     for _ in range(POLISHING if search.max_sweeps else 0):
@@ -283,6 +268,7 @@ class _TreeAscent:
         self.values: list[float] = []
         self.starts: dict[str, float] = {}
         self.best: Sweep | None = None
+        self.ends: list[Sweep] = []
 
     def search(self, naive: Sweep | None, relaxations: tuple[Relaxation, ...]) -> Policies:
         """Return the best policies from all starts, the naive one or the given ones first."""
@@ -336,6 +322,25 @@ class _TreeAscent:
             if not self.is_solved:
                 self.run(name, outcome.policies, self.how.max_sweeps - 1)
 
+    def evaluated(self, policies: Policies) -> Sweep:
+        """Return the largest evaluation of policies; where it is far below what sweeps see, of others as well.
+
+        Sweeps are about right only: policies that they cannot tell apart may differ much in what is certified of them,
+        and unions from below may lose more than they save.
+        """
+        seen = max(self.values, default=0.0)
+        ends = sorted(self.ends, key=lambda end: -end.value)
+        tried = [policies, *(end.policies for end in ends if end.policies is not policies)][:MOST_ENDS]
+        best: Sweep | None = None
+        for own in tried:
+            for spent in SPENT:
+                found = sweep(self.joint, own, self.start, LINEAR_FINAL, improve=False, climb=spent)
+                best = found if best is None or found.value > best.value else best
+                if best.value >= seen - HOPE:
+                    return best
+        assert best is not None  # there is something to evaluate
+        return best
+
     @property
     def is_solved(self) -> bool:
         """Whether the best is so near the upper bound that no further start is tried."""
@@ -355,93 +360,10 @@ class _TreeAscent:
             if outcome.value <= last * (1 + self.progress) or outcome.value >= self.most * (1 - LEAST_ROOM):
                 break
             last, policies = outcome.value, outcome.policies
+        if outcome is not None and not all(model.is_additive for model in self.joint.models):
+            self.ends.append(outcome)
         # Without a sweep the policies are only evaluated.
         if outcome is None:
             outcome = sweep(self.joint, policies, self.start, self.how.limits, improve=False)
             self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
         return outcome
-
-
-class _TrainAscent:
-    """Ascent on tensor trains, evaluated with a fine rounding in the end."""
-
-    def __init__(self, joint: JointModel, start: Occupancy, spread: Occupancy, search: Search, most: float) -> None:
-        self.joint, self.start, self.spread, self.how, self.most = joint, start, spread, search, most
-        self.values: list[float] = []
-        self.starts: dict[str, float] = {}
-        self.gain = 0.0
-        self.best: TrainSweep | None = None
-
-    def search(self, starts: dict[str, Policies], naive: Policies) -> TrainSweep:
-        """Return the best policies from several starts, or those of the first one if no sweeps are to be made."""
-        for name, policies in starts.items():
-            if self.how.max_sweeps and not self.is_good:
-                self.run(name, policies, self.how.max_sweeps)
-        # One sweep from every staged start; continue with the best two.
-        if not self.is_good and self.how.max_sweeps >= 2:
-            staged = staged_starts(self.joint, self.start, naive)
-            tried = {name: self.run(name, policies, 1) for name, policies in staged.items()}
-            for k, (name, outcome) in enumerate(sorted(tried.items(), key=lambda item: -item[1].value)[:2]):
-                if k == 0 or not self.is_good:
-                    self.run(name, outcome.policies, self.how.max_sweeps - 1)
-        rng = np.random.default_rng(RESTART_SEED)
-        for k in range(self.how.restarts):
-            if self.best is not None and not self.is_solved:
-                self.run(f"perturbed start {k + 1}", perturbed(self.best.policies, rng), self.how.max_sweeps)
-        policies = next(iter(starts.values())) if self.best is None else self.best.policies
-        return self.evaluated(policies)
-
-    def evaluated(self, policies: Policies) -> TrainSweep:
-        """Return the value of frozen policies, rounded as finely as what is reported should be."""
-        value = self.most if self.best is None else max(self.best.value, 1e-6)
-        tolerance = _tolerance(min(self.fine * value, max(FAILURE_ROUNDING * (1.0 - value), 1e-3 * self.fine)))
-        # Not a share of the tolerance alone: that may be more than the fine rounding where the value is next to 0.
-        limits = TrainLimits(tolerance, LEFT_OUT_SHARE * min(self.fine, tolerance / value))
-        gains = [0.0]
-        outcome = sweep_trains(self.joint, policies, self.spread, limits, improve=False, watch=gains.append)
-        self.gain = max(gains)
-        return replace(outcome, value=train_start_value(self.start, outcome.terms))
-
-    def run(self, name: str, policies: Policies, sweeps: int) -> TrainSweep:
-        """Sweep from ``policies`` until nothing improves; return the last sweep."""
-        last, outcome = 0.0, self.best
-        for _ in range(sweeps):
-            # A margin of one cell: answers may move the mass a little beyond the cells it visits now.
-            limits = TrainLimits(self.tolerance, margin=1)
-            outcome = sweep_trains(self.joint, policies, self.spread, limits, improve=True)
-            outcome = replace(outcome, value=train_start_value(self.start, outcome.terms))
-            self.values.append(outcome.value)
-            self.starts[name] = max(outcome.value, self.starts.get(name, 0.0))
-            self.best = outcome if self.best is None or outcome.value > self.best.value else self.best
-            self.how.tell(name, self.best.value)
-            if outcome.value <= last + limits.tolerance or self.is_solved:
-                break
-            last, policies = outcome.value, outcome.policies
-        assert outcome is not None
-        return outcome
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the best is so near the upper bound that no further start is tried."""
-        return self.best is not None and self.best.value >= self.how.good_share * self.most
-
-    @property
-    def tolerance(self) -> float:
-        """What a sweep may round: a share of the value at first, then of what may be left to gain."""
-        left = self.most if self.best is None else self.most - self.best.value
-        return _tolerance(max(SEARCH_ROUNDING * left, self.fine * self.most))
-
-    @property
-    def fine(self) -> float:
-        """Rounding of what is reported, as a share of the value."""
-        return REPORTED_ROUNDING if len(self.joint.models) > 2 else PAIR_ROUNDING
-
-    @property
-    def is_solved(self) -> bool:
-        """Whether more sweeps are not worth their time."""
-        return self.best is not None and self.best.value >= (1 - 2 * self.fine) * self.most
-
-
-def _tolerance(wanted: float) -> float:
-    """Return the wanted tolerance, or the nearest one that makes sense."""
-    return float(np.clip(wanted, *TOLERANCES))

@@ -87,6 +87,7 @@ def candidates(
     value: Terms,
     loss: Loss | None = None,
     arrivals: Arrivals | None = None,
+    spent: float = 0.0,
     rough: bool = False,
     finds_alike: bool = False,
 ) -> Candidates:
@@ -95,9 +96,9 @@ def candidates(
     Nothing is lost, but for the kernel's lower bounds and what ``loss`` takes off: it turns a smoothed factor into a
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
     agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
-    below (``ladders``). With ``rough`` the bends of linear agents are left out: what comes out is no lower bound, but
-    right enough for choosing policies. With ``finds_alike`` terms are united whose factors are equal without being the
-    same.
+    below, which may lose a share ``spent`` (``ladders``). With ``rough`` the bends of linear agents are left out: what
+    comes out is no lower bound, but right enough for choosing policies. With ``finds_alike`` terms are united whose
+    factors are equal without being the same.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -127,7 +128,7 @@ def candidates(
         remaining, merges = _united_alike(factors, rows, groups, remaining, merges)
     if arrivals is not None and n_agents > 1:
         factors = [to_host(factor) for factor in factors]
-        merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals))
+        merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals, spent))
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
     smoothed = _smooth(models, factors, rough)
