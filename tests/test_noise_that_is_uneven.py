@@ -290,6 +290,26 @@ def test_other_relations_refuse_such_noise_in_words(relation: str) -> None:
             cg.synthesize(problem, 40, relation=relation)
 
 
+def test_noise_too_small_to_be_squared_is_refused() -> None:
+    """Its variance is 0 in floating point; a state next to an edge may cross it all the same."""
+    with pytest.raises(ValueError, match="expected a std of at least 1e-100"):
+        walker(noise=[GAUSSIAN, {"law": "gaussian", "std": 1e-170}])
+    assert not np.any(walker(noise=[GAUSSIAN, {"law": "gaussian", "std": 1e-90}]).still_axes)
+
+
+def test_pairs_by_subtraction_refuse_such_noise() -> None:
+    """Masses of nearness are computed from covariances, which say nothing of scales."""
+    agents = tuple(walker(name=name) for name in ("left", "right"))
+    near = cg.Pair(agents=["left", "right"], low=[-0.1, -0.1], high=[0.1, 0.1])
+    problem = cg.Problem(
+        name="apart", horizon=3, agents=agents,
+        propositions={"near": near, "goal": cg.Proposition("left", [-0.3, 0.0], [0.3, 1.0])},
+        specification=cg.Specification("!near U (goal & !near)", "co-safe"),
+    )  # fmt: skip
+    with pytest.raises(RelationRefused):
+        cg.synthesize(problem, 20)
+
+
 def test_shields_refuse_such_noise_in_words() -> None:
     problem = task(walker())
     with pytest.raises(ValueError, match="noise in every state that is the same everywhere"):

@@ -192,8 +192,11 @@ class AnyAgent(ABC):
 
     @cached_property
     def still_axes(self) -> np.ndarray:
-        """Which states (d,) have no noise at all: their rows of the covariance are 0."""
-        return read_only(~np.any(self.noise_covariance, axis=1))
+        """Which states (d,) have no noise at all: the law has the deviation 0, or the row of the covariance is 0."""
+        if self.laws is None:
+            return read_only(~np.any(self.noise_covariance, axis=1))
+        # Laws with a deviation of 0 are those of states; the square of a tiny one may be 0 as well.
+        return read_only(np.array([law.std == 0.0 for law in self.laws]))
 
     @property
     def has_plain_noise(self) -> bool:

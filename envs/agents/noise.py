@@ -69,6 +69,8 @@ def _check_numbers(name: str, numbers: dict[str, float]) -> None:
         if key in numbers and not numbers[key] >= least:
             wanted = f"a {key} of at least 0" if key == "std" else f"a positive {key}"
             raise ValueError(f"`noise`: expected {wanted} of a {name} law, got {numbers[key]:g}")
+        if key in numbers and 0.0 < numbers[key] < LEAST_DEVIATION:
+            raise ValueError(f"`noise`: expected a {key} of at least {LEAST_DEVIATION:g}, got {numbers[key]:g}")
     if "low" in numbers and not numbers["low"] < numbers["high"]:
         raise ValueError(f"`noise`: expected low < high, got {numbers['low']:g} and {numbers['high']:g}")
     if "mode" in numbers and not numbers["low"] <= numbers["mode"] <= numbers["high"]:
@@ -81,6 +83,9 @@ def _check_numbers(name: str, numbers: dict[str, float]) -> None:
             f"[{numbers['low']:g}, {numbers['high']:g}] with spread {numbers['spread']:g}"
         )
 
+
+LEAST_DEVIATION = 1e-100
+"""Least positive deviation of a law: the squares of smaller ones are 0 in floating point."""
 
 LEAST_SHARE = 0.01
 """Least probability of the interval of a truncated law: smaller ones cost digits."""

@@ -123,11 +123,13 @@ def _wrong_agents(problem: Problem, base: Certificate) -> list[str]:
 
 
 def _is_plain(agent: AnyAgent) -> bool:
-    """Return whether the noise is Gaussian and independent along the states."""
+    """Return whether the noise is Gaussian, independent along the states, and the same everywhere."""
     covariance = agent.noise_covariance
     gaussian = agent.laws is None or all(isinstance(law, Gaussian) for law in agent.laws)
     axes_fit = agent.laws is None or np.array_equal(agent.noise_axes, np.eye(agent.n_states))
-    return bool(gaussian and axes_fit and not np.any(covariance - np.diag(np.diag(covariance))))
+    return bool(
+        agent.has_plain_noise and gaussian and axes_fit and not np.any(covariance - np.diag(np.diag(covariance)))
+    )
 
 
 @dataclass(frozen=True, eq=False)

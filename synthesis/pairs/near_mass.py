@@ -23,7 +23,7 @@ from scipy.special import ndtr
 
 from ...envs.agents import AnyAgent, PairRegion, counted
 from ...envs.problem import Problem
-from ..cells import FloatArray, RelationRefused
+from ..cells import FloatArray, RelationRefused, refuse_uneven_noise
 from ..models import JointModel, Policies
 
 MOST_TERMS = 300
@@ -244,7 +244,8 @@ def compared_axes(problem: Problem, pair: PairRegion) -> tuple[list[int], list[i
 
 
 def _check_noise(agent: AnyAgent) -> None:
-    """Raise RelationRefused unless the noise of an agent is Gaussian and independent along its states."""
+    """Raise RelationRefused unless the noise is Gaussian, independent along the states, and the same everywhere."""
+    refuse_uneven_noise(agent, "exact")
     covariance: Any = agent.noise_covariance
     lawful = agent.laws is None or all(law.name == "gaussian" for law in agent.laws)
     if not lawful or np.any(covariance != np.diag(np.diag(covariance))):
