@@ -115,14 +115,14 @@ def test_linear_cells_certify_more_than_boxes() -> None:
     """On the same cells, and both below rollouts of the network (20,000, seed 1, false alarm 1e-6)."""
     problem = reach(scalar_agent("a"), scalar_agent("b"))
     actor = proportional(problem)
-    by_maps, by_boxes = (certify_network(problem, actor, 100, relation=kind) for kind in ("linear", "boxes"))
+    by_maps, by_boxes = (certify_network(problem, actor, 25, relation=kind) for kind in ("linear", "boxes"))
     assert by_maps.certificate.lower_bound > by_boxes.certificate.lower_bound + 0.02
-    assert certify_network(problem, actor, 100).certificate.lower_bound == by_maps.certificate.lower_bound
+    assert certify_network(problem, actor, 25).certificate.lower_bound == by_maps.certificate.lower_bound
     report = cg.validate(by_maps, episodes=20_000, seed=1, confidence=1.0 - 1e-6)
     assert report.ci_high >= by_maps.certificate.lower_bound
-    # What is left is small: a quarter of the cells loses the network little more.
-    coarse = certify_network(problem, actor, 25, relation="linear").certificate.lower_bound
-    assert coarse > by_boxes.certificate.lower_bound
+    # What is left is small: boxes lose more on four times the cells.
+    fine = certify_network(problem, actor, 100, relation="boxes").certificate.lower_bound
+    assert by_maps.certificate.lower_bound > fine
 
 
 def test_boxes_are_taken_where_they_certify_more() -> None:
