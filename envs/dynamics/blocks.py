@@ -265,12 +265,12 @@ def block_of(problem: Problem, group: list[int]) -> Block:
 def _beside(problem: Problem, agent: AnyAgent) -> np.ndarray:
     """Return the positions (l,), in joint state and joint input, of what an agent's dynamics name of others."""
     names = agent.others if isinstance(agent, Agent) else ()
-    places = [place_of(name, problem.agents) for name in names]
-    first = {
-        False: [c.start for c in problem.columns],
-        True: [problem.n_states + c.start for c in problem.input_columns],
-    }
-    return np.array([first[place.is_input][place.agent] + place.component for place in places], dtype=np.int64)
+    positions = []
+    for place in (place_of(name, problem.agents) for name in names):
+        # Inputs stand behind all states.
+        columns, before = (problem.input_columns, problem.n_states) if place.is_input else (problem.columns, 0)
+        positions.append(before + columns[place.agent].start + place.component)
+    return np.array(positions, dtype=np.int64)
 
 
 def _motion(

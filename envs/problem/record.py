@@ -231,12 +231,12 @@ class Problem:
     @property
     def n_states(self) -> int:
         """Number of components D of a joint state."""
-        return sum(agent.n_states for agent in self.agents)
+        return self.columns[-1].stop
 
     @property
     def n_inputs(self) -> int:
         """Number of components of a joint input."""
-        return sum(agent.n_inputs for agent in self.agents)
+        return self.input_columns[-1].stop
 
     @cached_property
     def columns(self) -> tuple[slice, ...]:
