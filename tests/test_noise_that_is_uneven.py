@@ -390,6 +390,22 @@ def test_forged_lattices_are_refused() -> None:
     assert not cg.check(dataclasses.replace(certificate, problem=louder))
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_boxes_with_an_end_that_is_not_known_are_worth_nothing(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where only one end of the mean of a state without noise is no number."""
+    certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate
+    honest = boxes_check.enclosed_means
+
+    def half_known(*of: Any, **more: Any) -> tuple[NDArray, NDArray]:
+        ends = [end.copy() for end in honest(*of, **more)]
+        ends[side][:, 1] = np.nan
+        return ends[0], ends[1]
+
+    assert cg.check(certificate)
+    monkeypatch.setattr(boxes_check, "enclosed_means", half_known)
+    assert cg.check(certificate).recomputed == 0.0
+
+
 def test_the_check_makes_its_own_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sums of masses are those of the search, to rounding, though none of its code is used."""
     certificate = cg.synthesize(task(walker()), [24, 24], relation="boxes").certificate

@@ -270,9 +270,10 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
         k = axis.state
         if axis.kind == "cell":
             # The number of edges at or below, 0 and the last number being outside; the workspace holds its upper face.
-            edges = part.grid.edges[k]
-            below = np.sum(means[:, k, None] >= edges, axis=1)
-            columns.append(np.where(means[:, k] == edges[-1], len(edges) - 1, below).astype(float))
+            edges, value = part.grid.edges[k], means[:, k]
+            below = np.where(value == edges[-1], len(edges) - 1, np.sum(value[:, None] >= edges, axis=1))
+            # An end that is not a number is no place at all, at either side of a box.
+            columns.append(np.where(np.isnan(value), np.nan, below))
             continue
         value = means[:, k]
         if axis.kind == "scale":
