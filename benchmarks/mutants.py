@@ -204,6 +204,20 @@ MUTANTS = [
         ("if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):", "if False:"),
     ),
     *_in(
+        "synthesis/checking/start_check.py",
+        ("if problem.starts_outside:", "if False:"),
+        ("if problem.initial_q is None:", "if False:"),
+    ),
+    *_in(
+        "synthesis/checking/aim_spans.py",
+        ("(-east[::-1], -north[::-1])", "(-east, -north)"),
+        ("np.asarray(beside & (begin", "np.asarray((begin"),
+    ),
+    *_in(
+        "synthesis/checking/team_check.py",
+        ("base.initial_q == problem.initial_q:", "True:"),
+    ),
+    *_in(
         "synthesis/checking/certificate_check.py",
         ("if not certificate.lower_bound <= recomputed * (1.0 - rounding):", "if False:"),
     ),

@@ -120,6 +120,7 @@ def synthesize(
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
     plan = Plan(Settings(**settings), search, budget)
     problem = as_problem(problem)
+    _refuse_outside(problem)
     if problem.groups and not problem.labeling.pairs:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
@@ -165,6 +166,17 @@ def _of_task(
         return max(found, second(), key=lambda each: each.certificate.lower_bound)
     except RelationRefused:
         return found
+
+
+def _refuse_outside(problem: Problem) -> None:
+    """Refuse starts at points outside the workspace: no controller satisfies any task from there."""
+    points = {agent.name for agent in problem.agents if agent.initial.is_point}
+    for name in problem.starts_outside:
+        if name in points:
+            raise ValueError(
+                f"`initial_state`: expected a start in the workspace of agent `{name}`, got one outside, and no task is "
+                "satisfied from there; correct the start, or `state_low` and `state_high`"
+            )
 
 
 def _refuse_for_pairs(plan: Plan, start: Certificate | None) -> None:

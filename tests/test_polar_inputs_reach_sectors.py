@@ -28,6 +28,7 @@ SECTORS = {
     "both signs, all directions": ([-1.6, -1.2], [2.0, 2.4]),
     "negative sizes": ([-2.5, 2.2], [-0.1, 5.6]),
     "nearly all the way round": ([0.0, -3.1415926], [2.0, 3.1415926]),
+    "backwards, with a gap": ([-2.0, -2.4], [0.1, 2.4]),
     "angles far from 0": ([0.0, 1000.0], [2.0, 1004.0]),
 }
 
@@ -105,6 +106,27 @@ def test_boxes_that_are_let_through_hold_nothing_that_inputs_do_not_give() -> No
     assert found > 5000 and found > 0.99 * most  # nothing much is lost, either
 
 
+def test_a_million_boxes_that_the_check_lets_through_are_reached() -> None:
+    """Sizes of either sign, boxes small and large, beside 0, around it and on the axes: what is passed is reached."""
+    rng, turn, passed, around_zero = np.random.default_rng(1), Turn(0, 1), 0, 0
+    for number in range(50):
+        ends = np.sort(rng.uniform(-2.0, 2.0, 2)) if number % 3 else np.sort(rng.uniform([-2.0, -1.0], [-1.0, 0.3]))
+        middle, half = rng.uniform(-7.0, 7.0), float(rng.choice([rng.uniform(0.05, 3.1), rng.uniform(2.3, 3.1), np.pi]))
+        agent = polar([ends[0], middle - half], [ends[1], middle + half])
+        size = rng.choice([0.01, 0.2, 1.0], 20_000)
+        centre, width = size * rng.uniform(-1.5, 1.5, (2, 20_000)), size * rng.random((2, 20_000))
+        east, north = (np.stack([c - w, c + w]) for c, w in zip(centre, width, strict=True))
+        checked = turned_there(agent, turn, east, north)
+        # Corners, the middle, and on all sides and inside what is nearest to 0: where wrong sectors are wrong.
+        near = [np.clip(0.0, *east), np.clip(0.0, *north)]
+        xs = np.stack([*east, *east, centre[0], *east, *[near[0]] * 3])[:, checked]
+        ys = np.stack([*north, *north[::-1], centre[1], *[near[1]] * 3, *north])[:, checked]
+        assert np.all(reachable(agent, xs, ys))
+        passed += int(checked.sum())
+        around_zero += int(np.sum((centre**2 < width**2).all(axis=0) & (ends[0] < 0.0)))
+    assert passed > 30_000 and around_zero > 50_000
+
+
 @pytest.mark.parametrize("name", [*SECTORS, "in space"])
 def test_claims_are_exact_checked_and_met_by_rollouts(name: str) -> None:
     """Both ends hold in simulations: false alarm 1e-6; a gap of .04 would be seen."""
@@ -173,6 +195,12 @@ def longer(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
     return tuple(sectors.Sector(part.least, 1.01 * part.most, part.middle, part.half) for part in true)
 
 
+def gapless(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
+    """Negative sizes that go anywhere, although some directions are missing."""
+    low, _, middle, _ = sectors._ranges(agent, turn)
+    return (sectors.Sector(0.0, -low, middle, np.inf),)
+
+
 def opposite(agent: Agent, turn: Turn) -> tuple[sectors.Sector, ...]:
     """Negative sizes that go where positive ones do."""
     low, high, middle, half = sectors._ranges(agent, turn)
@@ -184,7 +212,13 @@ _SECTORS_OF, _POLAR_INPUTS, _TURNED = sectors.sectors_of, sectors.polar_inputs, 
 
 @pytest.mark.parametrize(
     "name, wrong",
-    [("narrow", wider), ("wide", wider), ("both signs", longer), ("negative sizes", opposite)],
+    [
+        ("narrow", wider),
+        ("wide", wider),
+        ("both signs", longer),
+        ("negative sizes", opposite),
+        ("backwards, with a gap", gapless),
+    ],
 )
 def test_the_check_refuses_sectors_that_are_too_large(name: str, wrong: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The search is fooled, the check is not."""

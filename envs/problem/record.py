@@ -13,6 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import product
 from types import MappingProxyType
 from typing import Any
 
@@ -36,6 +37,9 @@ from .families import AnyProposition, checked_propositions, expand
 from .groups import Group, independent_groups
 from .specification import Specification
 from .summary import summary_html, summary_text
+
+MOST_FIRST_LETTERS = 1024
+"""Letters that a start box may have: beyond, where the automaton goes is not looked into."""
 
 LONGEST_HORIZON = 10**6
 """Most control steps: more would be a slip of the keyboard, and would fill the memory with policies."""
@@ -250,24 +254,34 @@ class Problem:
 
     @cached_property
     def initial_q(self) -> int | None:
-        """Automaton state after the letter of the start; None if several letters are possible or a start is outside."""
-        # Put the letter together agent by agent; each start box must have a single class.
-        letter = np.zeros(len(self.propositions), dtype=bool)
-        labeling = self.labeling.without_pairs()
-        for i, agent in enumerate(self.agents):
-            start = agent.initial
-            if not all(inside(corner, agent.state_low, agent.state_high) for corner in (start.low, start.high)):
+        """Automaton state after the letter of the start; None if a start is outside, or if several letters are possible
+        that lead to different states."""
+        starts = [agent.initial for agent in self.agents]
+        if self.starts_outside:
+            return None
+        if all(start.is_point for start in starts):
+            letters = self.labeling.letter([start.low for start in starts])[None]
+        elif self.labeling.pairs:
+            return None  # pairs are read at points; where a start is drawn from a box, they may hold or not
+        else:
+            classes = [self.labeling.box_classes(i, start.low, start.high)[0] for i, start in enumerate(starts)]
+            if np.prod([own.sum() for own in classes], dtype=float) > MOST_FIRST_LETTERS:
                 return None
-            possible = labeling.box_classes(i, start.low, start.high)[0]
-            if possible.sum() != 1:
-                return None
-            letter[labeling.agent_propositions[i]] = labeling.classes[i][int(np.argmax(possible))]
-        # Pairs are read at points; where a start is drawn from a box, they may hold or not.
-        if self.labeling.pairs:
-            if any((agent.initial.low != agent.initial.high).any() for agent in self.agents):
-                return None
-            letter = self.labeling.letter([agent.initial.low for agent in self.agents])
-        return int(self.automaton.next_state(np.asarray(self.automaton.initial), letter))
+            possible = [own[here] for own, here in zip(self.labeling.classes, classes, strict=True)]
+            letters = np.array([np.concatenate(letter) for letter in product(*possible)], dtype=bool)
+            letters = letters.reshape(-1, len(self.propositions))
+        states = self.automaton.next_state(np.full(len(letters), self.automaton.initial), letters.T)
+        return int(states[0]) if np.all(states == states[0]) else None
+
+    @cached_property
+    def starts_outside(self) -> tuple[str, ...]:
+        """Names of the agents with a start, or a corner of a start box, outside their closed workspace."""
+        return tuple(
+            agent.name
+            for agent in self.agents
+            for start in [agent.initial]
+            if not all(inside(corner, agent.state_low, agent.state_high) for corner in (start.low, start.high))
+        )
 
     def replace(
         self,

@@ -155,7 +155,9 @@ def turned_there(agent: Agent, turn: Turn, east: FloatArray, north: FloatArray) 
     there = np.zeros(farthest.shape, dtype=bool)
     for sign, least, most in ((1.0, low, high), (-1.0, -high, -low)):
         sized = (farthest <= most) & ((nearest >= least) | (least <= 0.0)) & (most > 0.0)
-        there |= sized & _seen_within(agent, turn, sign * east, sign * north)
+        # The opposite of an interval begins with the opposite of its upper end.
+        facing = (east, north) if sign > 0.0 else (-east[::-1], -north[::-1])
+        there |= sized & _seen_within(agent, turn, *facing)
     # Angles over half a turn and more hold each direction or its opposite, which the other sign of the size gives.
     either = around >= np.pi and low < 0.0 < high
     return np.asarray(there | ((farthest <= min(high, -low)) & either))

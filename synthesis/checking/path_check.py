@@ -17,6 +17,7 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
+from .start_check import wrong_start
 
 UNIT = 2.0**-52
 """Twice the relative rounding of one operation."""
@@ -163,16 +164,14 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
             failures.append(f"the inputs of agent `{agent.name}` do not fit")
         elif not (np.all(np.isfinite(path.inputs)) and np.all(np.isfinite(path.gain))):
             failures.append(f"the inputs of agent `{agent.name}` are no numbers")
-    return failures
+    return failures or wrong_start(problem)
 
 
 def _wrong_word(certificate: PathCertificate) -> list[str]:
     """Whether every word that agrees with the letters is accepted."""
     problem, automaton = certificate.problem, certificate.problem.automaton
-    first = np.zeros(len(automaton.propositions), dtype=bool)
-    for i, agent in enumerate(problem.agents):
-        first[problem.labeling.agent_propositions[i]] = problem.labeling.class_at(i, agent.initial.low)
-    states = {int(automaton.next_state(automaton.initial, first))}
+    assert problem.initial_q is not None  # others were refused
+    states = {problem.initial_q}
     for t in range(1, certificate.n_steps + 1):
         known = _known(problem, certificate.letters[t].tolist())
         states = {target for q in states for target in _targets(certificate, q, known)}

@@ -30,7 +30,7 @@ def wrong_team(problem: Problem, base: Problem) -> list[str]:
         if not isinstance(agent, LinearAgent) or agent.laws is not None:
             return [f"agent `{agent.name}` is not linear with Gaussian noise"]
     failures = _wrong_matrices(problem, team)
-    return failures or _wrong_regions(problem, base, team)
+    return failures or _wrong_regions(problem, base, team) or _wrong_first_letter(problem, base)
 
 
 def _wrong_matrices(problem: Problem, team: LinearAgent) -> list[str]:
@@ -83,6 +83,15 @@ def _wrong_regions(problem: Problem, base: Problem, team: LinearAgent) -> list[s
             if np.any(region.low[free] >= low[free]) or np.any(region.high[free] <= high[free]):
                 failures.append(f"{name!r} asks for something of outputs that it is not about")
     return failures
+
+
+def _wrong_first_letter(problem: Problem, base: Problem) -> list[str]:
+    """From a point the first letter leads to one state, whoever computes the outputs: rounding may part them."""
+    if not base.agents[0].initial.is_point or base.initial_q == problem.initial_q:
+        return []
+    return [
+        "the first letter of its one agent leads elsewhere than that of the team: the start is on a face of a region"
+    ]
 
 
 def _asked(problem: Problem, p: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:

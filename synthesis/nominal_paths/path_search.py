@@ -79,6 +79,10 @@ def _check(problem: Problem) -> None:
             raise RelationRefused(f"agent `{agent.name}`: paths are for linear dynamics with Gaussian noise")
         if not agent.initial.is_point:
             raise RelationRefused(f"agent `{agent.name}`: paths are for a start that is a point, got a box")
+    for name in problem.starts_outside:
+        raise RelationRefused(
+            f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
+        )
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:

@@ -55,7 +55,9 @@ class Way:
 def ways_of(problem: Problem) -> Iterator[Way]:
     """Yield ways from the state after the first letter to acceptance, the shortest first."""
     automaton = problem.automaton
-    start = first_state(problem)
+    start = problem.initial_q
+    if start is None:
+        return  # outside a workspace no word is accepted
     cubes = {int(q): cubes_of(problem, int(q)) for q in np.flatnonzero(~automaton.dead)}
     for states in _state_sequences(problem, cubes, start):
         loops: list[list[Cube | None]] = [[*cubes[q].get(q, [])[:CUBES_KEPT]] or [None] for q in states]
@@ -111,7 +113,7 @@ def cubes_of(problem: Problem, q: int) -> dict[int, list[Cube]]:
 def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
     """Return whether every word that agrees with letters (S + 1, P) at times 1 to S is accepted."""
     automaton = problem.automaton
-    states = {first_state(problem)}
+    states = set() if problem.initial_q is None else {problem.initial_q}
     for letter in letters[1:]:
         following: set[int] = set()
         for q in states:
@@ -128,15 +130,6 @@ def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
                     stack.append(int(automaton.low[entry]))
         states = following
     return all(automaton.accepting[q] for q in states)
-
-
-def first_state(problem: Problem) -> int:
-    """Return the automaton state after the letter of the start, a point."""
-    automaton = problem.automaton
-    letter = np.zeros(len(automaton.propositions), dtype=bool)
-    for i, agent in enumerate(problem.agents):
-        letter[problem.labeling.agent_propositions[i]] = problem.labeling.class_at(i, agent.initial.low)
-    return int(automaton.next_state(automaton.initial, letter))
 
 
 def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8]:

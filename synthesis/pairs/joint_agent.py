@@ -23,7 +23,7 @@ def joint_problem(problem: Problem) -> Problem:
     Raises
     ------
     RelationRefused
-        If an agent is not linear, or its noise is not Gaussian.
+        If an agent is not linear, its noise is not Gaussian, or rounding moves the start across a face of a region.
     """
     agents = [agent for agent in problem.agents if isinstance(agent, LinearAgent) and agent.laws is None]
     if len(agents) < problem.n_agents:
@@ -47,13 +47,19 @@ def joint_problem(problem: Problem) -> Problem:
         output_matrix=matrix,
         offset=np.concatenate([agent.offset for agent in agents]),
     )
-    return Problem(
+    joint = Problem(
         name=f"{problem.name[:180]} as one agent",
         horizon=problem.horizon,
         agents=[team],
         propositions=_regions(problem, team),
         specification=Specification(automaton=problem.automaton),
     )
+    if team.initial.is_point and joint.initial_q != problem.initial_q:
+        raise RelationRefused(
+            "the start is on a face of a region, and the outputs of the joint agent are rounded to its other side; "
+            "move the start or the region a little"
+        )
+    return joint
 
 
 def _difference(problem: Problem, pair: PairRegion) -> FloatArray:

@@ -1,0 +1,150 @@
+"""From a start outside the workspace no task is satisfied, and where a start has read a letter every proof knows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.certificates import AgentPath, PathCertificate, TeamCertificate
+from certigym.synthesis.checking.start_check import wrong_start
+from certigym.synthesis.nominal_paths import path_search
+from certigym.synthesis.pairs import joint_problem
+
+
+def robot(name: str, start: Any, **changes: Any) -> cg.LinearAgent:
+    """Four states, steered one by one."""
+    arguments: dict[str, Any] = {
+        "A": np.eye(4), "B": np.eye(4), "noise_covariance": 1e-4 * np.eye(4), "state_low": [-2.0] * 4,
+        "state_high": [2.0] * 4, "input_low": [-1.0] * 4, "input_high": [1.0] * 4, "initial_state": start,
+    }  # fmt: skip
+    return cg.LinearAgent(name=name, **{**arguments, **changes})
+
+
+def returns(*agents: cg.LinearAgent, near: bool = False) -> cg.Problem:
+    """Each comes to the middle; with ``near``, all but while two are near."""
+    regions: dict[str, Any] = {
+        f"goal_{k}": cg.Proposition(agent.name, [-0.5] * 4, [0.5] * 4) for k, agent in enumerate(agents)
+    }
+    formula = "F(" + " & ".join(regions) + ")"
+    if near:
+        names = [agent.name for agent in agents]
+        regions["near"] = cg.Pair(names, [-0.1] * 4, [0.1] * 4)
+        formula = f"(!near) U ({' & '.join(regions).replace(' & near', '')})"
+    task = cg.Specification(formula, "co-safe")
+    return cg.Problem(name="returns", horizon=6, agents=agents, propositions=regions, specification=task)
+
+
+def moved(problem: cg.Problem, start: list[float]) -> cg.Problem:
+    return problem.replace(initial_state={problem.agent_names[0]: start})
+
+
+INSIDE, OUTSIDE = [1.0, 0.0, 0.0, 0.0], [2.0 + 1e-9, 0.0, 0.0, 0.0]
+
+
+def path_from(start: list[float]) -> PathCertificate:
+    """A path that comes back in at time 1: all that is asked from then on holds."""
+    problem = returns(robot("robot", start))
+    inputs = np.zeros((3, 4))
+    inputs[:2, 0] = -0.9
+    letters = np.zeros((4, 1), dtype=np.int8)
+    letters[3] = 1
+    faces = np.full(letters.shape, -1)
+    return PathCertificate(problem, (AgentPath(inputs, np.zeros((4, 4))),), letters, faces, 1e-6, {"relation": "path"})
+
+
+def test_paths_from_outside_are_refused_by_the_check() -> None:
+    assert cg.check(path_from([1.9, 0.0, 0.0, 0.0]))
+    assert cg.check(path_from([2.0, 0.0, 0.0, 0.0]))  # the workspace is closed
+    report = cg.check(path_from(OUTSIDE))
+    assert not report and "start of agent `robot` is outside its workspace" in str(report)
+
+
+def test_paths_from_outside_are_refused_by_the_search() -> None:
+    with pytest.raises(ValueError, match="expected a start in the workspace of agent `robot`"):
+        cg.synthesize(returns(robot("robot", OUTSIDE)))
+    with pytest.raises(ValueError, match="outside its workspace"):
+        path_search.path_certificate(returns(robot("robot", OUTSIDE)))
+    assert cg.synthesize(returns(robot("robot", INSIDE))).certificate.lower_bound > 0.999
+
+
+def test_joint_agents_and_products_from_outside_are_refused_by_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search is made to forget the start, and claims nearly 1; the check of what it made is not fooled."""
+    monkeypatch.setattr("certigym.synthesis.synthesize._refuse_outside", lambda problem: None)
+    monkeypatch.setattr(path_search, "_check", lambda problem: None)
+    monkeypatch.setattr("certigym.envs.problem.Problem.starts_outside", ())
+    agents = robot("left", OUTSIDE), robot("right", [-1.0, 1.0, 0.0, 0.0])
+    forged = [
+        cg.synthesize(returns(*agents, near=True), relation="joint").certificate,
+        cg.synthesize(returns(*agents), relation="path").certificate,
+        cg.synthesize(returns(agents[0]), relation="path").certificate,
+    ]
+    assert isinstance(forged[0], TeamCertificate) and all(each.lower_bound > 0.9 for each in forged)
+    monkeypatch.undo()
+    for certificate in forged:
+        report = cg.check(certificate)
+        assert not report and "outside its workspace" in str(report)
+
+
+@pytest.mark.parametrize("relation", ["exact", "linear", "boxes"])
+def test_grids_are_worth_nothing_outside(relation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells end at the workspace; a value that is carried to a start outside is not that of the check."""
+    one = {"A": [[1.0]], "B": [[1.0]], "noise_covariance": [[0.01]], "state_low": [-2.0], "state_high": [2.0],
+           "input_low": [-1.0], "input_high": [1.0]}  # fmt: skip
+    agent = cg.LinearAgent(name="robot", **one, initial_state=[1.5])
+    task = cg.Specification("F goal", "co-safe")
+    problem = cg.Problem(
+        name="back", horizon=4, agents=[agent], propositions={"goal": cg.Proposition("robot", [-0.5], [0.5])},
+        specification=task,
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, 40, relation=relation).certificate
+    assert isinstance(certificate, cg.Certificate) and certificate.lower_bound > 0.9
+    forged = replace(certificate, problem=moved(problem, [2.0 + 1e-9]))
+    assert not cg.check(forged)
+    assert certificate.at([2.0 + 1e-9])[0] == 0.0
+
+
+def test_letters_of_a_box_must_lead_to_one_state() -> None:
+    problem = returns(robot("robot", INSIDE))
+    assert wrong_start(problem) == []
+    beside = problem.replace(initial_low=[0.6, 0, 0, 0], initial_high=[0.9, 0, 0, 0])
+    across = problem.replace(initial_low=[0.4, 0, 0, 0], initial_high=[0.9, 0, 0, 0])
+    beyond = problem.replace(initial_low=[1.6, 0, 0, 0], initial_high=[2.1, 0, 0, 0])
+    assert wrong_start(beside) == []
+    assert "depends on the start" in wrong_start(across)[0]
+    assert "outside" in wrong_start(beyond)[0]
+
+
+def test_several_letters_may_lead_to_one_state() -> None:
+    """A region that the task does not speak of at the start parts the letters, not the runs."""
+    agent = robot("robot", INSIDE)
+    regions = {
+        "goal": cg.Proposition("robot", [-0.5] * 4, [0.5] * 4),
+        "aside": cg.Proposition("robot", [0.7] * 4, [2] * 4),
+    }
+    task = cg.Specification("X (aside | F goal)", "co-safe")
+    problem = cg.Problem(name="later", horizon=3, agents=[agent], propositions=regions, specification=task)
+    wide = problem.replace(initial_low=[0.6] * 4, initial_high=[0.9] * 4)
+    assert wide.initial_q == problem.initial_q is not None
+
+
+def test_a_joint_agent_may_start_on_a_face() -> None:
+    """Outputs of a team are enclosed on cells; its start is a point, and has one letter."""
+    small = {"A": [[1.0]], "B": [[1.0]], "noise_covariance": [[1e-3]], "state_low": [-2.0], "state_high": [2.0],
+             "input_low": [-1.0], "input_high": [1.0]}  # fmt: skip
+    agents = [cg.LinearAgent(name=name, **small, initial_state=[x]) for name, x in (("left", -1.0), ("right", 0.5))]
+    regions: dict[str, Any] = {
+        "start": cg.Proposition("left", [-1.0], [0.0]),  # its lower face is where the agent starts
+        "goal": cg.Proposition("right", [1.0], [2.0]),
+        "near": cg.Pair(["left", "right"], [-0.2], [0.2]),
+    }
+    task = cg.Specification("start & ((!near) U goal)", "co-safe")
+    problem = cg.Problem(name="faces", horizon=4, agents=agents, propositions=regions, specification=task)
+    assert joint_problem(problem).initial_q == problem.initial_q is not None
+    certificate = cg.synthesize(problem, relation="joint").certificate
+    assert certificate.lower_bound > 0.99
+    report = cg.check(certificate)
+    assert report and report.recomputed > 0.99
