@@ -62,7 +62,8 @@ TRUSTED = {
         "synthesis.checking.network_spans "
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
         "synthesis.checking.hull_check "
-        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.team_check "
+        "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.start_check "
+        "synthesis.checking.team_check "
         "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
     ),

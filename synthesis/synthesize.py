@@ -174,7 +174,7 @@ def _refuse_outside(problem: Problem) -> None:
     for name in problem.starts_outside:
         if name in points:
             raise ValueError(
-                f"`initial_state`: expected a start in the workspace of agent `{name}`, got one outside, and no task is "
+                f"`initial_state`: expected a start in the workspace of agent `{name}`, got one outside; no task is "
                 "satisfied from there; correct the start, or `state_low` and `state_high`"
             )
 

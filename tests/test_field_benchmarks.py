@@ -29,7 +29,7 @@ def test_files_are_those_that_are_written(tmp_path: Path, monkeypatch: pytest.Mo
 def test_rows_are_not_below_what_is_published(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(tmp_path, row, FOLDER, progress=lambda text: None)
-    assert result["check"] == "valid" and result["outcome"] == "not below"
+    assert result["check"] == "valid" and result["outcome"].startswith("not below")
     assert result["rollouts"] > result["certified"] - 0.05
     assert row in (tmp_path / "arch.md").read_text() and row in (tmp_path / "arch.csv").read_text()
 
@@ -51,7 +51,7 @@ def test_means_are_over_the_starts_that_count(tmp_path: Path, monkeypatch: pytes
 def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(tmp_path, row, FOLDER, progress=lambda text: None)
-    assert result["check"] == "valid" and result["certified"] > 0.3 and result["outcome"] == "no published number"
+    assert result["check"] == "valid" and result["certified"] > 0.3 and result["outcome"].startswith("no published number")
 
 
 def test_the_command_names_the_rows(

@@ -242,3 +242,44 @@ def test_what_paths_do_not_do_is_said() -> None:
     far = problem_of(list(problem.agents), {"goal": cg.Proposition("chain", [8, -10], [9, 10])}, "F goal", 3)
     with pytest.raises(ValueError, match="no nominal path"):
         cg.synthesize(far, relation="path")
+
+
+def idle(**changes: Any) -> cg.LinearAgent:
+    """Two states and three inputs, of which the last one moves nothing."""
+    arguments: dict[str, Any] = {
+        "A": [[1.0, 0.1], [0.0, 0.9]], "B": [[0.3, 0.0, 0.0], [0.0, 0.5, 0.0]], "noise_covariance": 0.01 * np.eye(2),
+        "state_low": [-3.0] * 2, "state_high": [3.0] * 2, "input_low": [-1.0] * 3, "input_high": [1.0, 1.0, 2.0],
+        "initial_state": [-1.0, 0.0],
+    }  # fmt: skip
+    return cg.LinearAgent(name="idle", **{**arguments, **changes})
+
+
+def docks(agent: cg.LinearAgent) -> cg.Problem:
+    return problem_of([agent], {"dock": cg.Proposition("idle", [0.5, -1.0], [2.5, 1.0])}, "F dock", 8)
+
+
+def test_inputs_that_move_nothing_are_in_the_middle_and_may_be_at_a_face() -> None:
+    certificate = cg.synthesize(docks(idle()), relation="path").certificate
+    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.9
+    (path,) = certificate.paths
+    assert np.any(path.gain) and np.all(path.inputs[:, 2] == 0.5)
+    assert cg.check(certificate)
+    at_face = path.inputs.copy()
+    at_face[:, 2] = 2.0
+    faced = replace(certificate, paths=(AgentPath(at_face, path.gain),))
+    assert cg.check(faced)
+    at_face[3, 2] = np.nextafter(2.0, 3.0)
+    assert not cg.check(faced)
+
+
+def test_inputs_that_noise_reaches_have_no_room_at_a_face() -> None:
+    """The idle input follows the first state, which is noisy, or the second one, which nothing disturbs."""
+    agent = idle(noise_covariance=[[0.01, 0.0], [0.0, 0.0]], A=[[1.0, 0.1], [0.0, 0.9]])
+    certificate = cg.synthesize(docks(agent), relation="path").certificate
+    assert isinstance(certificate, PathCertificate)
+    (path,) = certificate.paths
+    for followed, admissible in (([1e-6, 0.0], False), ([0.0, 1e-6], True)):
+        inputs, gain = path.inputs.copy(), np.array([path.gain[0], [0.0, 0.0], followed])
+        inputs[:, 2] = 2.0
+        report = cg.check(replace(certificate, paths=(AgentPath(inputs, gain),), failure=0.5))
+        assert bool(report) == admissible, report

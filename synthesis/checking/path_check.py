@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfc
 
 from ...envs.agents import LinearAgent
@@ -234,14 +235,19 @@ def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, 
         tails = _tails(rows @ motion.states[t], off, motion.variances(t, rows), low, high)
         below.append(tails[0])
         above.append(tails[1])
+    if np.any(path.inputs < agent.input_low) or np.any(path.inputs > agent.input_high):
+        return 1.0, 1.0, 1.0
+    moved = _moved_inputs(agent, path)
     for t, u in enumerate(path.inputs):
-        if not np.any(path.gain) or t == 0:
-            if np.any(u < agent.input_low) or np.any(u > agent.input_high):
-                return 1.0, 1.0, 1.0
+        # An input that no deviation reaches is its nominal value, which is in the closed box: rounding is cut off at
+        # the face, which brings it nearer to that value, so that what the motion charges for rounding covers it.
+        here = moved[t]
+        if not np.any(here):
             continue
+        rows, u = path.gain[here], u[here]
         rounding = 16.0 * len(path.gain[0]) * UNIT * np.abs(u)
-        off = np.linalg.norm(path.gain, axis=1) * motion.off[t] * TAIL + rounding
-        tails = _tails(u, off, motion.variances(t, path.gain), agent.input_low, agent.input_high)
+        off = np.linalg.norm(rows, axis=1) * motion.off[t] * TAIL + rounding
+        tails = _tails(u, off, motion.variances(t, rows), agent.input_low[here], agent.input_high[here])
         below.append(tails[0])
         above.append(tails[1])
     left, right = np.concatenate(below), np.concatenate(above)
@@ -251,6 +257,18 @@ def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, 
         return min(1.0, boole), 1.0, 1.0
     correlated = float(-np.expm1(np.sum(np.log1p(-2.0 * nearer)))) * TAIL
     return min(1.0, boole), min(1.0, boole), min(1.0, correlated)
+
+
+def _moved_inputs(agent: LinearAgent, path: AgentPath) -> NDArray[np.bool_]:
+    """Whether the feedback may move inputs (S, m), by where matrices have zeros: the others have deviations of 0."""
+    steers = path.gain != 0.0
+    passes = (agent.A != 0.0) | ((agent.B != 0.0) @ steers)
+    noisy = np.any(agent.noise_covariance != 0.0, axis=1)
+    reached, moved = np.zeros(agent.n_states, dtype=bool), []
+    for _ in path.inputs:
+        moved.append(steers @ reached)
+        reached = noisy | (passes @ reached)
+    return np.array(moved)
 
 
 def _limits(certificate: PathCertificate, i: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:

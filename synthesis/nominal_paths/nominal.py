@@ -77,6 +77,8 @@ def nominal_inputs(agent: LinearAgent, states: Slabs, inputs: Slabs, response: R
     sharp = np.maximum(states.deviations, LEAST_DEVIATION * width)
     spare = np.maximum(inputs.deviations, 0.0)
     margin = np.minimum(FARTHEST * spare, 0.45 * (high - low))
+    # Inputs that no inequality feels stay in the middle of their box, where feedback has the most room.
+    felt = np.any(matrix != 0.0, axis=0)
     u = np.clip(_least_squares(constant, matrix, states, low, high), low + 0.2 * margin, high - 0.2 * margin)
 
     def failing(u: FloatArray) -> float:
@@ -84,13 +86,12 @@ def nominal_inputs(agent: LinearAgent, states: Slabs, inputs: Slabs, response: R
         tails = ndtr((states.low - at) / sharp) + ndtr((at - states.high) / sharp)
         return float(np.sum(tails) + np.sum(_input_tails(u, low, high, spare)[0]))
 
-    if failing(u) <= ENOUGH or len(low) > MOST_VARIABLES:
-        return u.reshape(len(response.impulse), -1)
-    better = _farthest(constant, matrix, states, sharp, (low, high, spare))
-    u = better if better is not None and failing(better) < failing(u) else u
-    if failing(u) > ENOUGH:
-        u = _descended(u, constant, matrix, states, sharp, (low, high, spare))
-    return u.reshape(len(response.impulse), -1)
+    if failing(u) > ENOUGH and len(low) <= MOST_VARIABLES:
+        better = _farthest(constant, matrix, states, sharp, (low, high, spare))
+        u = better if better is not None and failing(better) < failing(u) else u
+        if failing(u) > ENOUGH:
+            u = _descended(u, constant, matrix, states, sharp, (low, high, spare))
+    return np.where(felt, u, 0.5 * (low + high)).reshape(len(response.impulse), -1)
 
 
 def _scale(slabs: Slabs) -> FloatArray:
