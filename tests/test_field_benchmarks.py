@@ -51,7 +51,9 @@ def test_means_are_over_the_starts_that_count(tmp_path: Path, monkeypatch: pytes
 def test_rows_without_a_published_number_are_checked(row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arch, "EPISODES", 2000)
     (result,) = arch.arch(tmp_path, row, FOLDER, progress=lambda text: None)
-    assert result["check"] == "valid" and result["certified"] > 0.3 and result["outcome"].startswith("no published number")
+    assert (
+        result["check"] == "valid" and result["certified"] > 0.3 and result["outcome"].startswith("no published number")
+    )
 
 
 def test_the_command_names_the_rows(

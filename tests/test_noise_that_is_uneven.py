@@ -415,3 +415,29 @@ def test_the_check_makes_its_own_tables(monkeypatch: pytest.MonkeyPatch) -> None
     for table, other in zip(mine, theirs.tables, strict=True):
         np.testing.assert_allclose(table, other.toarray(), atol=1e-13)
     assert MeanBoxes.__dataclass_fields__["scales"].default is None
+
+
+@pytest.mark.parametrize("law", [LAWS[0], LAWS[1], LAWS[2]], ids=lambda law: law["law"])
+@pytest.mark.parametrize("scale", ["1", "2/2", "p", "exp(0)"])
+def test_a_scale_of_one_is_no_scale(law: dict[str, Any], scale: str) -> None:
+    """However it is written: search and check charge nothing for what does not vary, and agree on it."""
+    keys: dict[str, Any] = {
+        "name": "one", "states": ["x"], "inputs": ["u"], "dynamics": ["0.9*x + 0.1*sin(x) + u"], "state_low": [-6.0],
+        "state_high": [6.0], "input_low": [-2.5], "input_high": [2.5], "initial_state": [-4.0], "noise": [law],
+        "parameters": {"p": 1.0},
+    }  # fmt: skip
+    plain, scaled = cg.Agent(**keys), cg.Agent(**keys, noise_scale=[scale])
+    assert scaled.noise_scale is None and scaled.has_plain_noise and scaled.to_dict() == plain.to_dict()
+    problem = cg.Problem(
+        name="one", agents=[scaled], propositions={"goal": cg.Proposition("one", [2.0], [6.0])}, horizon=5,
+        specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, 40, relation="boxes").certificate
+    assert certificate.lower_bound > 0.5 and cg.check(certificate, problem)
+
+
+def test_scales_of_one_beside_others_have_no_axis() -> None:
+    agent = walker(noise=[GAUSSIAN, {"law": "gaussian", "std": 0.1}], noise_scale=["0.1 + 0.05*abs(x)", "2/2"])
+    assert [(axis.kind, axis.state) for axis in lattice_axes(agent)] == [("scale", 0), ("mean", 0), ("mean", 1)]
+    with pytest.raises(ValueError, match="expected beside `noise`"):
+        walker(noise=None, noise_covariance=np.eye(2), noise_scale=["1", "1"])

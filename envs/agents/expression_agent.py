@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import is_host, namespace
-from ..expressions import Affine, Name, Tree, computed, enclosed, read_expression, substituted
+from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
 from .any_agent import AnyAgent, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
@@ -180,6 +180,11 @@ class Agent(AnyAgent):
         laws = laws_of(noise, self.n_states)
         if any(isinstance(law, ScipyLaw) for law in laws):
             raise ValueError("`noise_scale`: expected laws that can be scaled, got one of scipy")
+        # A scale of 1 everywhere, however it is written, is none: nothing is charged for what does not vary.
+        if set(self.scale_trees) == {Number(1.0)}:
+            del self.__dict__["scale_trees"]
+            object.__setattr__(self, "noise_scale", None)
+            return
         # As laws even where all are Gaussian: what is made for Gaussian noise counts on a covariance everywhere.
         object.__setattr__(self, "laws", laws)
         middle = np.array(self.workspace.center)
@@ -234,9 +239,15 @@ class Agent(AnyAgent):
 
     @cached_property
     def scale_trees(self) -> tuple[Tree, ...]:
-        """What the noise of each state is multiplied with, the parameters put in; empty without a `noise_scale`."""
+        """What the noise of each state is multiplied with, the parameters put in; empty without a `noise_scale`.
+
+        What has no names and is 1 is the number 1, whatever it was written as.
+        """
         names = (*self.states, *self.inputs, *self.disturbances)
-        return tuple(self._tree(text, "noise_scale", k, names) for k, text in enumerate(self.noise_scale or ()))
+        trees = [self._tree(text, "noise_scale", k, names) for k, text in enumerate(self.noise_scale or ())]
+        return tuple(
+            Number(1.0) if not names_in(tree) and computed([tree], {})[0][0] == 1.0 else tree for tree in trees
+        )
 
     @cached_property
     def others(self) -> tuple[str, ...]:
