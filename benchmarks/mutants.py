@@ -167,6 +167,10 @@ MUTANTS = [
         ("values * (1.0 - self.relative_rounding) - self.correction", "values + 0.05"),
         ("inside &= np.all((agent.workspace.low <= x) & (x <= agent.workspace.high), axis=1)", "inside &= True"),
     ),
+    *_in(
+        "synthesis/pairs/near_mass.py",
+        ("key = (j, id(tables), tuple(axes_j))", "key = (j, id(tables))"),
+    ),
     # --- controllers
     *_in(
         "synthesis/controllers/steering.py",
@@ -183,6 +187,7 @@ MUTANTS = [
     *_in(
         "synthesis/certificates/checked_kernel.py",
         ("x = (edges - axis[:, None]) / (deviation * np.sqrt(2.0))", "x = (edges - axis[:, None]) / deviation"),
+        ("repr(lattice_axes(agent)).encode()", 'b""'),
     ),
     *_in(
         "synthesis/checking/regrown_tree.py",

@@ -289,3 +289,26 @@ def test_upper_ends_are_claimed_and_checked_where_pairs_can_save_nothing() -> No
     assert wanted.gap is None and cg.check(wanted)
     forged = replace(wanted, base=replace(wanted.base, gap=0.25))
     assert "an upper end" in str(cg.check(forged))
+
+
+def test_pairs_may_compare_different_states_of_one_agent() -> None:
+    """Tables of both pairs are equal, but one is read along x of the second agent, the other along y."""
+    one: dict[str, Any] = {
+        "A": np.eye(2), "B": np.eye(2), "noise_covariance": 0.01 * np.eye(2), "state_low": [-2, -2],
+        "state_high": [2, 2], "input_low": [-1, -1], "input_high": [1, 1],
+    }  # fmt: skip
+    agents = [
+        cg.LinearAgent(name="a", initial_state=[-1.0, -1.0], **one),
+        cg.LinearAgent(name="b", initial_state=[1.3, -0.5], **one),
+    ]
+    regions: dict[str, Any] = {
+        "goal": cg.Proposition("a", [0.5, -2.0], [2.0, 2.0]),
+        "far": cg.Pair(["a", "b"], [-0.2], [0.2], outputs=[[1], [0]]),
+        "close": cg.Pair(["a", "b"], [-0.2], [0.2], outputs=[[1], [1]]),
+    }
+    task = cg.Specification("(!(far | close)) U goal", "co-safe")
+    problem = cg.Problem(name="axes", horizon=3, agents=agents, propositions=regions, specification=task)
+    certificate = cg.synthesize(problem, 20, relation="exact", max_sweeps=0).certificate
+    assert isinstance(certificate, PairsCertificate) and 1e-4 < certificate.near < 1.0
+    report = cg.check(certificate)
+    assert report and report.recomputed - certificate.lower_bound < 1e-6

@@ -9,7 +9,7 @@ from .certificate_file import (
     load_certificate,
     save_certificate,
 )
-from .checked_kernel import axis_tables, grid_noise, lost_to_rounding, smooth
+from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
 from .checked_laws import law_charge, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
@@ -48,6 +48,7 @@ __all__ = [
     "certificate_in",
     "checked_certificate",
     "grid_noise",
+    "kernel_key",
     "joint_states",
     "load_certificate",
     "law_charge",

@@ -21,12 +21,7 @@ def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...],
     Where the noise of a state has scales, the points of all means come scale after scale.
     """
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-    key = (
-        *agent.noise_key,
-        deviations.tobytes(),
-        *(e.tobytes() for e in part.grid.edges),
-        *(a.tobytes() for a in part.lattice),
-    )
+    key = kernel_key(agent, part)
     if key not in known:
         known[key] = []
         if not agent.has_plain_noise:
@@ -39,6 +34,19 @@ def axis_tables(agent: AnyAgent, part: AgentPart, known: dict[tuple[bytes, ...],
         for edges, axis, deviation in zip(part.grid.edges, part.lattice, deviations, strict=True):
             known[key].append(_gaussian_masses(edges, axis, deviation))
     return known[key]
+
+
+def kernel_key(agent: AnyAgent, part: AgentPart) -> tuple[bytes, ...]:
+    """Return all that tables are made of: noise, its axes, cells, and the lattice with what its axes stand for.
+
+    Agents that differ in none of it may share what is computed from it. Arrays alone do not tell scales from means.
+    """
+    return (
+        *agent.noise_key,
+        part.coordinates.tobytes(),
+        repr(lattice_axes(agent)).encode(),
+        *(array.tobytes() for array in (*part.grid.edges, *part.lattice)),
+    )
 
 
 def _gaussian_masses(edges: FloatArray, axis: FloatArray, deviation: float) -> FloatArray:

@@ -29,7 +29,7 @@ import numpy as np
 
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ..cells import FloatArray
+from ..cells import FloatArray, lattice_axes
 from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
@@ -280,14 +280,14 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
     except ValueError as error:  # a relation that cannot be made from its numbers
         return [str(error)], margins, loss
     for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
-        arrays = [agent.noise_covariance, agent.input_box.low, agent.input_box.high]
-        arrays += [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
+        arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (
-            *agent.motion_key,
-            *agent.noise_key,
+            *agent.model_key,
+            *agent.output_key,
+            repr(lattice_axes(agent)),
             id(part.grid),
             json.dumps(part.relation, sort_keys=True),
-            *(own.tobytes() for own in arrays),
+            *((own.shape, own.dtype.str, own.tobytes()) for own in arrays),
         )
         if key not in verified:
             relation = controller.relation

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ..certificates import Certificate, lost_to_rounding
+from ..certificates import Certificate, kernel_key, lost_to_rounding
 from .forward_mass import TooManyProducts, masses
 from .geometry import is_identity
 from .guard_check import cell_classes, joint_cells_by_target
@@ -69,7 +69,7 @@ def attained(certificate: Certificate) -> float | None:
     lost, known = 0.0, dict[object, float]()
     for agent, part in zip(problem.agents, agents, strict=True):
         # Agents with equal noise, cells and means lose alike.
-        key = (*agent.noise_key, id(part.grid), *(axis.tobytes() for axis in part.lattice))
+        key = kernel_key(agent, part)
         if key not in known:
             known[key] = lost_to_rounding(agent, part)
         lost += known[key]

@@ -186,14 +186,15 @@ class NearMass:
         if not np.all(totals > 0.0):
             return 0.0
         everybody, total = float(np.prod(totals)), 0.0
-        spread: dict[tuple[int, int], FloatArray] = {}
+        spread: dict[object, FloatArray] = {}
         for k in asked:
             pair = self.pairs[k]
             i, j = pair.first, pair.second
             tables = self.tables(pair, bool(self.usual[k]))
-            # Equal agents have one table, by which the second agent is spread once for all of its pairs.
-            key = (j, id(tables))
+            # Equal agents have one table, by which the second agent is spread once for all of its pairs that compare
+            # the same of its states.
             axes_i, axes_j = compared_axes(self.problem, pair)
+            key = (j, id(tables), tuple(axes_j))
             if key not in spread:
                 spread[key] = _along(tables, _marginal(masses[j], self.joint.models[j].lattice, axes_j))
             own = _marginal(masses[i], self.joint.models[i].lattice, axes_i)
