@@ -217,6 +217,11 @@ MUTANTS = [
         "synthesis/checking/aim_spans.py",
         ("(-east[::-1], -north[::-1])", "(-east, -north)"),
         ("np.asarray(beside & (begin", "np.asarray((begin"),
+        ('off = off + np.einsum("nkj,nj->nk", factors, inner_losses(relation, low, high))', "off = off + 0.0"),
+    ),
+    *_in(
+        "synthesis/checking/own_intervals.py",
+        ("np.where((off == 0.0) | (slope == 0.0), 0.0, slope * off)", "0.0"),
     ),
     *_in(
         "synthesis/checking/team_check.py",

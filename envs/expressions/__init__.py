@@ -1,7 +1,7 @@
 """Expressions that say how agents move: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
 
 from .affine_inputs import split_at, substituted
-from .enclosure import Affine, enclosed, gradients
+from .enclosure import Affine, enclosed, gradients, roundings
 from .evaluation import computed
 from .expression_tree import Name, Number, Operation, Tree, names_in, operations_in, whole_exponent
 from .intervals import Interval
@@ -27,6 +27,7 @@ __all__ = [
     "operations_in",
     "read_expression",
     "replaced",
+    "roundings",
     "solved",
     "split_at",
     "substituted",

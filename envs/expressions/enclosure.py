@@ -107,6 +107,42 @@ def gradients(
         ]
 
 
+ARITHMETIC_ROUNDS, FUNCTIONS_ROUND = 2.0**-51, 2.0**-46
+"""Shares of its size by which a result is rounded: of sums, products, quotients and roots, and of other functions. The
+check allows for half of the one and a quarter of the other."""
+
+
+def roundings(trees: Sequence[Tree], names: Mapping[str, Affine], box: Sequence[Interval]) -> list[FloatArray]:
+    """Return how far expressions may be off on boxes as they are computed in double precision (upper bounds).
+
+    Inner terms count with their own sizes: ``1e13*(x + 1) - 1e13*x`` is small, and loses what 1e13 loses. Each
+    operation passes on the errors of its arguments, times its slopes on intervals that hold these errors, and adds its
+    own. Numbers and names are exact. Bounds are not numbers, or infinite, where nothing is known. Parameters as for
+    ``enclosed``.
+    """
+    with np.errstate(all="ignore"):
+        leaves = {name: affine.on_box(box)[0] for name, affine in names.items()}
+        return [_rounding(tree, leaves)[1] for tree in trees]
+
+
+def _rounding(tree: Tree, leaves: Mapping[str, Interval]) -> tuple[Interval, FloatArray]:
+    """Return an interval around all that an expression may be computed as, and how far that may be off."""
+    if isinstance(tree, Number):
+        return (np.array([tree.value]),) * 2, np.zeros(1)
+    if isinstance(tree, Name):
+        return leaves[tree.name], np.zeros(1)
+    pairs = [_rounding(argument, leaves) for argument in tree.arguments]
+    values = [value for value, _ in pairs]
+    value = _natural(tree.name, tree.arguments, values)
+    share = ARITHMETIC_ROUNDS if tree.name in ("+", "-", "*", "/", "sqrt") else FUNCTIONS_ROUND
+    own = 0.0 if tree.name in ("negative", "abs", "min", "max") else share
+    off = own * np.maximum(np.abs(value[0]), np.abs(value[1])) + (np.finfo(float).tiny if own else 0.0)
+    for slope, (_, passed) in zip(_slopes_of(tree.name, tree.arguments, values, value), pairs, strict=True):
+        steepest = np.ones(1) if slope is None else np.maximum(np.abs(slope[0]), np.abs(slope[1]))
+        off = off + np.where(passed == 0.0, 0.0, steepest * passed)
+    return (value[0] - off, value[1] + off), off
+
+
 def _mean_value(centre: Interval, slopes: Slopes, box: Sequence[Interval], middle: Sequence[Interval]) -> Interval:
     value = centre
     for k, slope in slopes.items():

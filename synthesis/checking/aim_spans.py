@@ -24,7 +24,7 @@ from ..certificates import AgentPart
 from ..relations import Turn, WrittenTargets
 from .geometry import cell_boxes
 from .mean_spans import leaves_of
-from .own_intervals import Span, bounds, span
+from .own_intervals import Span, bounds, computed_off, span
 
 AT_ONCE = 100_000
 """Pairs of cells and targets that are verified at once."""
@@ -34,6 +34,12 @@ ROUNDED = 4.0 * 2.0**-53
 
 WHOLE_TURN = 2.0 * np.pi * (1.0 - 1e-15)
 """Angles over so much go all the way round, up to the rounding of pi, which is part of what vectors may be off by."""
+
+PRODUCTS = 2.0
+"""Factor on what inner terms lose, for products of such losses."""
+
+MOST_LOST = 0.25
+"""Share of the factors of inputs that may be lost, measured through their inverse: its series then converges."""
 
 PARTS = 4
 """Parts into which cells are cut along each axis at most: the sums of the search are sometimes tighter."""
@@ -47,6 +53,7 @@ def wrong_aims(agent: Agent, part: AgentPart, relation: WrittenTargets) -> list[
     chosen = np.where(rows >= 0, rows.astype(np.int64) + np.arange(rows.shape[1]) * n_points, -1)
     pairs = np.unique(chosen)
     pairs = pairs[pairs >= 0]
+    lost = inner_losses(relation, low, high)
     for some in np.array_split(pairs, len(pairs) // AT_ONCE + 1):
         cells, points = np.divmod(some, n_points)
         index = np.unravel_index(points, tuple(len(axis) for axis in part.lattice))
@@ -54,7 +61,8 @@ def wrong_aims(agent: Agent, part: AgentPart, relation: WrittenTargets) -> list[
         left = np.arange(len(some))
         parts = 1
         while len(left) and parts <= PARTS:
-            inside = _inside(relation, low[cells[left]], high[cells[left]], targets[left], parts)
+            here = cells[left]
+            inside = _inside(relation, (low[here], high[here], lost[here]), targets[left], parts)
             left, parts = left[~inside], 2 * parts
         if len(left):
             return ["it is asked for inputs beyond its input box"]
@@ -66,24 +74,49 @@ def aim_losses(part: AgentPart, relation: WrittenTargets) -> FloatArray:
 
     A share of the parts of the solution, as often as its operations cancel, times the factors of the inputs.
     """
-    agent, d = relation.agent, relation.agent.n_states
     low, high = cell_boxes(part)
     used = np.any(part.policy.reshape(-1, part.policy.shape[-1]) >= 0, axis=0)
     low, high = low[used], high[used]
-    trees = [
-        *relation.form.rests,
-        *(tree for rows in (relation.inverse, relation.form.factors) for row in rows for tree in row),
-    ]
-    with np.errstate(all="ignore"):
-        ends = bounds(partial(_spans, relation, trees, np.zeros((len(low), d))), _variables(agent, low, high))
-    sizes = np.abs(np.stack(ends, axis=-1)).max(axis=0)
-    rest, inverse, factors = np.split(sizes, [d, d + d * d], axis=1)
-    inverse, factors = inverse.reshape(-1, d, d), factors.reshape(-1, d, d)
+    rest, inverse, factors = _sizes(relation, low, high)
     largest = np.array([_largest(relation, name) for name in relation.columns])
     parts = 2.0 * rest + factors @ largest
     growth = np.einsum("njk,nkl->njl", inverse, factors).sum(axis=2).max(axis=1)
     off = _computed_off(relation) * growth[:, None] * np.einsum("nkj,njl,nl->nk", factors, inverse, parts)
+    off = off + np.einsum("nkj,nj->nk", factors, inner_losses(relation, low, high))
     return np.asarray(np.where(np.isfinite(off), off, np.inf).max(axis=0, initial=0.0))
+
+
+def _sizes(relation: WrittenTargets, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest sizes on closed cells of the rests (n, d), of the inverse, and of the factors (n, d, d) of inputs."""
+    d = relation.agent.n_states
+    matrices = (tree for rows in (relation.inverse, relation.form.factors) for row in rows for tree in row)
+    trees = [*relation.form.rests, *matrices]
+    with np.errstate(all="ignore"):
+        ends = bounds(partial(_spans, relation, trees, np.zeros((len(low), d))), _variables(relation.agent, low, high))
+    sizes = np.abs(np.stack(ends, axis=-1)).max(axis=0)
+    rest, inverse, factors = np.split(sizes, [d, d + d * d], axis=1)
+    return rest, inverse.reshape(-1, d, d), factors.reshape(-1, d, d)
+
+
+def inner_losses(relation: WrittenTargets, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Upper bounds (n, d) on how far inputs are off in cells as inner terms of rests and factors are rounded.
+
+    ``1e13*(x + 1) - 1e13*x`` is small, and loses what 1e13 loses. Infinite where factors lose so much that their
+    inverse is not known.
+    """
+    agent, d = relation.agent, relation.agent.n_states
+    entries = [tree for row in relation.form.factors for tree in row]
+    with np.errstate(all="ignore"):
+        leaves = leaves_of(agent, _variables(agent, low, high), np.zeros((len(low), 0)), np.eye(d), False)
+        lost = np.stack([computed_off(tree, leaves)[1] for tree in (*relation.form.rests, *entries)], axis=1)
+        if not np.any(lost):
+            return np.zeros((len(low), d))
+        _, inverse, _ = _sizes(relation, low, high)
+        of_factors = lost[:, d:].reshape(-1, d, d)
+        largest = np.array([_largest(relation, name) for name in relation.columns])
+        kept = np.einsum("njl,nlk->njk", inverse, of_factors).sum(axis=2).max(axis=1, initial=0.0) <= MOST_LOST
+        off = PRODUCTS * np.einsum("njl,nl->nj", inverse, lost[:, :d] + of_factors @ largest)
+    return np.where(kept[:, None] & np.isfinite(off), off, np.inf)
 
 
 def _computed_off(relation: WrittenTargets) -> float:
@@ -117,15 +150,20 @@ def _spans(
 
 
 def _inside(
-    relation: WrittenTargets, low: FloatArray, high: FloatArray, targets: FloatArray, parts: int
+    relation: WrittenTargets, cells: tuple[FloatArray, FloatArray, FloatArray], targets: FloatArray, parts: int
 ) -> NDArray[np.bool_]:
-    """Whether the solutions for targets (n, d) are inputs of the box on all of the closed cells (n, d)."""
+    """Whether the solutions for targets (n, d) are inputs of the box on all of the closed cells.
+
+    ``cells`` are their corners (n, d), and how far inputs are off in them by inner terms.
+    """
+    low, high, lost = cells
     inside, cuts = np.ones(len(low), dtype=bool), [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     for part in itertools.product(range(parts), repeat=low.shape[1]):
         first, last = (np.stack([cuts[k + side][:, axis] for axis, k in enumerate(part)], axis=1) for side in (0, 1))
         with np.errstate(all="ignore"):
             ends = bounds(partial(_spans, relation, relation.trees, targets), _variables(relation.agent, first, last))
-            inside &= _admissible(relation, dict(zip(relation.columns, ends, strict=True)))
+            wider = [own + np.stack([-off, off]) for own, off in zip(ends, lost.T, strict=True)]
+            inside &= _admissible(relation, dict(zip(relation.columns, wider, strict=True)))
     return inside
 
 

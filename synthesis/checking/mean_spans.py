@@ -16,7 +16,7 @@ from ...envs.agents import Agent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
 from ..relations import Command
-from .own_intervals import Span, bounds, products, span
+from .own_intervals import Span, bounds, computed_off, products, span
 
 ROTATED = 1e-13
 """Widening, relative to their size, of boxes in coordinates that are not the state."""
@@ -113,7 +113,7 @@ def steered_spans(
     ]
     for command in commands:
         trees[command.axis] = Name(_target(command))
-    asked_and_rest = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest)]
+    asked_and_parts = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest, c.factor)]
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
     unmeasured = [(np.full(len(low), a), np.full(len(low), b)) for a, b in agent.unknowns.values()]
@@ -131,14 +131,19 @@ def steered_spans(
             box = np.array([(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)] + unmeasured)
             ends = np.stack(bounds(partial(outputs, trees), box), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
-            found = bounds(partial(outputs, asked_and_rest), box)
-            for command, asked_for, rest in zip(commands, found[::2], found[1::2], strict=True):
+            found = bounds(partial(outputs, asked_and_parts), box)
+            leaves = leaves_of(agent, box, inputs, np.eye(agent.n_states), False)
+            for command, asked_for, rest, factor in zip(commands, found[::3], found[1::3], found[2::3], strict=True):
                 least, most = agent.input_low[command.input], agent.input_high[command.input]
-                spare, target = COMPUTED * (abs(least) + abs(most)), targets[command.axis]
-                off = COMPUTED * (np.abs(target) + 2.0 * np.abs(rest).max(axis=0))
+                # Inner terms may be larger than what they add up to, and lose more; twice, for products of losses.
+                lost, of_factor = (computed_off(tree, leaves)[1] for tree in (command.rest, command.factor))
+                nearest, missed = np.abs(factor).min(axis=0), 2.0 * (lost + of_factor * max(abs(least), abs(most)))
+                spare, target = COMPUTED * (abs(least) + abs(most)) + missed / nearest, targets[command.axis]
+                off = COMPUTED * (np.abs(target) + 2.0 * np.abs(rest).max(axis=0)) + missed
                 first[:, command.axis] = np.minimum(first[:, command.axis], target - off)
                 last[:, command.axis] = np.maximum(last[:, command.axis], target + off)
-                first[~((asked_for[0] >= least + spare) & (asked_for[1] <= most - spare))] = np.nan
+                inside = (asked_for[0] >= least + spare) & (asked_for[1] <= most - spare)
+                first[~(inside & (of_factor <= 0.5 * nearest))] = np.nan
     return first, last
 
 

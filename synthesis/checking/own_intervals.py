@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.expressions import Name, Number, Tree, whole_exponent
+from ...envs.expressions import Name, Number, Operation, Tree, whole_exponent
 from ..cells import FloatArray
 
 OFF = 2.0**-48
@@ -241,6 +241,45 @@ def _raised(base: Tree, exponent: Tree, leaves: Leaves) -> Span:
     ends = np.maximum(_grown(*(inside ** abs(p))), 0.0)
     ends = ends if p > 0.0 else _inverse(ends)
     return f.scaled(ends, products(products(np.full_like(ends, p), ends), _inverse(f.ends)))
+
+
+ROUNDED = 2.0**-52
+"""Share of its size by which a sum, product, quotient or root is rounded, twice over."""
+
+EXACT = ("negative", "abs", "min", "max")
+"""Operations that round nothing."""
+
+
+def computed_off(tree: Tree, leaves: Leaves) -> tuple[FloatArray, FloatArray]:
+    """Ends (2, n) of all that an expression may be computed as, and how far (n,) that is off its value at most.
+
+    Each operation is read as a function of its arguments, on intervals that hold what these are computed as: its slopes
+    pass on their errors, and it adds its own. Names and numbers are exact. Not numbers, or infinite, where nothing is
+    known.
+    """
+    some = next(iter(leaves.values()))
+    n = some.ends.shape[1]
+    if isinstance(tree, Name | Number):
+        return span(tree, leaves).ends, np.zeros(n)
+    found = [computed_off(argument, leaves) for argument in tree.arguments]
+    # Equal arguments get one name, as a square is no product of two different numbers; numbers stay exponents.
+    names = [str(tree.arguments.index(argument)) for argument in tree.arguments]
+    arguments = tuple(
+        own if isinstance(own, Number) else Name(name) for own, name in zip(tree.arguments, names, strict=True)
+    )
+    local = {}
+    for k, (name, (ends, _)) in enumerate(zip(names, found, strict=True)):
+        if name not in local:
+            unit = np.zeros((2, len(found), n))
+            unit[:, k] = 1.0
+            local[name] = Span(ends, unit)
+    result = span(Operation(tree.name, arguments), local)
+    size = np.abs(result.ends).max(axis=0)
+    share = ROUNDED if tree.name in ("+", "-", "*", "/", "sqrt") else OFF
+    own_off = np.zeros(n) if tree.name in EXACT else share * size + np.finfo(float).tiny
+    for slope, (_, off) in zip(np.abs(result.slopes).max(axis=0), found, strict=True):
+        own_off = own_off + np.where((off == 0.0) | (slope == 0.0), 0.0, slope * off)
+    return np.stack([_down(result.ends[0] - own_off), _up(result.ends[1] + own_off)]), own_off
 
 
 def bounds(outputs: Callable[..., list[Span]], box: NDArray[Any]) -> list[FloatArray]:

@@ -32,6 +32,7 @@ from ...envs.expressions import (
     computed,
     enclosed,
     operations_in,
+    roundings,
     solved,
     substituted,
 )
@@ -42,6 +43,12 @@ from .sectors import is_whole, largest_angle, polar_inputs, reached, sectors_of
 
 ROUNDED = 8.0 * 2.0**-53
 """Share of their size by which each operation of an expression may put inputs off; the check allows for less."""
+
+INNER = 4.0
+"""Factor on what inner terms lose, for products of such losses; the check allows for half of it."""
+
+MOST_LOST = 0.25
+"""Share of B that may be lost to rounding, measured through its inverse: beyond, nothing is known of inputs."""
 
 OUTWARD = 1e-12
 """Share of their size by which ranges of inputs are widened, as sums of enclosures round."""
@@ -153,6 +160,10 @@ class WrittenTargets:
         found = np.empty((2, len(low), 2 * d + 2 * d * d))
         for k, (first, last) in enumerate(enclosed(self._all_trees, names, box)):
             found[0, :, k], found[1, :, k] = first, last
+        entries = [tree for row in self.form.factors for tree in row]
+        parts_off = np.empty((len(low), d + d * d))
+        for k, lost in enumerate(roundings([*self.form.rests, *entries], names, box)):
+            parts_off[:, k] = lost
         middle, rest, slope, B = np.split(found, np.cumsum([d, d, d * d]), axis=2)
         slope, B = (entries.reshape(2, -1, d, d) for entries in (slope, B))
         with np.errstate(invalid="ignore", over="ignore"):
@@ -161,7 +172,14 @@ class WrittenTargets:
             # v is off by a share of the parts of the solution, as cofactors cancel by the growth; B moves the mean.
             parts = 2.0 * parts + moved @ self._largest
             off = self.computed_off * growth[:, None] * np.einsum("nkj,njl,nl->nk", moved, inverse, parts)
-        known = np.isfinite(middle).all(axis=(0, 2)) & (growth <= MOST_GROWTH)
+            # Inner terms of a and B that are larger than these lose more: v is off by that through the inverse.
+            B_off = parts_off[:, d:].reshape(-1, d, d)
+            lost = parts_off[:, :d] + B_off @ self._largest
+            kept = np.einsum("njl,nlk->njk", inverse, B_off).sum(axis=2).max(axis=1, initial=0.0) <= MOST_LOST
+            moves_off = INNER * growth[:, None] * np.einsum("njl,nl->nj", inverse, lost)
+            off = off + np.einsum("nkj,nj->nk", moved, moves_off)
+            middle = middle + np.stack([-moves_off, moves_off])
+        known = np.isfinite(middle).all(axis=(0, 2)) & (growth <= MOST_GROWTH) & kept & np.isfinite(off).all(axis=1)
         middle[:, ~known], off[~known] = np.nan, 0.0
         return Asked(centre, middle, slope, off)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent
-from ...envs.expressions import Affine, Interval, enclosed
+from ...envs.expressions import Affine, Interval, enclosed, roundings
 from ..cells import FloatArray
 from .commands import Command, commands_of, steered_inputs, steered_trees
 
@@ -26,6 +26,9 @@ ROTATED = 1e-12
 """Share of their size by which boxes are widened where grid coordinates are not the state: the inverse matrix is
 rounded. The check widens by less."""
 
+
+INNER = 4.0
+"""Factor on what inner terms of expressions lose, for products of such losses; the check allows for half of it."""
 
 COMPUTED = 1e-12
 """Share of their size by which targets may be missed, and inputs be off, as they are computed; the check allows for
@@ -112,10 +115,17 @@ class WrittenMeans:
             found = enclosed(wanted, names, variables)
             for c, asked, rest in zip(self.commands, found[::2], found[1::2], strict=True):
                 least, most = agent.input_low[c.input], agent.input_high[c.input]
-                spare = COMPUTED * (abs(least) + abs(most))
-                inside = (asked[0] >= least + spare) & (asked[1] <= most - spare)
+                # Inner terms may be larger than what they add up to, and lose more.
+                lost, of_factor = roundings([c.rest, c.factor], names, variables)
+                [factor] = enclosed([c.factor], names, variables)
+                nearest = np.minimum(np.abs(factor[0]), np.abs(factor[1]))
+                missed = INNER * (lost + of_factor * max(abs(least), abs(most)))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    spare = COMPUTED * (abs(least) + abs(most)) + missed / nearest
+                inside = (asked[0] >= least + spare) & (asked[1] <= most - spare) & (of_factor <= 0.5 * nearest)
                 # The target is missed by what computing the input rounds.
                 off = COMPUTED * (np.abs(targets[c.axis]) + 2.0 * np.maximum(np.abs(rest[0]), np.abs(rest[1])))
+                off = off + missed
                 first[..., c.axis] = np.minimum(first[..., c.axis], targets[c.axis] - off)
                 last[..., c.axis] = np.maximum(last[..., c.axis], targets[c.axis] + off)
                 first[~inside] = np.nan
