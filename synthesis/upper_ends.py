@@ -64,6 +64,9 @@ def bound_above(certificate: Any) -> UpperEnd:
     It is for all relations with cells, ``linear`` and ``boxes`` among them, whose certificates have no other upper
     end; it takes about as long as an evaluation. Runs that leave the workspaces count as if they might have succeeded.
 
+    Of the certificate its policies, cells, relations and their settings are taken, and evaluated anew;
+    ``wrong_upper_end`` verifies what comes out by the code of the check.
+
     Parameters
     ----------
     certificate : Certificate

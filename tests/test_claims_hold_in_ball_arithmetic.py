@@ -189,7 +189,8 @@ FIELDS: dict[type, dict[str, str]] = {
     },
     cg.Problem: {
         "name": LEFT_TO_CHECK, "agents": READ, "declared": LEFT_TO_CHECK, "specification": LEFT_TO_CHECK,
-        "horizon": READ, "groups": LEFT_TO_CHECK, "labeling": LEFT_TO_CHECK, "_automaton": READ,
+        "horizon": READ, "groups": LEFT_TO_CHECK, "propositions": LEFT_TO_CHECK, "families": LEFT_TO_CHECK,
+        "labeling": LEFT_TO_CHECK, "_automaton": READ,
     },
     AgentPart: {
         "grid": READ, "coordinates": REFUSED, "relation": READ, "lattice": READ, "masks": READ, "start_masks": READ,

@@ -178,6 +178,8 @@ class Certificate:
     def at(self, states: Any) -> FloatArray:
         """Return lower bounds (M,) on the satisfaction probability from each of M joint initial states.
 
+        They are read from the stored value function: bounds if ``check`` verifies the certificate, which is not asked.
+
         Parameters
         ----------
         states : array_like, shape (M, D) or (D,), or mapping from agent name to (d_i,) vector

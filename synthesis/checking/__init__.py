@@ -1,6 +1,7 @@
 """The proof done again, by code that no search reaches."""
 
 from .certificate_check import CheckReport, check
+from .checked_first import standing
 from .execution import execution_of
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
@@ -30,6 +31,7 @@ __all__ = [
     "greedy_disturbance",
     "regrow",
     "safety_rate",
+    "standing",
     "tree_start_value",
     "value_in_time",
     "verify_relation",

@@ -17,6 +17,7 @@ from ...envs.agents import tree_text
 from ..cells import FloatArray
 from ..certificates import Certificate, Claim, checked_certificate, joint_states, regrow_trains
 from ..values import Terms, Trains
+from .checked_first import standing
 from .regrown_tree import regrow
 
 
@@ -93,7 +94,7 @@ def _whole(numbers: Any, count: int, name: str, most: int) -> NDArray[np.int64]:
 def value_in_time(certificate: Any) -> ValueInTime:
     """Return the value functions of a certificate at every time, lower bounds at every state.
 
-    Growing them takes about as long as ``check``. Reading them is quick.
+    The certificate is checked first, once. Growing the values takes about as long again; reading them is quick.
 
     Parameters
     ----------
@@ -103,14 +104,16 @@ def value_in_time(certificate: Any) -> ValueInTime:
     Raises
     ------
     ValueError
-        If it is no such certificate, or its tree is broken.
+        If it is no such certificate, or ``check`` refuses it.
     """
-    certificate = checked_certificate(certificate)
+    certificate = standing(checked_certificate(certificate))
     return ValueInTime(certificate, claimed_values(certificate))
 
 
 def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
     """Return the value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, others regrown.
+
+    They are what the certificate claims: whether they are bounds is for ``check`` to say. Audits test them.
 
     Raises
     ------

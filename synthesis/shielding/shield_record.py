@@ -18,6 +18,7 @@ from ...envs.agents import Gaussian, tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down, shown_bound
+from ..checking import standing
 from ..relations import CoupledRelation
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
 from .worth import ActionValues, action_values, groups
@@ -179,8 +180,7 @@ class _Source:
 
     @classmethod
     def of(cls, certificate: Certificate) -> _Source:
-        """Return the source of a certificate; raise ValueError if it cannot be a shield."""
-        _check_certificate(certificate)
+        """Return the source of a certificate that can be a shield, and stands."""
         values, problem = action_values(certificate), certificate.problem
         if certificate.start == "mean":
             # The claim takes rounding off, so that it is below the mean of what is read at starts.
@@ -245,7 +245,7 @@ def _check_certificate(certificate: Certificate) -> None:
 
 
 def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shield | ProductShield:
-    """Return the shield of a certificate.
+    """Return the shield of a certificate, which is checked first, once.
 
     Parameters
     ----------
@@ -259,9 +259,12 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
     Raises
     ------
     ValueError
-        If the certificate cannot be a shield, or p is out of range; the text says what to do.
+        If the certificate cannot be a shield, ``check`` refuses it, or p is out of range; the text says what to do.
     """
     certificate, p = as_certificate(certificate), _checked(probability, form)
+    for part in certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,):
+        _check_certificate(part)
+    certificate = standing(certificate)
     if isinstance(certificate, Certificate):
         source = _Source.of(certificate)
         if p > source.most:
