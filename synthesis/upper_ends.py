@@ -82,7 +82,10 @@ def bound_above(certificate: Any) -> UpperEnd:
             "`certificate`: expected one of a single task on cells, of controllers and not of networks, got another "
             "kind; independent tasks have one for each part, networks `bound_network_above`"
         )
-    found = synthesize(opposite_of(certificate.problem), start=certificate, max_sweeps=0)
+    try:
+        found = synthesize(opposite_of(certificate.problem), start=certificate, max_sweeps=0)
+    except ValueError as error:
+        raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
     assert isinstance(found.certificate, Certificate)
     end = UpperEnd(certificate.problem, found.certificate)
     failures = other_controllers(certificate, end.opposite)
