@@ -69,13 +69,13 @@ def test_settings_of_a_file_that_are_none_are_refused_by_the_name_of_the_argumen
     odd = replace(certificate, settings={**certificate.settings, "targets_per_cell": value})
     with pytest.raises(ValueError, match="`start`: expected a certificate with settings of its relations"):
         cg.synthesize(task(), start=odd)
-    with pytest.raises(ValueError, match="^`certificate`: "):
+    with pytest.raises(ValueError, match=r"^`certificate`: "):
         bound_above(odd)
 
 
 def test_a_start_that_is_no_certificate_is_called_start() -> None:
     result = cg.synthesize(task(), 40)
     wrong: Any = result
-    with pytest.raises(ValueError, match="^`start`: expected a Certificate, got Synthesis"):
+    with pytest.raises(ValueError, match=r"^`start`: expected a Certificate, got Synthesis"):
         cg.synthesize(task(), start=wrong)
     assert np.isfinite(result.certificate.lower_bound)

@@ -12,6 +12,7 @@ from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
+from .team_check import wrong_team
 
 __all__ = [
     "BrokenTreeError",
@@ -38,4 +39,5 @@ __all__ = [
     "vertices_of",
     "other_controllers",
     "wrong_opposite",
+    "wrong_team",
 ]

@@ -10,10 +10,12 @@ from __future__ import annotations
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
-from ..certificates import Certificate, ProductCertificate
+from ..certificates import Certificate, ProductCertificate, TeamCertificate
 from .certificate_check import check
 
-Claimed = TypeVar("Claimed", Certificate, ProductCertificate)
+Claimed = TypeVar(
+    "Claimed", Certificate, ProductCertificate, TeamCertificate, Certificate | ProductCertificate | TeamCertificate
+)
 
 _failures: WeakKeyDictionary[object, tuple[str, ...]] = WeakKeyDictionary()
 """What ``check`` found wrong with certificates, which never change: it is asked once for each."""

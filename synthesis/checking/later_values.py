@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
+from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import Certificate, Claim, checked_certificate, joint_states, regrow_trains
+from ..certificates import Certificate, Claim, TeamCertificate, checked_certificate, joint_states, regrow_trains
 from ..values import Terms, Trains
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -30,10 +31,13 @@ class ValueInTime:
     certificate : Certificate
     functions : tuple of Terms or Trains
         Value functions at times 0 .. T - 1, lower bounds up to rounding.
+    team : Problem, optional
+        Whose agents the joint agent of the certificate stands for, if it stands for several.
     """
 
     certificate: Certificate
     functions: tuple[Terms | Trains, ...]
+    team: Problem | None = None
 
     def __repr__(self) -> str:
         rows = [("times", f"0 .. {len(self.functions) - 1}"), ("claim", self.certificate.claim)]
@@ -68,7 +72,7 @@ class ValueInTime:
             If a shape does not fit, or a number is none of these.
         """
         problem = self.certificate.problem
-        joint = joint_states(problem, states)
+        joint = joint_states(self.team or problem, states)
         state = _whole(q, len(joint), "q", problem.automaton.n_states - 1)
         left = _whole(steps_left, len(joint), "steps_left", problem.horizon)
         values = np.zeros(len(joint))
@@ -98,14 +102,17 @@ def value_in_time(certificate: Any) -> ValueInTime:
 
     Parameters
     ----------
-    certificate : Certificate
-        Of one task; give one of the ``parts`` of a product.
+    certificate : Certificate or TeamCertificate
+        Of one task; give one of the ``parts`` of a product. States of a joint agent are those of all agents in order.
 
     Raises
     ------
     ValueError
         If it is no such certificate, or ``check`` refuses it.
     """
+    if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
+        base = standing(certificate).base
+        return ValueInTime(base, claimed_values(base), certificate.problem)
     certificate = standing(checked_certificate(certificate))
     return ValueInTime(certificate, claimed_values(certificate))
 
