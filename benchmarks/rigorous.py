@@ -63,7 +63,7 @@ def markdown(rows: Rows) -> str:
     ]
     for row in rows:
         claim = "" if row["claim"] is None else f"{math.floor(row['claim'] * 1e6) / 1e6:.6f}"
-        numbers = ["" if row[key] is None else f"{row[key]:.2g}" for key in ("check s", "balls s", "margin")]
+        numbers = ["" if row[key] is None else f"{max(0.0, row[key]):.2g}" for key in ("check s", "balls s", "margin")]
         rank = "" if row["rank"] is None else str(row["rank"])
         cells = [row["problem"], row["cells"], str(row["T"]), claim, rank, *numbers, row["outcome"]]
         lines.append("| " + " | ".join(cells) + " |")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from inspect import get_annotations
 from pathlib import Path
@@ -124,7 +125,7 @@ def test_what_balls_do_not_reach_is_refused_in_words() -> None:
 
 def robot(**changes: Any) -> cg.Problem:
     """One agent that is to reach a goal and keep its workspace."""
-    agent = {
+    agent: dict[str, Any] = {
         "name": "robot", "A": [[0.9]], "B": [[1.0]], "state_low": [-1.0], "state_high": [1.0],
         "input_low": [-0.6], "input_high": [0.6], "initial_state": [-0.3],
     }  # fmt: skip
@@ -157,6 +158,7 @@ def test_laws_without_balls_are_refused_by_name(law: dict[str, Any]) -> None:
         check_rigorous(certificate)
     # The facts about an agent refuse it, too, for whoever asks for them.
     agent, part = certificate.problem.agents[0], certificate.agents[0]
+    assert isinstance(agent, cg.LinearAgent)
     with pytest.raises(ValueError, match="normal noise"):
         facts_of(agent, part, certificate.controller.agents[0].relation)
 
@@ -229,6 +231,29 @@ def test_agents_with_lattices_of_their_own_are_judged_apart(monkeypatch: pytest.
     for parts, wrong in ((honest, False), ((first, far, *certificate.agents[2:]), True)):
         report = check_rigorous(replace(certificate, agents=parts))
         assert any("beyond its input box" in text for text in report.failures) == wrong, report
+
+
+def test_the_table_of_the_page_names_every_problem() -> None:
+    """Each with what came out, or with the reason why it was refused or left out."""
+    text = (Path(__file__).parents[1] / "docs" / "trusted-base.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if re.match(r"\| [\w-]+-v\d+ \|", line)]
+    assert {row[0] for row in rows} == {*cg.problem_ids()}
+    assert all(re.match(r"proved$|refused: |left out: |no relation ", row[-1]) for row in rows), rows
+
+
+def test_joint_agents_are_proved_and_subtractions_refused() -> None:
+    from pair_problems import followers
+
+    joint: Any = cg.synthesize(followers("G !any(near)", ([-0.5], [0.5])), 24, relation="joint").certificate
+    assert joint.base.agents[0].relation["kind"] == "exact"
+    report = check_rigorous(joint)
+    assert report and report.low == pytest.approx(joint.lower_bound, abs=1e-8), report
+    subtracted = cg.synthesize(followers("G !any(near)", ([-0.5], [0.5])), 24, relation="exact").certificate
+    with pytest.raises(ValueError, match="by subtraction, whose masses of near pairs have no balls"):
+        check_rigorous(subtracted)
+    # Sabotage: a team that is another one is refused before a ball is computed.
+    other = replace(joint, problem=joint.problem.replace(disturbance_scale=0.5))
+    assert not check_rigorous(other)
 
 
 def test_the_command_line_proves_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

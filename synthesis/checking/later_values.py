@@ -111,8 +111,8 @@ def value_in_time(certificate: Any) -> ValueInTime:
         If it is no such certificate, or ``check`` refuses it.
     """
     if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
-        base = standing(certificate).base
-        return ValueInTime(base, claimed_values(base), certificate.problem)
+        standing(certificate)
+        return ValueInTime(certificate.base, claimed_values(certificate.base), certificate.problem)
     certificate = standing(checked_certificate(certificate))
     return ValueInTime(certificate, claimed_values(certificate))
 

@@ -23,7 +23,16 @@ from numpy.typing import NDArray
 
 from ...envs.suite import as_problem
 from ..cells import linear_agent
-from ..certificates import AgentPart, Certificate, PathCertificate, ProductCertificate, any_certificate, as_certificate
+from ..certificates import (
+    AgentPart,
+    Certificate,
+    PairsCertificate,
+    PathCertificate,
+    ProductCertificate,
+    TeamCertificate,
+    any_certificate,
+    as_certificate,
+)
 from .certificate_check import check
 
 REACH = 9.5
@@ -81,20 +90,27 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
         from .ball_facts import binary
     except ImportError:
         raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
-    certificate = any_certificate(certificate)
+    given = any_certificate(certificate)
+    # A joint agent is one linear agent: that it is the team is for ``check`` to say.
+    certificate = given.base if isinstance(given, TeamCertificate) else given
+    if isinstance(certificate, PairsCertificate):
+        raise ValueError(
+            "`--rigorous`: expected a task without pairs of agents, or a joint agent, got one by subtraction, "
+            "whose masses of near pairs have no balls; leave it out: `check` verifies this certificate as well"
+        )
     if isinstance(certificate, PathCertificate):
         raise ValueError(
             "`certificate`: expected one on grids, got one along a path; `check` bounds the rounding of its numbers "
             "already"
         )
     certificate = as_certificate(certificate)
-    problem = certificate.problem if problem is None else as_problem(problem)
+    problem = given.problem if problem is None else as_problem(problem)
     parts = [(certificate, 1)]
     if isinstance(certificate, ProductCertificate):
         parts = [(certificate.parts[same[0]], len(same)) for same in certificate.alike]
     for part, _ in parts:
         _refuse_others(part)
-    plain = check(certificate, problem)
+    plain = check(given, problem)
     if not plain:
         return RigorousReport(False, certificate.lower_bound, float("nan"), float("nan"), plain.failures)
     total, nothing, failures = binary(1.0)[()], binary(0.0)[()], list[str]()
