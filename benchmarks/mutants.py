@@ -238,4 +238,25 @@ MUTANTS = [
             "return Execution(off + 9.9, np.zeros(len(A)), inputs, 0.0 * loss",
         ),
     ),
+    # --- the claim in balls: what it does not read must be refused, and what differs must be judged apart
+    *_in(
+        "synthesis/checking/ball_facts.py",
+        ("    if agent.laws is not None:", "    if False:"),
+        ("    if agent.noise_scale is not None:", "    if False:"),
+        ("    if np.any(np.diag(covariance) <= 0.0):", "    if False:"),
+    ),
+    *_in(
+        "synthesis/checking/rigorous.py",
+        ("arrays += [part.coordinates, part.policy, *part.lattice, ", "arrays += [part.coordinates, part.policy, "),
+    ),
+    # --- guarantees beside the bound rest on a certificate that was checked
+    *_in("synthesis/checking/lasting_safety.py", ("    standing(claim)\n", "    pass\n")),
+    *_in(
+        "synthesis/checking/checked_first.py",
+        ("    if wrong:", "    if False:"),
+    ),
+    *_in(
+        "synthesis/checking/grid_check.py",
+        ("        if not identity and _start_on_a_face(agent, part):", "        if False:"),
+    ),
 ]

@@ -1,7 +1,8 @@
 """Certificates of the suite in ball arithmetic: ``python benchmarks/rigorous.py [--json PATH] [ID ...]``.
 
-Every problem is synthesized on the cells below, checked in double precision and in balls, on one thread. The first row
-is the example of the paper: 1000 cells per agent.
+Every problem of the suite is synthesized on the cells below, checked in double precision and in balls, on one thread.
+Its row says what became of it: proved, or why balls do not reach it. The first row is the example of the paper: 1000
+cells per agent. ``--markdown`` prints the table of docs/trusted-base.md, which a test compares with the suite.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import math
 
 import certigym as cg
 from certigym.synthesis.checking import check_rigorous
@@ -33,24 +35,46 @@ def row_of(name: str, cells: int | None = None) -> Row:
     try:
         certificate = cg.synthesize(problem, wanted).certificate
     except ValueError as error:
-        return row | {"outcome": f"not synthesized: {error}"[:60]}
-    row |= {"claim": certificate.lower_bound, "rank": certificate.rank}
+        return row | {"outcome": f"not synthesized: {_short(error)}"}
+    rank = getattr(certificate, "rank", None)  # certificates about pairs have none
+    row |= {"claim": certificate.lower_bound, "rank": rank}
     seconds, plain = once(lambda: cg.check(certificate))
     row |= {"check s": seconds}
-    if certificate.rank > MOST_RANK:
-        return row | {"outcome": f"left out: {certificate.rank} terms"}
+    if rank is not None and rank > MOST_RANK:
+        return row | {"outcome": f"left out: {rank} terms"}
     try:
         seconds, report = once(lambda: check_rigorous(certificate))
     except ValueError as error:
-        return row | {"outcome": str(error).split("; ")[0][:70]}
+        return row | {"outcome": f"refused: {_short(error)}"}
     margin = report.low - certificate.lower_bound
-    return row | {"balls s": seconds, "margin": margin, "outcome": "proved" if report and plain else str(report)[:70]}
+    return row | {"balls s": seconds, "margin": margin, "outcome": "proved" if report and plain else str(report)}
+
+
+def _short(error: ValueError) -> str:
+    """What was expected and what came, without the remedy."""
+    return str(error).split("; ")[0].removeprefix("`--rigorous`: ")
+
+
+def markdown(rows: Rows) -> str:
+    """The rows as a table of a page."""
+    lines = [
+        "| problem | cells | steps | claim | terms | check, s | balls, s | margin | |",
+        "|---|---|" + "---:|" * 6 + "---|",
+    ]
+    for row in rows:
+        claim = "" if row["claim"] is None else f"{math.floor(row['claim'] * 1e6) / 1e6:.6f}"
+        numbers = ["" if row[key] is None else f"{max(0.0, row[key]):.2g}" for key in ("check s", "balls s", "margin")]
+        rank = "" if row["rank"] is None else str(row["rank"])
+        cells = [row["problem"], row["cells"], str(row["T"]), claim, rank, *numbers, row["outcome"]]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("ids", nargs="*", metavar="ID")
     parser.add_argument("--json", metavar="PATH")
+    parser.add_argument("--markdown", action="store_true", help="print the table of docs/trusted-base.md")
     options = parser.parse_args()
     rows: Rows = []
     if not options.ids:
@@ -59,6 +83,8 @@ def main() -> None:
         rows.append(row_of(name))
         print(rows[-1], flush=True)
     show("Certificates in ball arithmetic", rows)
+    if options.markdown:
+        print(markdown(rows))
     save({"rows": rows}, options.json)
 
 

@@ -17,9 +17,11 @@ from .choosing import (
     GOOD,
     Budget,
     refine,
+    settings_of,
 )
 from .in_common import either_way, names_inputs
 from .models import (
+    RELATIONS,
     Relations,
     Settings,
     check_names,
@@ -95,7 +97,8 @@ def synthesize(
         Number of further starts of the search, from the best policies with their plans advanced or delayed.
     start : Certificate, optional
         Certificate whose policies the search begins with. Its agents, cells and relations must be the same, its horizon
-        need not (see ``horizons``); ``"auto"`` then stands for its relations.
+        need not (see ``horizons``); ``"auto"`` then stands for its relations, and settings that are not given are its
+        own. Its policies are evaluated anew, and nothing that it claims is trusted.
     stationary : bool
         Whether policies must not depend on the time, for tasks without a deadline (see ``without_deadline``).
     **settings
@@ -118,9 +121,11 @@ def synthesize(
     check_settings(settings)
     device_put(device)  # refuses a device that does not exist before any work is done
     budget = None if memory is None and accuracy is None else Budget(memory, accuracy)
-    plan = Plan(Settings(**settings), search, budget)
     problem = as_problem(problem)
     _refuse_outside(problem)
+    if start is not None and not problem.groups and not problem.labeling.pairs:
+        settings = {**_settings_of_start(problem, relation, start), **settings}
+    plan = Plan(Settings(**settings), search, budget)
     if problem.groups and not problem.labeling.pairs:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
@@ -225,7 +230,7 @@ def _beyond_grids(problem: Problem) -> bool:
 
 def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
     """Synthesize from the policies of a certificate; cells and relations default to those of the certificate."""
-    start_kinds = [part.relation["kind"] for part in checked_certificate(start).agents]
+    start_kinds = [part.relation["kind"] for part in checked_certificate(start, "start").agents]
     if cells is None and len(start_kinds) == problem.n_agents:
         cells = dict(zip(problem.agent_names, (part.grid.shape for part in start.agents), strict=True))
     if plan.settings.common is None and any("common" in part.relation for part in start.agents):
@@ -234,6 +239,17 @@ def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan
         kinds = [from_start if kind == "auto" else kind for kind, from_start in zip(kinds, start_kinds, strict=True)]
         plan = replace(plan, settings=plan.settings.of_kinds(kinds))
     return plain(problem, cells, kinds, plan, start)
+
+
+def _settings_of_start(problem: Problem, relation: Relations, start: Certificate) -> dict[str, Any]:
+    """Return the settings with which a certificate was made, for the relations that its agents are to have again."""
+    if isinstance(relation, str) and relation not in RELATIONS:
+        return {}
+    certified = [part.relation["kind"] for part in checked_certificate(start, "start").agents]
+    kinds = relations_of(problem, relation)
+    if len(certified) == len(kinds):
+        kinds = [was if kind == "auto" else kind for kind, was in zip(kinds, certified, strict=True)]
+    return settings_of(start, kinds)
 
 
 def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:

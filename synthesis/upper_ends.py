@@ -16,8 +16,8 @@ from ..envs.agents import tree_text
 from ..envs.problem import Problem, Specification
 from ..envs.suite import as_problem
 from .cells import CellCounts
-from .certificates import Certificate, rounded_up
-from .checking import check, other_controllers, wrong_opposite
+from .certificates import Certificate, PairsCertificate, TeamCertificate, rounded_up
+from .checking import check, other_controllers, wrong_opposite, wrong_team
 from .raw_networks import certify_network, differences
 from .synthesize import synthesize
 
@@ -64,22 +64,37 @@ def bound_above(certificate: Any) -> UpperEnd:
     It is for all relations with cells, ``linear`` and ``boxes`` among them, whose certificates have no other upper
     end; it takes about as long as an evaluation. Runs that leave the workspaces count as if they might have succeeded.
 
+    Of the certificate its policies, cells, relations and their settings are taken, and evaluated anew;
+    ``wrong_upper_end`` verifies what comes out by the code of the check.
+
     Parameters
     ----------
-    certificate : Certificate
-        About one task, without pairs of agents.
+    certificate : Certificate or TeamCertificate
+        About one task. For a joint agent on a grid the end is about the problem of the joint agent, which is the team.
 
     Raises
     ------
     ValueError
         If it is of another kind, or about networks (``bound_network_above``).
     """
+    if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
+        if wrong := wrong_team(certificate.problem, certificate.base.problem):
+            raise ValueError(f"`certificate`: expected a joint agent that is the team, got another: {wrong[0]}")
+        certificate = certificate.base
+    if isinstance(certificate, PairsCertificate):
+        raise ValueError(
+            "`certificate`: expected one whose policies were evaluated on the whole task, got one by subtraction: what "
+            "is subtracted for pairs of agents bounds no success from above beyond its `gap`"
+        )
     if not isinstance(certificate, Certificate) or any("network" in part.relation for part in certificate.agents):
         raise ValueError(
             "`certificate`: expected one of a single task on cells, of controllers and not of networks, got another "
             "kind; independent tasks have one for each part, networks `bound_network_above`"
         )
-    found = synthesize(opposite_of(certificate.problem), start=certificate, max_sweeps=0)
+    try:
+        found = synthesize(opposite_of(certificate.problem), start=certificate, max_sweeps=0)
+    except ValueError as error:
+        raise ValueError(f"`certificate`: its policies cannot be evaluated for the opposite task: {error}") from error
     assert isinstance(found.certificate, Certificate)
     end = UpperEnd(certificate.problem, found.certificate)
     failures = other_controllers(certificate, end.opposite)
@@ -121,6 +136,8 @@ def wrong_upper_end(end: UpperEnd, of: Any = None) -> list[str]:
     failures = wrong_opposite(end.problem, end.opposite.problem)
     if not failures:
         failures = list(check(end.opposite).failures)
+    if not failures and isinstance(of, TeamCertificate) and isinstance(of.base, Certificate):
+        failures, of = wrong_team(of.problem, of.base.problem), of.base
     if not failures and isinstance(of, Certificate):
         # Which states are undecided depends on the task: controllers of another one may differ where it matters here.
         is_same = of.problem.fingerprint == end.problem.fingerprint

@@ -67,6 +67,46 @@ def test_nothing_refers_to_a_document_outside_the_repository() -> None:
     assert former == []
 
 
+KINDS = "Theorem|Lemma|Proposition|Corollary"
+
+STATEMENT = re.compile(rf"^\s*\*+({KINDS})(?: ([\w.]+))?(?: \([^)]*\))?\.\*+", flags=re.MULTILINE)
+"""Where a statement is made: its name in bold or italics, at the beginning of a line."""
+
+CITED = re.compile(rf"\b({KINDS}) (\d\w*|[A-Z][a-z]+\.\d+\w*)")
+
+
+def statements(page: str, text: str) -> tuple[list[str], list[str]]:
+    """Names of the statements of a page, such as ``Theorem Boxes.1``, and what is wrong with them."""
+    found = [(kind, number or "") for kind, number in STATEMENT.findall(text)]
+    wrong = [f"{page}: {kind} {number}" for kind, number in found if not re.fullmatch(rf"{page}\.\d+[a-z]?", number)]
+    numbers = [number for _, number in found]
+    wrong += [f"{page}: {number} twice" for number in {*numbers} if numbers.count(number) > 1]
+    return [f"{kind} {number}" for kind, number in found], wrong
+
+
+def test_statements_have_names_that_are_used_once() -> None:
+    """The page is part of the name, so that no two pages share one; what is cited is there."""
+    made, cited = set[str](), list[tuple[str, str]]()
+    for page in sorted((ROOT / "docs" / "theory").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        names, wrong = statements(page.stem.capitalize(), text)
+        assert wrong == []
+        made |= {*names}
+    places = [*(ROOT / "docs").rglob("*.md"), *files(WINGS)]
+    for path in places:
+        if path.name not in ("changelog.md",):
+            cited += [(str(path.relative_to(ROOT)), f"{kind} {number}") for kind, number in CITED.findall(words(path))]
+    assert len(made) >= 30 and len(cited) >= len(made)
+    assert [(path, name) for path, name in cited if name not in made] == []
+
+
+def test_statements_without_names_are_found() -> None:
+    text = "**Theorem.** No number.\n**Lemma Spy.1.** Fine.\n*Lemma Spy.1.* Twice.\n**Theorem 2 (x).** No page.\n"
+    _, wrong = statements("Spy", text)
+    assert sorted(wrong) == ["Spy: Spy.1 twice", "Spy: Theorem ", "Spy: Theorem 2"]
+    assert CITED.findall("by Theorem 1 of boxes") == [("Theorem", "1")]
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -17,6 +17,7 @@ from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import TeamCertificate
 from certigym.synthesis.checking.team_check import wrong_team
 from certigym.synthesis.pairs import joint_problem
+from certigym.synthesis.upper_ends import bound_above, wrong_upper_end
 from certigym.validation.statistics.binomial import clopper_pearson
 from pair_problems import followers, mover
 
@@ -181,3 +182,80 @@ def test_large_teams_are_refused_in_words() -> None:
         cg.synthesize(cg.make_problem("swarm-v0", n_agents=2), 8, relation="joint")
     with pytest.raises(ValueError, match="'back' is missing"):
         cg.synthesize(kept_close(), {"front": 8}, relation="joint")
+
+
+def test_values_in_time_are_those_of_the_joint_agent(certificate: TeamCertificate) -> None:
+    """Fixed seed, n = 20,000, false alarm 1e-6: with three steps left no more is promised than is kept."""
+    values, problem = cg.value_in_time(certificate), certificate.problem
+    start, q = np.array([-2.0, 0.0]), problem.initial_q
+    assert values.at(start, q, problem.horizon)[0] == pytest.approx(certificate.at(start)[0], abs=1e-12)
+    by_name = {"back": [-2.0], "front": [0.0]}
+    assert values.at(by_name, q, 3)[0] == values.at(start, q, 3)[0]
+    # The controllers with three steps left are those of the last three steps.
+    short: Any = cg.synthesize(kept_close(3), 40, relation="joint").certificate
+    promised = short.at(start)[0]
+    runs = cg.rollout(short.problem, short.controller, episodes=20_000, seed=5)
+    assert promised <= clopper_pearson(runs.successes, runs.episodes, 1 - 1e-6)[1]
+    assert 0.0 < values.at(start, q, 3)[0] <= 1.0
+
+
+def test_fields_and_audits_test_joint_agents(certificate: TeamCertificate) -> None:
+    """Fixed seeds, false alarms 1e-6: true claims stand, and those of another system are refuted in their steps."""
+    states = np.array([[-2.0, 0.0], [-2.5, 0.5], [-1.5, 0.5]])
+    report = cg.validate_field(certificate, states, episodes=2000, seed=1, confidence=1 - 1e-6)
+    assert report.verdict != "refuted" and report.lower_bounds[0] > 0.3
+    found = cg.audit(certificate, episodes=4000, seed=2, confidence=1 - 1e-6)
+    assert found.verdict != "refuted", found
+    # Sabotage: a system with nine times the variance that the certificate counts with.
+    base: Any = certificate.base
+    loud = base.problem.replace(disturbance_scale=3.0)
+    assert cg.audit(base, episodes=4000, seed=2, confidence=1 - 1e-6, problem=loud).verdict == "refuted"
+    with pytest.raises(ValueError, match=r"expected a joint agent that is the team"):
+        cg.audit(TeamCertificate(certificate.problem.replace(horizon=6), certificate.base))
+
+
+def test_audits_read_the_cells_that_joint_agents_remember() -> None:
+    held: Any = cg.synthesize(kept_close(), 40, relation="joint").certificate
+    base: Any = cg.synthesize(held.base.problem, 40, relation="tube").certificate
+    tube = TeamCertificate(held.problem, base)
+    assert cg.check(tube)
+    found = cg.audit(tube, episodes=2000, seed=3, confidence=1 - 1e-6)
+    assert found.verdict != "refuted", found
+
+
+def test_shields_keep_what_joint_agents_promise(certificate: TeamCertificate) -> None:
+    """Fixed seed, n = 4,000, false alarm 1e-6: idle and random proposals behind a shield of .5 succeed that often."""
+    problem, p = certificate.problem, 0.5
+    assert certificate.lower_bound > p
+    shielded = cg.shielded(cg.as_controller(problem, lambda *_: np.zeros(1)), certificate, probability=p)
+    runs = cg.rollout(problem, shielded, episodes=4000, seed=4)
+    assert clopper_pearson(runs.successes, runs.episodes, 1 - 1e-6)[1] >= p
+    alone = cg.rollout(problem, cg.as_controller(problem, lambda *_: np.zeros(1)), episodes=4000, seed=4)
+    assert alone.successes < 0.5 * p * alone.episodes < runs.successes  # without a shield the goal is out of reach
+    env = cg.shield(problem, certificate, probability=p)
+    env.reset(seed=0)
+    _, _, _, _, infos = env.step({name: np.zeros(1) for name in env.agents})
+    assert infos["back"]["budget"] <= infos["back"]["value"]
+    with pytest.raises(ValueError, match="`form`: expected 'joint' for a joint agent"):
+        cg.shield(problem, certificate, probability=p, form="decentralised")
+
+
+def test_upper_ends_of_joint_agents_are_verified(certificate: TeamCertificate) -> None:
+    end = bound_above(certificate)
+    assert certificate.lower_bound <= end.upper_bound < 1.0
+    assert wrong_upper_end(end, certificate) == []
+    # Sabotage: the base of another team.
+    other = TeamCertificate(certificate.problem.replace(horizon=6), certificate.base)
+    with pytest.raises(ValueError, match="expected a joint agent that is the team"):
+        bound_above(other)
+    assert wrong_upper_end(end, other)
+
+
+def test_what_is_refused_of_pairs_is_refused_for_a_true_reason(certificate: TeamCertificate) -> None:
+    subtracted = cg.synthesize(followers("G !any(near)", ([-0.5], [0.5])), 40, relation="exact").certificate
+    for verb in (cg.audit, cg.safety_rate, lambda c: cg.permit(c, probability=0.1)):
+        with pytest.raises(ValueError, match="by subtraction: what pairs of agents may spoil"):
+            verb(subtracted)
+    with pytest.raises(ValueError, match=r"got that of a joint agent.*give its `.base`"):
+        cg.permit(certificate, probability=0.1)
+    assert cg.check(certificate.base)

@@ -10,7 +10,7 @@ from .hoa import automaton_from_hoa
 from .normal_form import NormalForm
 from .parser import parse_formula
 from .rebuilt import over_propositions, with_sides, within
-from .translation import translate
+from .translation import AutomatonSizeError, translate
 
 __all__ = [
     "Automaton",
@@ -29,6 +29,7 @@ __all__ = [
     "letter_text",
     "over_propositions",
     "parse_formula",
+    "AutomatonSizeError",
     "translate",
     "with_sides",
     "within",

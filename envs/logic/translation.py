@@ -20,9 +20,16 @@ from .normal_form import NormalForm, Term, Terms, check_names
 from .obligations import Obligations
 from .parser import Formula, FormulaError, parse_formula
 
-__all__ = ["BACKENDS", "automaton_from_hoa", "translate"]
+__all__ = ["BACKENDS", "AutomatonSizeError", "automaton_from_hoa", "translate"]
 
 BACKENDS = ("builtin", "mona")
+
+MOST_NODES = 5_000_000
+"""Most nodes of the diagrams that are built: about a gigabyte."""
+
+
+class AutomatonSizeError(FormulaError):
+    """An automaton has more states, or its diagrams more nodes, than may be built."""
 
 
 def translate(
@@ -32,6 +39,7 @@ def translate(
     families: Mapping[str, Sequence[str]] | None = None,
     backend: str = "builtin",
     max_states: int = 10_000,
+    max_nodes: int = MOST_NODES,
 ) -> Automaton:
     """Return the minimal complete automaton of `formula` (exact).
 
@@ -50,11 +58,15 @@ def translate(
         ``"builtin"``, or ``"mona"`` if the program of that name is on the path. Both give equal arrays.
     max_states : int
         Largest number of states that is built, before minimisation.
+    max_nodes : int
+        Largest number of nodes of the diagrams from which it is built. Both limits count what is built, not seconds.
 
     Raises
     ------
     FormulaError
-        If the formula cannot be read, is not co-safe where it must be, or needs too many states.
+        If the formula cannot be read, or is not co-safe where it must be.
+    AutomatonSizeError
+        If the automaton needs more states or nodes than may be built; a ``FormulaError``.
     ValueError
         If another argument is wrong, or the back end is not available.
 
@@ -81,15 +93,21 @@ def translate(
 
             graph = mona_states(term, tuple(propositions), co_safe, max_states)
         else:
-            graph = _explore(term, reader.terms, tuple(propositions), co_safe, max_states)
+            graph = _explore(term, reader.terms, tuple(propositions), co_safe, (max_states, max_nodes))
         return minimal_automaton(saturated(graph) if co_safe else graph, semantics, judge_empty_word=co_safe)
     except DiagramSizeError as error:
-        raise FormulaError(f"the automaton is too large: {error}; simplify the formula", formula.text) from error
+        raise AutomatonSizeError(f"the automaton is too large: {error}; simplify the formula", formula.text) from error
 
 
-def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
-    """Return the automaton whose states are the functions of obligations that remain after some word."""
-    source, target = DecisionDiagrams(), DecisionDiagrams()
+def _explore(
+    term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: bool, most: tuple[int, int]
+) -> StateGraph:
+    """Return the automaton whose states are the functions of obligations that remain after some word.
+
+    It has at most so many states, and each of its two managers of diagrams so many nodes.
+    """
+    max_states, max_nodes = most
+    source, target = DecisionDiagrams(max_nodes), DecisionDiagrams(max_nodes)
     obligations = Obligations(source, terms, len(propositions), co_safe)
     start = obligations.start(term)
     number = {start: 0}
@@ -106,7 +124,7 @@ def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: b
             number[n] = len(number)
             pending.append(n)
             if len(number) > max_states:
-                raise FormulaError(
+                raise AutomatonSizeError(
                     f"the automaton needs more than `max_states` = {max_states} states; "
                     "simplify the formula, shorten its bounds or raise the limit"
                 )

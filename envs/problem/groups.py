@@ -21,13 +21,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..agents import counted
-from ..logic import Automaton, Formula, NormalForm, parse_formula, translate
+from ..logic import Automaton, AutomatonSizeError, Formula, NormalForm, parse_formula, translate
 
 MOST_STATES = 1000
 """Largest product of the groups' numbers of states up to which the automaton of the whole is built.
 
 Above it the joint automaton soon exceeds what the translator builds (`translate`, `max_states`).
 """
+
+
+MOST_NODES = 200_000
+"""Most nodes of diagrams from which the automaton of a task that cannot be taken apart is built: about a second."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,6 +104,21 @@ def independent_groups(
     for group in groups:
         states = min(states * int((~group.automaton.dead).sum()), MOST_STATES + 1)
     return tuple(groups) if states > MOST_STATES else ()
+
+
+def joint_automaton(
+    formula: str, semantics: str, names: Sequence[str], families: Mapping[str, Sequence[str]]
+) -> Automaton | None:
+    """Return the automaton of a task whose groups are coupled, if it is small after all; None if it is not.
+
+    The product of the groups' states is the number of states only if no two of them always move together: windows that
+    open and close at the same times are counted once. So the automaton is built, up to ``MOST_STATES`` states before
+    they are united and ``MOST_NODES`` nodes, which counts what is built and not seconds.
+    """
+    try:
+        return translate(formula, names, semantics, families, max_states=MOST_STATES, max_nodes=MOST_NODES)
+    except AutomatonSizeError:
+        return None
 
 
 def _translated_groups(

@@ -34,7 +34,7 @@ from ..agents import (
 )
 from ..logic import Automaton, over_propositions, translate, within
 from .families import AnyProposition, checked_propositions, expand
-from .groups import Group, independent_groups
+from .groups import MOST_STATES, Group, independent_groups, joint_automaton
 from .specification import Specification
 from .summary import summary_html, summary_text
 
@@ -128,10 +128,18 @@ class Problem:
         expanded, families = expand(declared, [agent.name for agent in members])
         labeling = Labeling.of(members, expanded)
         groups = _groups(specification, labeling, families)
-        if groups and any(getattr(agent, "others", ()) for agent in members):
+        automaton = None if groups else _automaton(specification, labeling.names, families)
+        are_coupled = any(getattr(agent, "others", ()) for agent in members)
+        if groups and (are_coupled or labeling.pairs):
+            # Whoever moves, or is compared, with others has no task alone: the whole may have fewer states than feared.
+            formula = specification.formula or ""
+            automaton = joint_automaton(formula, specification.semantics, labeling.names, families)
+            groups = () if automaton is not None else groups
+        if groups and are_coupled:
             raise ValueError(
                 "`specification`: expected one task of agents whose dynamics name states or inputs of others, got "
-                "independent tasks whose joint automaton would be too large; take fewer agents or another formula"
+                f"independent tasks whose joint automaton has more than {MOST_STATES} states; take fewer agents or "
+                "another formula"
             )
         values = {
             "name": title,
@@ -143,7 +151,7 @@ class Problem:
             "specification": specification,
             "labeling": labeling,
             "groups": groups,
-            "_automaton": None if groups else _automaton(specification, labeling.names, families),
+            "_automaton": automaton,
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)

@@ -203,8 +203,8 @@ def continuous_upper_bound(problem: Problem, joint: JointModel, start: Occupancy
         values.append(computed[key])
         at_places = _at_places(possible, model.grid.shape)
         begins.append(_arriving(computed[key], at_places, problem.automaton.initial))
-    # The product over agents bounds the joint value (Proposition 3); sum it over the mass at the start. The letter of a
-    # point is known, that of a cell of a box only where it has one.
+    # The product over agents bounds the joint value (Proposition Bounds.3); sum it over the mass at the start. The
+    # letter of a point is known, that of a cell of a box only where it has one.
     point = _is_point(problem)
     known = [np.ones(model.grid.n_cells) if point else _has_one_letter(model) for model in joint.models]
     hats = [_hats(*pair) for pair in zip(problem.agents, joint.models, strict=True)]

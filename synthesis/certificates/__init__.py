@@ -13,7 +13,7 @@ from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_roundin
 from .checked_laws import law_charge, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
-from .given_certificate import any_certificate, as_certificate, of_one_task, speaks_of_one_start
+from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
@@ -43,6 +43,7 @@ __all__ = [
     "UNREADABLE",
     "any_certificate",
     "as_certificate",
+    "certificate_on_grids",
     "axis_tables",
     "certificate_bytes",
     "certificate_in",

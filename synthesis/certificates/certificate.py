@@ -30,15 +30,15 @@ CORRECTION_INFLATION = 1 + 1e-9
 """Factor on what lost relations may cost, far above its rounding."""
 
 
-def checked_certificate(value: Any) -> Certificate:
-    """Return a certificate of one task, or raise ValueError with what to do."""
+def checked_certificate(value: Any, argument: str = "certificate") -> Certificate:
+    """Return a certificate of one task, given as ``argument``, or raise ValueError with what to do."""
     if isinstance(value, Certificate):
         return value
     inside = isinstance(getattr(value, "certificate", None), Certificate)
     if hasattr(value, "parts"):
-        raise ValueError(f"`certificate`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
+        raise ValueError(f"`{argument}`: expected that of one task, got {len(value.parts)}; give one of its `.parts`")
     remedy = "give its `.certificate`" if inside else "make one with `synthesize`, `certify` or `load_certificate`"
-    raise ValueError(f"`certificate`: expected a Certificate, got {type(value).__name__}; {remedy}")
+    raise ValueError(f"`{argument}`: expected a Certificate, got {type(value).__name__}; {remedy}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,6 +177,8 @@ class Certificate:
 
     def at(self, states: Any) -> FloatArray:
         """Return lower bounds (M,) on the satisfaction probability from each of M joint initial states.
+
+        They are read from the stored value function: bounds if ``check`` verifies the certificate, which is not asked.
 
         Parameters
         ----------

@@ -137,6 +137,8 @@ def _archived(header: dict[str, Any], pool: _Pool) -> bytes:
 def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate in a file; it is well-formed then, but not yet checked (see ``check``).
 
+    Until then its numbers (``lower_bound``, ``unbounded``, ``at``, ``mean``, ``min``) are what the file says.
+
     From a file of independent tasks a ``ProductCertificate`` is returned, from one of a set of starts a ``StartHull``.
 
     Parameters

@@ -26,15 +26,36 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
     Raises
     ------
     ValueError
-        If `value` is none of these, if the file holds no certificate, or if it is one along a path.
+        If `value` is none of these, if the file holds no certificate, or if it is one along a path, by subtraction, or
+        of a joint agent.
+    """
+    certificate = certificate_on_grids(value)
+    if isinstance(certificate, TeamCertificate):
+        raise ValueError(
+            "`certificate`: expected one whose agents each look at their own state, got that of a joint agent, whose "
+            "cells are those of all states together; give its `.base`, which is about the joint agent"
+        )
+    return certificate
+
+
+def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamCertificate:
+    """Return the certificate on grids that a value stands for, that of a joint agent included.
+
+    Raises
+    ------
+    ValueError
+        As for ``as_certificate``, but for joint agents on a grid.
     """
     certificate = any_certificate(value)
-    if isinstance(certificate, PairsCertificate | TeamCertificate):
+    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
+    if any(isinstance(part, PairsCertificate) for part in parts):
         raise ValueError(
-            "`certificate`: expected one on grids, got one about pairs of agents, which says nothing of other states; "
-            "it can be checked, validated, simulated, compared and reported"
+            "`certificate`: expected one with values of all states, got one by subtraction: what pairs of agents may "
+            "spoil is bounded for the whole run from the start of its problem, and for no other state or time; it can "
+            "be checked, validated, stressed, simulated, compared and reported"
         )
-    if speaks_of_one_start(certificate):
+    bases = [part.base if isinstance(part, TeamCertificate) else part for part in parts]
+    if any(isinstance(part, PathCertificate) for part in bases):
         raise ValueError(
             "`certificate`: expected one on grids, got one along a path, which says nothing of other states and times; "
             "it can be checked, validated, stressed, simulated, compared and reported, and `certified_starts` "
@@ -44,7 +65,7 @@ def as_certificate(value: Any) -> Certificate | ProductCertificate:
 
 
 def speaks_of_one_start(certificate: Any) -> bool:
-    """Whether a certificate claims something about the start of its problem alone: of pairs, of a team, or a path."""
+    """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
     return any(isinstance(part, PathCertificate | PairsCertificate | TeamCertificate) for part in parts)
 

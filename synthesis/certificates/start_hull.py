@@ -85,6 +85,8 @@ class StartHull:
     def at(self, start: FloatArray) -> PathCertificate:
         """Return the certificate along a path from a start (d,) in the hull, whose nominal inputs are mixed.
 
+        It claims what the hull claims: ``check`` of the hull, or of the certificate that is returned, verifies it.
+
         Raises
         ------
         ValueError

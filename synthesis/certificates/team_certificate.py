@@ -18,6 +18,7 @@ from ..cells import FloatArray
 from ..controllers import TeamController
 from .certificate import Certificate
 from .digits import shown_bound
+from .part import AgentPart
 from .path_certificate import PathCertificate
 
 
@@ -72,6 +73,13 @@ class TeamCertificate:
     def rank(self) -> int:
         """Largest number of terms of the value function."""
         return self.base.rank
+
+    @property
+    def agents(self) -> tuple[AgentPart, ...]:
+        """What is stored of the joint agent: one part, whose grid coordinates are those of all agents in order."""
+        if not isinstance(self.base, Certificate):
+            raise ValueError("`certificate`: expected one on grids, got one along a path, which has no cells")
+        return self.base.agents
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The proof done again, by code that no search reaches."""
 
 from .certificate_check import CheckReport, check
+from .checked_first import standing
 from .execution import execution_of
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
@@ -11,6 +12,7 @@ from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
+from .team_check import wrong_team
 
 __all__ = [
     "BrokenTreeError",
@@ -30,10 +32,12 @@ __all__ = [
     "greedy_disturbance",
     "regrow",
     "safety_rate",
+    "standing",
     "tree_start_value",
     "value_in_time",
     "verify_relation",
     "vertices_of",
     "other_controllers",
     "wrong_opposite",
+    "wrong_team",
 ]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from flint import arb, ctx
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..certificates import AgentPart
 from ..relations import CoupledRelation, ExactRelation, Relation
 from .execution import execution_of
@@ -66,20 +66,43 @@ def largest(balls: Sequence[Any]) -> Any:
     return reduce(lambda one, other: one.max(other), balls)
 
 
+def unreached(agent: AnyAgent, part: AgentPart) -> str | None:
+    """Return what was expected of an agent and of its cells, and what came, where balls do not reach them; else None.
+
+    Whatever an agent declares is either read by ``facts_of`` and the kernel in balls, or refused here: a variance says
+    nothing of the law that it belongs to.
+    """
+    covariance, kind = agent.noise_covariance, part.relation["kind"]
+    if not isinstance(agent, LinearAgent):
+        return f"linear agents, got `{agent.name}` with expressions, which have no balls"
+    if agent.laws is not None:
+        laws = ", ".join(sorted({law.name for law in agent.laws}))
+        return f"normal noise, got other laws of agent `{agent.name}` ({laws}), whose masses have no balls"
+    if agent.noise_scale is not None:
+        return f"noise that is the same everywhere, got a `noise_scale` of agent `{agent.name}`"
+    if np.any(np.diag(covariance) <= 0.0):
+        return f"noise in every state, got a state of agent `{agent.name}` without, whose next cell has no balls"
+    if kind not in ("exact", "tube"):
+        return f"the relations `exact` and `tube`, got `{kind}` of agent `{agent.name}`"
+    if not np.array_equal(part.coordinates, np.eye(agent.n_states)) or np.any(
+        covariance - np.diag(np.diag(covariance))
+    ):
+        return f"cells that are boxes of states, got those of correlated noise of agent `{agent.name}`"
+    return None
+
+
 def facts_of(agent: LinearAgent, part: AgentPart, relation: Relation) -> BallFacts:
-    """Return what is known of an agent whose cells are boxes of its states.
+    """Return what is known of an agent with normal noise whose cells are boxes of its states.
 
     Raises
     ------
     NoBallsError
-        For grids in other coordinates, and for relations that can be lost.
+        For agents, cells and relations that balls do not reach (``unreached``).
     """
-    covariance = agent.noise_covariance
-    if not np.array_equal(part.coordinates, np.eye(agent.n_states)) or np.any(
-        covariance - np.diag(np.diag(covariance))
-    ):
-        raise NoBallsError(f"agent `{agent.name}` has correlated noise, and cells that are no boxes of its states")
-    if not isinstance(relation, ExactRelation | CoupledRelation) or relation.kind not in ("exact", "tube"):
+    wrong = unreached(agent, part)
+    if wrong is not None:
+        raise NoBallsError(f"expected {wrong}")
+    if not isinstance(relation, ExactRelation | CoupledRelation) or relation.kind != part.relation["kind"]:
         raise NoBallsError(f"agent `{agent.name}` has the relation `{relation.kind}`, which balls do not reach")
     sizes = _Sizes.of(agent, part)
     if isinstance(relation, ExactRelation):

@@ -18,7 +18,7 @@ from ...envs.agents import Agent
 from ...envs.dynamics import Dynamics, Worlds, joint, neighbours
 from ..cells import FloatArray
 from ..certificates import Certificate
-from .later_values import ValueInTime, value_in_time
+from .later_values import ValueInTime, claimed_values
 
 MOST_CORNERS = 64
 """Corners of all disturbances together up to which all are compared; beyond, disturbances are changed one at a time."""
@@ -61,7 +61,8 @@ class Greedy:
     ) -> FloatArray:
         """Return the certified values (M,) one step later, at the means of the next states."""
         if self._value is None:
-            self._value = value_in_time(self.certificate)
+            # What a disturbance aims at need not be a bound.
+            self._value = ValueInTime(self.certificate, claimed_values(self.certificate))
         means = []
         others = neighbours(dynamics, worlds.states, inputs)
         for block, x, u, v, beside in zip(dynamics.blocks, worlds.states, inputs, unknown, others, strict=True):

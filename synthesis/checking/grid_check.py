@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...envs.agents import Box
+from ...envs.agents import AnyAgent, Box
 from ..cells import FloatArray
-from ..certificates import Certificate, grid_noise
+from ..certificates import AgentPart, Certificate, grid_noise
+from .execution import UNIT
 from .relation_check import wrong_for_uneven_noise
 
 CORRELATION = 1e-11
@@ -45,6 +46,10 @@ def wrong_grids(certificate: Certificate) -> list[str]:
             failures.append(f"the cells of agent `{agent.name}` are no boxes in state space, as its start box needs")
         if not identity and not _covers(agent.workspace, part.coordinates, low, high):
             failures.append(f"the grid of agent `{agent.name}` does not cover its workspace")
+        if not identity and _start_on_a_face(agent, part):
+            failures.append(
+                f"the start of agent `{agent.name}` lies on a face of cells to rounding: its cell is not certain"
+            )
         if agent.laws is not None and not np.array_equal(part.coordinates, agent.noise_axes):
             failures.append(f"the grid axes of agent `{agent.name}` are not those of its noise")
             continue
@@ -59,6 +64,21 @@ def wrong_grids(certificate: Certificate) -> list[str]:
         if any(np.any(np.diff(axis) <= 0) for axis in part.lattice):
             failures.append(f"the lattice of agent `{agent.name}` is not increasing")
     return failures
+
+
+def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
+    """Whether rounding may decide in which cell a start is, in coordinates other than the states.
+
+    The controller multiplies by an inverse, the check solves equations: both are within ``off`` of the truth.
+    """
+    start, coordinates, d = agent.initial.low, part.coordinates, agent.n_states
+    inverse, unit = np.linalg.inv(coordinates), (8.0 * d + 16.0) * UNIT
+    lost = np.abs(coordinates @ inverse - np.eye(d)) + unit * np.abs(coordinates) @ np.abs(inverse)
+    off = (2.0 * np.abs(inverse) @ lost + unit * np.abs(inverse)) @ np.abs(start)
+    points = np.linalg.solve(coordinates, start)
+    triples = zip(part.grid.edges, points, off, strict=True)
+    # A start of zeros is read without rounding.
+    return any(width > 0.0 and bool(np.any(np.abs(edges - x) <= width)) for edges, x, width in triples)
 
 
 def _is_inverted(coordinates: FloatArray, covariance: FloatArray) -> bool:

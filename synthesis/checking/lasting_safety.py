@@ -23,6 +23,7 @@ from ...envs.logic import Automaton
 from ..cells import FloatArray
 from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down
 from ..values import Terms
+from .checked_first import standing
 from .regrown_tree import regrow
 
 SHORTEST = 4
@@ -77,8 +78,8 @@ class SafetyRate:
 def safety_rate(certificate: Any) -> SafetyRate:
     """Return a bound on staying safe that holds for every number of steps at once.
 
-    It is computed by the code of the check, from the policies of the certificate alone. For independent tasks the
-    bounds of all tasks are multiplied.
+    The certificate is checked first, once: relations, guards and lattices are verified before values are grown from
+    them by the code of the check. For independent tasks the bounds of all tasks are multiplied.
 
     Parameters
     ----------
@@ -94,21 +95,22 @@ def safety_rate(certificate: Any) -> SafetyRate:
     Raises
     ------
     ValueError
-        If the certificate is about something else, or its value function has no such quotient.
+        If the certificate is about something else, if ``check`` refuses it, or if its value function has no such
+        quotient.
     """
     claim = as_certificate(certificate)
-    if isinstance(claim, ProductCertificate):
-        rates = [_rate(part) for part in claim.parts]
-    else:
-        rates = [_rate(claim)]
+    parts = claim.parts if isinstance(claim, ProductCertificate) else (claim,)
+    for part in parts:
+        _refuse_other_kinds(part)
+    standing(claim)
+    rates = [_rate(part) for part in parts]
     share, rate = (float(np.prod([getattr(one, name) for one in rates])) for name in ("share", "rate"))
     reserve = 1.0 - 4e-16 * len(rates)
     return SafetyRate(share * reserve, rate * reserve, sum(one.loss for one in rates), claim)
 
 
 def _rate(certificate: Certificate) -> SafetyRate:
-    """Return the bound of one task."""
-    _check(certificate)
+    """Return the bound of one task, whose certificate was checked."""
     times: dict[int, Terms] = {}
 
     def note(time: int, terms: Terms) -> None:
@@ -134,7 +136,7 @@ def _rate(certificate: Certificate) -> SafetyRate:
     return SafetyRate(share, rate, claim.correction / problem.horizon, certificate)
 
 
-def _check(certificate: Certificate) -> None:
+def _refuse_other_kinds(certificate: Certificate) -> None:
     """Raise ValueError if a certificate is not of the kind that has a rate."""
     if not is_safety(certificate.problem.automaton):
         raise ValueError("`certificate`: expected a safety task, which is satisfied until it fails, such as `G safe`")

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
+from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import Certificate, Claim, checked_certificate, joint_states, regrow_trains
+from ..certificates import Certificate, Claim, TeamCertificate, checked_certificate, joint_states, regrow_trains
 from ..values import Terms, Trains
+from .checked_first import standing
 from .regrown_tree import regrow
 
 
@@ -29,10 +31,13 @@ class ValueInTime:
     certificate : Certificate
     functions : tuple of Terms or Trains
         Value functions at times 0 .. T - 1, lower bounds up to rounding.
+    team : Problem, optional
+        Whose agents the joint agent of the certificate stands for, if it stands for several.
     """
 
     certificate: Certificate
     functions: tuple[Terms | Trains, ...]
+    team: Problem | None = None
 
     def __repr__(self) -> str:
         rows = [("times", f"0 .. {len(self.functions) - 1}"), ("claim", self.certificate.claim)]
@@ -67,7 +72,7 @@ class ValueInTime:
             If a shape does not fit, or a number is none of these.
         """
         problem = self.certificate.problem
-        joint = joint_states(problem, states)
+        joint = joint_states(self.team or problem, states)
         state = _whole(q, len(joint), "q", problem.automaton.n_states - 1)
         left = _whole(steps_left, len(joint), "steps_left", problem.horizon)
         values = np.zeros(len(joint))
@@ -93,24 +98,29 @@ def _whole(numbers: Any, count: int, name: str, most: int) -> NDArray[np.int64]:
 def value_in_time(certificate: Any) -> ValueInTime:
     """Return the value functions of a certificate at every time, lower bounds at every state.
 
-    Growing them takes about as long as ``check``. Reading them is quick.
+    The certificate is checked first, once. Growing the values takes about as long again; reading them is quick.
 
     Parameters
     ----------
-    certificate : Certificate
-        Of one task; give one of the ``parts`` of a product.
+    certificate : Certificate or TeamCertificate
+        Of one task; give one of the ``parts`` of a product. States of a joint agent are those of all agents in order.
 
     Raises
     ------
     ValueError
-        If it is no such certificate, or its tree is broken.
+        If it is no such certificate, or ``check`` refuses it.
     """
-    certificate = checked_certificate(certificate)
+    if isinstance(certificate, TeamCertificate) and isinstance(certificate.base, Certificate):
+        standing(certificate)
+        return ValueInTime(certificate.base, claimed_values(certificate.base), certificate.problem)
+    certificate = standing(checked_certificate(certificate))
     return ValueInTime(certificate, claimed_values(certificate))
 
 
 def claimed_values(certificate: Certificate) -> tuple[Terms | Trains, ...]:
     """Return the value functions at times 0 .. T - 1 (lower bounds up to rounding): the stored one, others regrown.
+
+    They are what the certificate claims: whether they are bounds is for ``check`` to say. Audits test them.
 
     Raises
     ------

@@ -8,6 +8,8 @@ with the horizon, up to what is pruned.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,11 @@ import numpy as np
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..certificates import AgentPart, Certificate, checked_certificate
-from ..models import Abstraction, AgentModel, InputMenu, Policies
+from ..models import KINDS_WITH, Abstraction, AgentModel, InputMenu, Policies, Settings
 from ..relations import describe_relation
+
+NUMBERS: dict[str, tuple[type, ...]] = {"epsilon": (int, float), "feedback": (int, float), "inputs": (int,)}
+"""Settings whose types are not looked at where they are made."""
 
 
 def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstraction) -> dict[str, Policies]:
@@ -47,6 +52,29 @@ def policies_from(certificate: Certificate, problem: Problem, abstraction: Abstr
         by_name[f"given start by {name}"] = tuple(_admissible(*pair) for pair in zip(policies, resting, strict=True))
     # At the same horizon the two are one.
     return by_name if certificate.problem.horizon != problem.horizon else dict([by_name.popitem()])
+
+
+def settings_of(certificate: Certificate, kinds: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of relations that a certificate was made with, as far as these kinds have them.
+
+    Agents get the same models again only with them. They come from a file: what they are not is refused.
+
+    Raises
+    ------
+    ValueError
+        If they are no settings.
+    """
+    names = [field.name for field in fields(Settings)]
+    found = {name: certificate.settings[name] for name in names if certificate.settings.get(name) is not None}
+    found = {name: value for name, value in found.items() if KINDS_WITH.get(name, {*kinds}) & {*kinds}}
+    try:
+        for name, kinds_of_number in NUMBERS.items():
+            if name in found and type(found[name]) not in kinds_of_number:
+                raise ValueError(f"`{name}`: expected a number, got {found[name]!r}")
+        Settings(**found)
+    except ValueError as error:
+        raise ValueError(f"`start`: expected a certificate with settings of its relations, got {error}") from None
+    return found
 
 
 def _moves(agent: AnyAgent) -> dict[str, Any]:

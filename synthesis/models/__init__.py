@@ -1,6 +1,8 @@
 """The finite model of each agent, the guards of the task, and both joined."""
 
 from .abstraction import (
+    KINDS_WITH,
+    RELATIONS,
     Abstraction,
     AgentModel,
     Relations,
@@ -39,6 +41,8 @@ __all__ = [
     "INPUT_LEVELS",
     "HatKernel",
     "InputMenu",
+    "KINDS_WITH",
+    "RELATIONS",
     "JointModel",
     "Kernel",
     "LATTICE_BLOCK",

@@ -34,6 +34,9 @@ def certified_starts(
     Letters, faces and feedback are those of the certificate, whose start is in the middle of the rays; every corner has
     nominal inputs of its own. The set is no larger than what these allow: an inner approximation.
 
+    Of the certificate nothing is trusted: what its letters, faces and feedback prove is computed anew for every corner,
+    and ``check`` verifies the set.
+
     Parameters
     ----------
     certificate : Synthesis, PathCertificate or path of a file

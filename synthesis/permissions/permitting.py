@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, as_certificate, axis_tables, rounded_down, smooth
-from ..checking import execution_of, masks_of, tree_start_value, vertices_of
+from ..checking import execution_of, masks_of, standing, tree_start_value, vertices_of
 from ..relations import ExactRelation, WrittenTargets
 from ..values import Terms
 from .permission import Menus, Permission
@@ -37,6 +37,8 @@ RESERVE = 1e-11
 def permit(certificate: Any, *, probability: float) -> Permission:
     """Return menus within which any behaviour succeeds with a probability of at least ``probability``.
 
+    The certificate is checked first, once; ``check_permission`` verifies certificate and menus.
+
     Parameters
     ----------
     certificate : Synthesis, Certificate or path
@@ -47,7 +49,7 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     Raises
     ------
     ValueError
-        If the certificate has no menus, or the probability is out of range.
+        If the certificate has no menus, ``check`` refuses it, or the probability is out of range.
 
     Examples
     --------
@@ -58,7 +60,7 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     >>> permission.lower_bound >= 0.7, bool(cg.check_permission(permission))
     (True, True)
     """
-    certificate = _checked(as_certificate(certificate))
+    certificate = standing(_checked(as_certificate(certificate)))
     if isinstance(probability, bool) or not isinstance(probability, int | float) or not 0.0 < probability <= 1.0:
         raise ValueError(f"`probability`: expected a number above 0 and at most 1, got {probability!r}")
     offered = [_admissible(part, relation) for part, relation in _pairs(certificate)]

@@ -8,7 +8,7 @@ Where a cell may have several labels, the worst of them counts: the robust autom
 that is possible leads there, or to acceptance, which is worth no less.
 
 Each ``V^i`` bounds the joint optimum from above, and so does their **product**, which is never larger
-(docs/theory/bounds.md, "Upper bounds, and of what", Proposition 3). For the joint optimum W, by induction,
+(docs/theory/bounds.md, "Upper bounds, and of what", Proposition Bounds.3). For the joint optimum W, by induction,
 ``W_q,t(x) <= prod_i V^i_q,t(x_i)``: at t = 0 both sides are 1 or 0; and
 
     W_q,t+1(x) = max_u E[ W_q',t(x') ] <= max_u E[ prod_i V^i_q',t(x'_i) ]

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from ...envs.agents import Gaussian, tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down, shown_bound
+from ..certificates import (
+    Certificate,
+    ProductCertificate,
+    TeamCertificate,
+    certificate_on_grids,
+    rounded_down,
+    shown_bound,
+)
+from ..checking import standing
 from ..relations import CoupledRelation
 from .shield_rule import Case, Choice, decentralised_choice, joint_choice
 from .worth import ActionValues, action_values, groups
@@ -39,6 +47,8 @@ class Shield:
         Budget that stands for p: p with everything that rounding can take off, at most the certified bound.
     mean : float or None
         Lower bound on the mean value of a start that is drawn from a box; None for a start in a point.
+    team : Problem, optional
+        Whose agents the joint agent of the certificate stands for: states and inputs are then those of its agents.
     """
 
     values: ActionValues
@@ -46,6 +56,7 @@ class Shield:
     form: str
     owed: float
     mean: float | None
+    team: Problem | None = None
 
     def __repr__(self) -> str:
         rows = [
@@ -58,7 +69,15 @@ class Shield:
     @property
     def problem(self) -> Problem:
         """The problem that the shield keeps."""
-        return self.values.certificate.problem
+        return self.team or self.values.certificate.problem
+
+    def _joined(self, arrays: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+        """Return states or inputs of all agents as those of the certificate's agents: of one, for a team."""
+        return arrays if self.team is None else (np.concatenate(arrays),)
+
+    def value_of(self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any]) -> FloatArray:
+        """Return the values (M,) of states (d_i, M) per agent; lower bounds up to rounding."""
+        return self.values.of_states(self._joined(states), q, time)
 
     def first_budget(
         self, states: tuple[FloatArray, ...], q: NDArray[Any], time: NDArray[Any] | None = None
@@ -70,7 +89,7 @@ class Shield:
         A start in a point begins with what is owed, one in a box with a share of it in proportion to its value. Where
         the value is smaller than that, the start is not covered, and the budget is the value: what can be kept there.
         """
-        value = self.values.of_states(states, q, np.zeros(len(q), dtype=np.int64) if time is None else time)
+        value = self.value_of(states, q, np.zeros(len(q), dtype=np.int64) if time is None else time)
         asked = np.full(len(q), self.owed)
         if self.mean is not None:  # rounded down twice, so that it stays below the value
             asked = np.minimum(self.owed / self.mean, 1.0) * value
@@ -98,7 +117,8 @@ class Shield:
             Inputs; what lies outside the input box counts as the nearest input in it, and what is no number is
             refused. Runs that are decided keep them.
         """
-        agents = self.problem.agents
+        agents = self.values.certificate.problem.agents
+        states, proposed = self._joined(states), self._joined(proposed)
         low = tuple(agent.input_box.low[:, None] for agent in agents)
         high = tuple(agent.input_box.high[:, None] for agent in agents)
         inputs = tuple(np.clip(u, a, b) for u, a, b in zip(proposed, low, high, strict=True))
@@ -113,7 +133,12 @@ class Shield:
             for u, applied in zip(inputs, found.inputs, strict=True):
                 u[:, which] = applied
             ratio[which], overridden[:, which] = found.ratio, found.overridden
-        return Choice(inputs, ratio, overridden)
+        if self.team is None:
+            return Choice(inputs, ratio, overridden)
+        # The inputs of a team are judged together: all of them were let through, or none.
+        (joined,) = inputs
+        split = tuple(joined[columns] for columns in self.team.input_columns)
+        return Choice(split, ratio, np.repeat(overridden, self.team.n_agents, axis=0))
 
     def certified_inputs(self, states: tuple[FloatArray, ...], q: int, time: int) -> tuple[FloatArray, ...]:
         """Return the inputs (m_i, M) of the certified controllers at one time and in one automaton state."""
@@ -132,7 +157,7 @@ class Shield:
 
         ``b' = rho V'``: the value is that of the new state under its true letter, at the new time.
         """
-        value = self.values.of_states(states, q, time)
+        value = self.value_of(states, q, time)
         return ratio * value, value
 
 
@@ -179,8 +204,7 @@ class _Source:
 
     @classmethod
     def of(cls, certificate: Certificate) -> _Source:
-        """Return the source of a certificate; raise ValueError if it cannot be a shield."""
-        _check_certificate(certificate)
+        """Return the source of a certificate that can be a shield, and stands."""
         values, problem = action_values(certificate), certificate.problem
         if certificate.start == "mean":
             # The claim takes rounding off, so that it is below the mean of what is read at starts.
@@ -245,7 +269,7 @@ def _check_certificate(certificate: Certificate) -> None:
 
 
 def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shield | ProductShield:
-    """Return the shield of a certificate.
+    """Return the shield of a certificate, which is checked first, once.
 
     Parameters
     ----------
@@ -259,14 +283,25 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
     Raises
     ------
     ValueError
-        If the certificate cannot be a shield, or p is out of range; the text says what to do.
+        If the certificate cannot be a shield, ``check`` refuses it, or p is out of range; the text says what to do.
     """
-    certificate, p = as_certificate(certificate), _checked(probability, form)
+    certificate, p = certificate_on_grids(certificate), _checked(probability, form)
+    team = certificate.problem if isinstance(certificate, TeamCertificate) else None
+    for part in certificate.parts if isinstance(certificate, ProductCertificate) else (_of_one(certificate),):
+        _check_certificate(part)
+    certificate = standing(certificate)
+    if isinstance(certificate, TeamCertificate):
+        if form != "joint":
+            raise ValueError(
+                f"`form`: expected 'joint' for a joint agent, got {form!r}; the certificate is about the inputs of all "
+                "agents together, and says nothing of one agent's input alone"
+            )
+        certificate = _of_one(certificate)
     if isinstance(certificate, Certificate):
         source = _Source.of(certificate)
         if p > source.most:
             raise ValueError(_too_much(p, source.most))
-        return source.shield(p, form)
+        return replace(source.shield(p, form), team=team)
     # Tasks that differ in names alone share their tables.
     sources = {k: _Source.of(certificate.parts[same[0]]) for same in certificate.alike for k in same}
     most = math.prod(source.most for source in sources.values())
@@ -280,6 +315,13 @@ def shield_of(certificate: Any, probability: float, form: str = "joint") -> Shie
         kept = min(sources[k].most ** power * (1.0 + 1e-13), sources[k].most)
         parts.append(sources[k].renamed(part).shield(kept, form))
     return ProductShield(certificate, p, tuple(parts))
+
+
+def _of_one(certificate: Certificate | TeamCertificate) -> Certificate:
+    """Return the certificate of one task: that of its joint agent, for a team."""
+    base = certificate.base if isinstance(certificate, TeamCertificate) else certificate
+    assert isinstance(base, Certificate)  # one along a path was refused
+    return base
 
 
 def _checked(probability: Any, form: str) -> float:

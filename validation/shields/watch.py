@@ -48,13 +48,13 @@ class Watch:
         budget, covered = self.shield.first_budget(states, q, time)
         if np.any(which & ~covered & ~lenient):
             world = int(np.argmax(which & ~covered & ~lenient))
-            value = float(self.shield.values.of_states(states, q, time)[world])
+            value = float(self.shield.value_of(states, q, time)[world])
             raise ValueError(
                 f"`initial_state`: expected a start from which {self.shield.probability:.6g} can be kept, got one with "
                 f"the certified value {value:.6g}; keep a smaller probability, or begin elsewhere"
             )
         self.budget = np.where(which, budget, self.budget)
-        self.value = np.where(which, self.shield.values.of_states(states, q, time), self.value)
+        self.value = np.where(which, self.shield.value_of(states, q, time), self.value)
         self._ratio = np.where(which, 1.0, self._ratio)
         self.overridden = self.overridden & ~which
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import counted, shortened, tree_text, write_json
-from ...synthesis.certificates import as_certificate, rounded_down
+from ...synthesis.certificates import certificate_on_grids, rounded_down
 from ..simulation import (
     INTERRUPTED,
     ChunkResult,
@@ -189,7 +189,7 @@ def validate_field(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
     states : array_like, shape (N, D)
         Joint initial states (see ``validation.verdicts.starts``).
     plan, **trial
@@ -208,7 +208,7 @@ def validate_field(
         If Ctrl-C came before every state had an episode.
     """
     settled = planned(plan, trial, 2000)
-    certificate = as_certificate(certificate)
+    certificate = certificate_on_grids(certificate)
     check_confidence(settled.confidence)
     states = np.atleast_2d(np.asarray(states, dtype=float))
     claims = certificate.at(states)
@@ -262,7 +262,7 @@ def find_weakest(
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
+    certificate : Synthesis, Certificate, ProductCertificate, TeamCertificate or path
     plan, **trial
         Episodes in all (default 100,000), seed, confidence (.999), chunk, executor, progress; see ``TrialPlan``.
     candidates : array_like, shape (N, D), optional
@@ -276,7 +276,7 @@ def find_weakest(
         About the finalists; after Ctrl-C, about the candidates of the round that was under way.
     """
     settled = planned(plan, trial, 100_000)
-    certificate, seed = as_certificate(certificate), settled.seed
+    certificate, seed = certificate_on_grids(certificate), settled.seed
     problem = certificate.problem
     if candidates is None:
         candidates = np.concatenate([corner_starts(problem), random_starts(problem, CANDIDATES, seed)])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate, ProductCertificate
+from ...synthesis.certificates import Certificate, ProductCertificate, TeamCertificate
 
 Box = tuple[Any, Any]
 """Both corners (D,) of a box of joint states."""
@@ -116,7 +116,7 @@ def slice_axes(problem: Problem, axes: Sequence[int] | None) -> tuple[int, ...]:
 
 
 def neighbours(
-    certificate: Certificate | ProductCertificate, states: NDArray[Any], rng: np.random.Generator
+    certificate: Certificate | ProductCertificate | TeamCertificate, states: NDArray[Any], rng: np.random.Generator
 ) -> NDArray[Any]:
     """Return one neighbour of each state (N, D): one random coordinate is moved by up to two cells of its grid.
 

@@ -1,0 +1,81 @@
+"""What is made anew from a certificate is made with its settings: upper ends, and searches that begin with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.upper_ends import bound_above, wrong_upper_end
+from problems import scalar_agent
+
+
+def task(horizon: int = 4) -> cg.Problem:
+    """One agent that is to reach a goal."""
+    return cg.Problem(
+        name="goal",
+        horizon=horizon,
+        agents=[scalar_agent("a", A=[[0.9]], input_low=[-1.0], input_high=[1.0], noise_covariance=[[0.05]])],
+        propositions={"goal": cg.Proposition("a", [0.5], [1.5])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )
+
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "exact": {"targets_per_cell": 3},
+    "tube": {"targets_per_cell": 3},
+    "linear": {"targets_per_cell": 6},
+    "boxes": {"targets_per_cell": 7},
+    "paper": {"epsilon": 0.2, "inputs": 14, "feedback": -0.1, "delta": 0.2},
+    "ellipsoid": {"delta": 0.02, "share": 0.3},
+}
+
+
+@pytest.mark.parametrize("kind", SETTINGS)
+def test_settings_that_are_not_given_are_those_of_the_certificate(kind: str) -> None:
+    if kind == "ellipsoid":
+        pytest.importorskip("cvxpy")
+    given, problem = SETTINGS[kind], task()
+    certificate = cg.synthesize(problem, 40, relation=kind, **given).certificate
+    assert {name: certificate.settings[name] for name in given} == given
+    # Without the settings other lattices or relations would come out, and the start would not fit.
+    again = cg.synthesize(problem, start=certificate, max_sweeps=0).certificate
+    longer = cg.synthesize(task(6), start=certificate, max_sweeps=0).certificate
+    for other in (again, longer):
+        assert {name: other.settings[name] for name in given} == given
+    assert again.lower_bound == pytest.approx(certificate.lower_bound, abs=1e-9)
+    end = bound_above(certificate)
+    assert wrong_upper_end(end, certificate) == []
+    assert certificate.lower_bound <= end.upper_bound
+
+
+def test_what_is_given_counts_more_than_what_was() -> None:
+    certificate = cg.synthesize(task(), 40, relation="exact", targets_per_cell=3).certificate
+    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents, task, cells"):
+        cg.synthesize(task(), start=certificate, targets_per_cell=2)
+    # Settings of another relation than the one that is asked for are not carried over: nobody gave them.
+    pytest.importorskip("cvxpy")
+    lossy = cg.synthesize(task(), 40, relation="ellipsoid", delta=0.02).certificate
+    with pytest.raises(ValueError, match="`start`: expected a certificate of the same agents"):
+        cg.synthesize(task(), start=lossy, relation="exact")
+
+
+@pytest.mark.parametrize("value", ["3", [3], True, float("nan")])
+def test_settings_of_a_file_that_are_none_are_refused_by_the_name_of_the_argument(value: Any) -> None:
+    certificate = cg.synthesize(task(), 40, relation="exact").certificate
+    odd = replace(certificate, settings={**certificate.settings, "targets_per_cell": value})
+    with pytest.raises(ValueError, match="`start`: expected a certificate with settings of its relations"):
+        cg.synthesize(task(), start=odd)
+    with pytest.raises(ValueError, match=r"^`certificate`: "):
+        bound_above(odd)
+
+
+def test_a_start_that_is_no_certificate_is_called_start() -> None:
+    result = cg.synthesize(task(), 40)
+    wrong: Any = result
+    with pytest.raises(ValueError, match=r"^`start`: expected a Certificate, got Synthesis"):
+        cg.synthesize(task(), start=wrong)
+    assert np.isfinite(result.certificate.lower_bound)
