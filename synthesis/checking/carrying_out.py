@@ -98,8 +98,11 @@ def _wrong_means(
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     networked = choice < network_modes(part)
+    # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
+    # states have failed, so that nothing is claimed of the step from there.
+    inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
     for mode in np.unique(choice[networked & (choice >= 0)]):
-        here = np.flatnonzero(choice == mode)[:NETWORKED]
+        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
         low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
         beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
         if np.any(beyond):
