@@ -1,0 +1,157 @@
+"""Whatever can be certified can be asked everything that mathematics allows: the matrix of capabilities.
+
+Rows are ways to move and to certify, columns are what users ask of a certificate (``composing``). A cell is a result
+that is compared with a dense program of the joint system, or a refusal in words with the reason of mathematics
+(``CANNOT``). What could be and is not yet there is ``MISSING``: an expected failure that fails when it is filled.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from composing import COLUMNS, RESOLUTION, ROWS, Claims, _optimum, optimum
+
+CELLS = [(row, column) for row in ROWS for column in COLUMNS]
+
+BOXES = [row for row in ROWS if row.startswith("boxes")]
+LINEAR = [row for row in ROWS if row.startswith("linear")]
+EXPRESSIONS = ["exact expressions", "linear expressions", *(row for row in BOXES if row not in
+               ("boxes matrices", "boxes Laplace", "boxes common input"))]  # fmt: skip
+
+NO_VALUES_ON_PATHS = "along a path"
+"""A path proves one run from one start: it has no values at other states and times, and no cells."""
+
+NO_VALUES_BY_SUBTRACTION = "by subtraction"
+"""What pairs may spoil is bounded for the whole run: what is subtracted is no function of the state."""
+
+CANNOT: dict[str, dict[str, str]] = {
+    # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
+    "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
+    "own upper end": {"path": "no upper end"},
+    "opposite end": {"path": "another kind", "subtraction": NO_VALUES_BY_SUBTRACTION},
+    # What may be lost at every step cannot be promised; an abstract state is not the state that a shield sees; inputs
+    # that others rely on cannot be left to a learner.
+    "shield": {
+        "tube": "without memory",
+        "ellipsoid": "without memory",
+        "ellipsoid with delta": "delta = 0",
+        "paper": "delta = 0",
+        "boxes common input": "chosen in common",
+        "path": NO_VALUES_ON_PATHS,
+        "subtraction": NO_VALUES_BY_SUBTRACTION,
+    },
+    # Permissions are sets of inputs at states: choices of an abstract state are none.
+    "permission": {
+        "tube": "expected the relation",
+        "ellipsoid": "expected the relation",
+        "ellipsoid with delta": "expected the relation",
+        "paper": "expected the relation",
+        "path": NO_VALUES_ON_PATHS,
+        "subtraction": NO_VALUES_BY_SUBTRACTION,
+    },
+    # A policy that looks at the state is not known to others; a path has a feedback of its own.
+    "certify": {"boxes common input": "whose inputs depend on states", "path": "expected one of auto"},
+    "network": {"boxes common input": "expected linear dynamics"},
+    "at": {"path": NO_VALUES_ON_PATHS, "subtraction": "about pairs of agents"},
+    "values in time": {"path": "expected a Certificate", "subtraction": "expected a Certificate"},
+    "audit": {"path": NO_VALUES_ON_PATHS, "subtraction": NO_VALUES_BY_SUBTRACTION},
+    "field": {"path": NO_VALUES_ON_PATHS, "subtraction": "."},
+    # Rates are read from least values: nothing is bounded where one of them is 0, as when a battery runs empty.
+    "safety rate": {
+        "ellipsoid with delta": "delta = 0",
+        "paper": "delta = 0",
+        "boxes no noise": "falls to 0",
+        "path": NO_VALUES_ON_PATHS,
+    },
+    "budget": {"path": "has no grid"},
+    "start=": {"path": "expected a Certificate"},
+}
+"""Refusals by mathematics: column, row, and what the message says."""
+
+MISSING: dict[str, dict[str, str]] = {
+    "train": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for trains"),
+    "own upper end": dict.fromkeys(
+        ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
+        "the end of the opposite task is no part of certificates",
+    ),
+    "rigorous": dict.fromkeys(
+        [row for row in ROWS if row not in ("exact matrices", "tube")], "balls know normal laws and two relations"
+    ),
+    "shield": {
+        **dict.fromkeys(["exact Laplace", "boxes Laplace"], "what inputs are worth is read from normal laws alone"),
+        **dict.fromkeys(["boxes noise scale", "boxes no noise"], "what inputs are worth is read from even noise alone"),
+        "train": "values in time of trains are not read",
+    },
+    "permission": {
+        **dict.fromkeys([*LINEAR, *BOXES], "permissions read lattice points alone"),
+        "train": "permissions read trees alone",
+        "joint": "a permission is asked of the base by hand",
+    },
+    "certify": dict.fromkeys(["joint", "subtraction"], "given policies of pairs are not wrapped"),
+    "network": {
+        **dict.fromkeys(EXPRESSIONS, "networks are enclosed with matrices alone"),
+        **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
+    },
+    "start box": {
+        "exact correlated": "start boxes are read on cells that are boxes of states",
+        "path": "a path starts at a point",
+        "subtraction": "pairs are read at points",
+    },
+    "no deadline": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for stationary policies"),
+    "safety rate": {
+        **dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for stationary policies"),
+        "train": "rates read trees alone",
+    },
+    "budget": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for budgets"),
+    "start=": dict.fromkeys(["joint", "subtraction"], "tasks about pairs begin anew"),
+    "device": {
+        **dict.fromkeys([*LINEAR, *BOXES], "only points are read on devices"),
+        "joint": "its relation has no devices, and another one is taken",
+    },
+}
+"""What could be and is not there yet: column, row, why."""
+
+SLOW = {("boxes common input", "budget"), ("ellipsoid", "budget"), ("ellipsoid with delta", "budget")}
+"""Cells that take ten seconds and more."""
+
+
+def expected(row: str, column: str) -> pytest.param:
+    marks = [pytest.mark.slow] if (row, column) in SLOW else []
+    if reason := MISSING.get(column, {}).get(row):
+        marks.append(pytest.mark.xfail(strict=True, reason=reason, raises=(ValueError, AssertionError)))
+    return pytest.param(row, column, marks=marks, id=f"{row} - {column}")
+
+
+@pytest.mark.parametrize(("row", "column"), [expected(*cell) for cell in CELLS])
+def test_cell(row: str, column: str, tmp_path: Path) -> None:
+    if column == "device":
+        pytest.importorskip("torch", reason="the extra `rl` brings a device")
+    if said := CANNOT.get(column, {}).get(row):
+        with pytest.raises(ValueError, match=said):
+            COLUMNS[column](row, tmp_path)
+        return
+    agrees(row, COLUMNS[column](row, tmp_path))
+
+
+def agrees(row: str, claims: Claims) -> None:
+    """What some policy attains is no more than the dense program attains, and it does not exceed upper ends."""
+    if not claims.attained and not claims.exceeded_by_none:
+        return
+    most = optimum(row) if claims.problem is None else _optimum(claims.problem)
+    assert all(0.0 <= value <= most + RESOLUTION for value in claims.attained), (claims, most)
+    assert all(value >= most - RESOLUTION for value in claims.exceeded_by_none), (claims, most)
+
+
+def test_the_tables_name_cells_of_the_matrix() -> None:
+    """A cell cannot be, or is missing, or works: not two of these; and there is nothing else in the tables."""
+    cannot = {(row, column) for column, rows in CANNOT.items() for row in rows}
+    missing = {(row, column) for column, rows in MISSING.items() for row in rows}
+    assert not cannot & missing and cannot | missing <= {*CELLS}
+
+
+def test_dense_programs_see_claims_that_are_too_large() -> None:
+    """Their resolution is small against what is at stake: for most rows a claim of .1 more would be seen."""
+    seen = [row for row in ROWS if optimum(row) + RESOLUTION < 1.0]
+    assert len(seen) >= 3
