@@ -440,6 +440,8 @@ def verdict(certificate: dict[str, Any]) -> str:
     rollouts, bound, gap = certificate["rollouts"], certificate["lower_bound"], certificate["gap"]
     if rollouts["high"] < bound or (certificate["exact"] and rollouts["low"] > bound + gap):
         return "refuted"
+    if bound <= 0.0:
+        return "vacuous"
     return "confirmed" if rollouts["low"] >= bound else "consistent"
 
 
