@@ -1,4 +1,4 @@
-"""A claim of 0 is vacuous wherever a verdict is given, and a certificate that fails its check is never called proved."""
+"""A claim of 0 is vacuous wherever a verdict is given, and what fails its check is never called proved."""
 
 from __future__ import annotations
 

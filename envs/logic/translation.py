@@ -24,6 +24,12 @@ __all__ = ["BACKENDS", "automaton_from_hoa", "translate"]
 
 BACKENDS = ("builtin", "mona")
 
+MOST_STEPS = 1_500_000
+"""Steps of decision diagrams that the states of one automaton may take.
+
+They are counted, not timed, so that a formula is refused everywhere or nowhere.
+"""
+
 
 def translate(
     formula: str | Formula,
@@ -89,7 +95,7 @@ def translate(
 
 def _explore(term: Term, terms: Terms, propositions: tuple[str, ...], co_safe: bool, max_states: int) -> StateGraph:
     """Return the automaton whose states are the functions of obligations that remain after some word."""
-    source, target = DecisionDiagrams(), DecisionDiagrams()
+    source, target = DecisionDiagrams(step_limit=MOST_STEPS), DecisionDiagrams()
     obligations = Obligations(source, terms, len(propositions), co_safe)
     start = obligations.start(term)
     number = {start: 0}
