@@ -191,6 +191,7 @@ def _summary(id: str, problem: cg.Problem) -> str:
     names = env.possible_agents if problem.n_agents <= 8 else [*env.possible_agents[:3], "...", env.possible_agents[-1]]
     shapes = sorted({str(env.action_space(agent).shape) for agent in env.possible_agents})
     seen = sorted({str(env.observation_space(agent).shape) for agent in env.possible_agents})
+    workspaces = _ranges([(a.state_low, a.state_high) for a in problem.agents])
     rows = [
         ("PettingZoo", f'`pettingzoo.make("parallel", "certigym/{id}")`'),
         ("Gymnasium", f'`gymnasium.make("{gymnasium_id(id)}")`'),
@@ -206,7 +207,11 @@ def _summary(id: str, problem: cg.Problem) -> str:
             f"{', '.join(seen)}: own state, {problem.automaton.n_states} automaton "
             "states one-hot, fraction of time left",
         ),
-        ("Observation Values", f"{_ranges([(a.state_low, a.state_high) for a in problem.agents])}, then [0, 1]"),
+        (
+            "Observation Values",
+            f"any real numbers, states as they are: inside of the workspace {workspaces}, and, when an episode ends by "
+            'leaving it, outside; then [0, 1]. With `scale="unit"` [-1, 1], states outside count as the edge',
+        ),
         ("State Shape", f"{env.state_space.shape}: the states of all agents, then as above"),
         ("State Values", "as the observations"),
         ("Centralised", f"action {(sum(a.n_inputs for a in problem.agents),)} in [-1, 1], observation = state"),
@@ -440,6 +445,8 @@ def verdict(certificate: dict[str, Any]) -> str:
     rollouts, bound, gap = certificate["rollouts"], certificate["lower_bound"], certificate["gap"]
     if rollouts["high"] < bound or (certificate["exact"] and rollouts["low"] > bound + gap):
         return "refuted"
+    if bound <= 0.0:
+        return "vacuous"
     return "confirmed" if rollouts["low"] >= bound else "consistent"
 
 

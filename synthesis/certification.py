@@ -156,6 +156,25 @@ def best_bound(
     return grown, bound, {other.name: other.lower for _, other in found}
 
 
+def against_losses(
+    problem: Problem, abstraction: Abstraction, joint: JointModel, best: Sweep
+) -> tuple[Sweep, dict[str, float]]:
+    """Return policies whose certified bound is the largest, and the largest lower bound of each kind that was met.
+
+    A search looks at the nominal value. Where every step loses delta this is not what is certified: policies of one
+    nominal value differ in how long they leave the task undecided. So agents answer once more, to the nominal value
+    and to that of the robust operator, and all three are certified. ``best`` is a sweep with frozen policies.
+    """
+    start, frozen = start_of(problem, joint), [best]
+    for loss in (None, robust_loss):
+        answered = sweep(joint, best.policies, start, FINAL, improve=True, loss=loss)
+        if any(np.any(new != old) for new, old in zip(answered.policies, best.policies, strict=True)):
+            frozen.append(sweep(joint, answered.policies, start, FINAL, improve=False))
+    bounds = [best_bound(problem, abstraction, joint, outcome)[2] for outcome in frozen]
+    largest = {name: max(of_policies[name] for of_policies in bounds) for name in bounds[0]}
+    return frozen[int(np.argmax([max(of_policies.values()) for of_policies in bounds]))], largest
+
+
 def bounds_from_above(
     problem: Problem, joint: JointModel, relaxations: tuple[Relaxation, ...], certificate: Certificate
 ) -> dict[str, object]:

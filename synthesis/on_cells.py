@@ -10,7 +10,7 @@ from typing import Any
 from ..envs.problem import Problem
 from .cells import CellCounts
 from .certificates import Certificate, Synthesis
-from .certification import certified
+from .certification import against_losses, certified
 from .choosing import (
     Budget,
     Tries,
@@ -25,7 +25,7 @@ from .models import (
     abstraction_of,
     join,
 )
-from .search import FINAL, Relaxation, Search, find_policies, stationary_best
+from .search import FINAL, Relaxation, Search, Sweep, find_policies, stationary_best
 
 Clock = tuple[float, float]
 """When the work began, and when the finite models were finished, in seconds of ``perf_counter``."""
@@ -108,7 +108,13 @@ def searched(
     best = stationary_best(problem, joint, result, search.limits) if search.stationary else result.best
     name = f"{'stationary policies from ' if search.stationary else ''}occupancy-weighted coordinate ascent"
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
-    return certified(problem, abstraction, joint, result, best, used, name)
+    loses = any(model.delta > 0.0 for model in joint.models)
+    if not loses or search.stationary or search.max_sweeps == 0 or not isinstance(best, Sweep):
+        return certified(problem, abstraction, joint, result, best, used, name)
+    best, largest = against_losses(problem, abstraction, joint, best)
+    # What one agent alone could gain was computed for the nominal value of other policies.
+    synthesis = certified(problem, abstraction, joint, replace(result, unilateral_gain=None), best, used, name)
+    return replace(synthesis, stats={**synthesis.stats, "largest_bounds": largest})
 
 
 def seconds_of_work(clock: Clock) -> dict[str, float]:

@@ -272,7 +272,7 @@ def _means(problem: cg.Problem, parts: list[NDArray[Any]], inputs: list[NDArray[
     n, means, scales = parts[0].shape[1], [], []
     rows = [np.repeat(u[:, None], n, axis=1) for u in inputs]
     for agent, x, u in zip(problem.agents, parts, rows, strict=True):
-        if isinstance(agent, LinearAgent):
+        if not isinstance(agent, cg.Agent):
             means.append(agent.mean(x, u))
             scales.append(np.ones_like(x))
             continue

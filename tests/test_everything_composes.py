@@ -8,6 +8,7 @@ that is compared with a dense program of the joint system, or a refusal in words
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -117,7 +118,7 @@ SLOW = {("boxes common input", "budget"), ("ellipsoid", "budget"), ("ellipsoid w
 """Cells that take ten seconds and more."""
 
 
-def expected(row: str, column: str) -> pytest.param:
+def expected(row: str, column: str) -> Any:
     marks = [pytest.mark.slow] if (row, column) in SLOW else []
     if reason := MISSING.get(column, {}).get(row):
         marks.append(pytest.mark.xfail(strict=True, reason=reason, raises=(ValueError, AssertionError)))

@@ -15,7 +15,7 @@ from scipy.stats import beta, binom
 import certigym as cg
 from certigym.synthesis.certificates.certificate import Certificate
 from certigym.synthesis.values.terms import Terms
-from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, holm, p_at_least, p_at_most
+from certigym.validation.statistics.binomial import CONFIRMED, CONSISTENT, REFUTED, VACUOUS, holm, p_at_least, p_at_most
 from certigym.validation.statistics.sequential import (
     SequentialState,
     confidence_sequence,
@@ -138,7 +138,9 @@ def test_edges_of_sequential_claims() -> None:
     some, every = np.array([True, False]), np.ones(5000, dtype=bool)
     assert SequentialState(1.0, None, 0.999).advance(some).verdict == REFUTED
     assert SequentialState(1.0, None, 0.999).advance(every).verdict == CONSISTENT
-    assert SequentialState(0.0, None, 0.999).advance(some).verdict == CONFIRMED
+    empty = SequentialState(0.0, None, 0.999).advance(some)
+    assert empty.verdict == VACUOUS and empty.episodes == 1  # nothing is left to be learned
+    assert SequentialState(0.0, 0.1, 0.999).advance(every).verdict == REFUTED  # its upper end says something
     low, high = confidence_sequence(0, 10, 0.999)
     assert low == 0 and 0 < high < 1
 

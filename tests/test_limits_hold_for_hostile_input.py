@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 
 import certigym as cg
 from adversary import problem_of
-from certigym.envs.logic import translate, within
+from certigym.envs.logic import translate, translation, within
 from certigym.validation.paper import reproduce
 from hostile import limited, outcome, problem, scalar
 from random_problems import random_spec
@@ -135,3 +136,56 @@ def test_write_bytes_is_the_only_way_to_a_file() -> None:
             if path.name not in ("saving.py", "mona.py") and direct.search(path.read_text(encoding="utf-8")):
                 found.append(str(path.relative_to(ROOT)))
     assert found == []
+
+
+# --- automata that explode -----------------------------------------------------------------------------------
+NAMES = [f"p{i}" for i in range(12)]
+EXPLODING = {
+    "windows of always": (" & ".join(f"F[0,40] G[0,{5 + i}] p{i}" for i in range(4)), "co-safe"),
+    "chained windows": (" & ".join(f"G[{i},{i + 30}] F[0,{i + 3}] p{i % 3}" for i in range(10)), "finite-trace"),
+    "choices of windows": (" & ".join(f"(p{i} | F[0,50] p{i + 1})" for i in range(11)), "co-safe"),
+    "nested windows": ("F[0,60] (p0 & F[0,60] (p1 & F[0,60] p2))", "co-safe"),
+    "equivalences": (" <-> ".join(f"F p{i}" for i in range(12)), "finite-trace"),
+    "untils of windows": (" & ".join(f"(p{i} U F[{i},{30 + i}] p{i + 1})" for i in range(5)), "co-safe"),
+    "memory": ("G (p0 -> X[40] p1)", "finite-trace"),
+    "releases": (" & ".join(f"(p{i} R F[0,20] p{i + 1})" for i in range(5)), "finite-trace"),
+}
+"""Formulas with automata of thousands of states, or large diagrams; some took a minute and a half to be refused."""
+
+
+@pytest.mark.parametrize("name", EXPLODING)
+def test_exploding_formulas_are_refused_within_seconds(name: str) -> None:
+    """By a count of steps, not by a clock; the clock of this test has room for machines with other work."""
+    text, semantics = EXPLODING[name]
+    began = time.process_time()
+    with pytest.raises(ValueError, match=r"too large|max_states|obligations"):
+        translate(text, NAMES, semantics)
+    assert time.process_time() - began < 5.0
+
+
+def test_the_limit_is_a_count_and_leaves_room_for_large_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    large = "F[0,99] (p0 & F[0,99] (!p0 & F[0,99] p0))"
+    assert translate(large, ["p0"], "co-safe").n_states == 497
+    monkeypatch.setattr(translation, "MOST_STEPS", 100_000)
+    for _ in range(2):  # the same steps each time
+        with pytest.raises(ValueError, match="too many steps"):
+            translate(large, ["p0"], "co-safe")
+
+
+# --- noise that is scaled to nothing, or beyond all numbers ----------------------------------------------------
+@pytest.mark.parametrize("scale", ["1e-300", "exp(900*x)", "exp(-900*x)", "x*1e-200", "1e-160", "1e-320"])
+@pytest.mark.parametrize("law", [{"law": "gaussian", "std": 0.1}, {"law": "uniform", "low": -0.1, "high": 0.1},
+                                 {"law": "laplace", "scale": 0.1}], ids=lambda law: law["law"])  # fmt: skip
+def test_scaled_noise_out_of_range_is_refused_by_name(scale: str, law: dict[str, Any]) -> None:
+    """They ended in a division by zero, or in a certificate that failed its check."""
+    agent = cg.Agent(
+        name="robot", states=["x"], inputs=["u"], dynamics=["0.5*x + u"], noise=[law], noise_scale=[scale],
+        state_low=[-1.0], state_high=[1.0], input_low=[-0.5], input_high=[0.5], initial_state=[0.1],
+    )  # fmt: skip
+    task = cg.Problem(
+        name="scaled", horizon=3, agents=[agent], propositions={"g": cg.Proposition("robot", [-0.5], [0.5])},
+        specification=cg.Specification("F g", "co-safe"),
+    )  # fmt: skip
+    for relation in ("auto", "boxes", "linear", "best"):
+        with pytest.raises(ValueError, match="noise_scale"):
+            cg.synthesize(task, 20, relation=relation)

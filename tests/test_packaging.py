@@ -86,10 +86,16 @@ def sources() -> dict[str, Path]:
     return files
 
 
+def packed() -> dict[str, Path]:
+    """Problems and numbers of the field's benchmarks, which wheels hold, too."""
+    folder = ROOT / "benchmarks" / "arch"
+    return {f"certigym/validation/paper/field/{path.name}": path for path in folder.glob("*.[jt]*")}
+
+
 def test_the_wheel_holds_exactly_the_folders(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         inside = {name for name in archive.namelist() if ".dist-info/" not in name}
-        expected = sources()
+        expected = sources() | packed()
         assert inside == set(expected)
         for name, path in expected.items():
             assert archive.read(name) == path.read_bytes(), name
@@ -129,6 +135,7 @@ def test_archives_work_where_they_are_installed(kind: str, tmp_path: Path, reque
     )
     assert "certified     P >= 0.2" in report and "verdict       consistent" in report
     assert "valid" in said(command, "check", "c.npz")
+    assert "bas-7" in said(command, "reproduce", "arch", "--row", "bas-7")  # status 0: as it was recorded
 
 
 def test_the_sdist_is_the_repository(sdist: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 import certigym as cg
 from certigym.baselines import RandomController, Recording
 from certigym.cli.main import main
+from certigym.validation.policies import checked_dataset
 from problems import linear
 
 IDS = ["reach-avoid-v0", "invariance-v0", "meeting-v0", "patrol-recharge-v0"]
@@ -92,3 +93,46 @@ def test_a_dataset_of_minari_holds_the_same(tmp_path: Path, monkeypatch: pytest.
         assert np.array_equal(episode.observations, found.observations()[k, : n + 1])
         assert episode.rewards.sum() == found.satisfied[k]
         assert episode.terminations[-1] != episode.truncations[-1]
+    assert checked_dataset(dataset) is dataset
+    # A dataset of before, whose states were clipped, is told by what its description does not say.
+    dataset.storage.update_metadata({"description": "reach-avoid-v0, fingerprint 0, seed 0, chunk 2000"})
+    with pytest.raises(ValueError, match="clipped to the workspaces"):
+        checked_dataset(minari.load_dataset("certigym/reach-avoid/random-v0"))
+
+
+def test_exits_are_seen_where_they_happen() -> None:
+    """Inputs that push outwards: all episodes that left their workspace seemed to end at its edge."""
+    problem = cg.make_problem("reach-avoid-v0")
+    found = cg.record(problem, lambda x, q, t: np.full_like(x, 4.0), 400)
+    last = found.states[np.arange(400), found.lengths]
+    low, high = (np.concatenate([getattr(a, end) for a in problem.agents]) for end in ("state_low", "state_high"))
+    out = np.any((last < low) | (last > high), axis=1)
+    assert out.sum() > 100
+    seen = found.observations()
+    d = problem.n_states
+    for k in range(400):
+        assert np.array_equal(seen[k, : found.lengths[k] + 1, :d], found.states[k, : found.lengths[k] + 1])
+        assert cg.central_env(problem).observation_space.contains(seen[k, found.lengths[k]])
+
+
+@pytest.mark.parametrize("scope", ["local", "full", "relative", "neighbours"])
+def test_environments_show_states_as_they_are(scope: str) -> None:
+    problem = cg.make_problem("reach-avoid-v0")
+    env = cg.parallel_env(problem, observation=scope)
+    unit = cg.parallel_env(problem, observation=scope, scale="unit")
+    outside = 0
+    for seed in range(60):
+        seen, infos = env.reset(seed=seed)
+        bounded, _ = unit.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        while env.agents:
+            actions = {name: rng.uniform(2.0, 5.0, 1) for name in env.agents}
+            seen, _, _, _, infos = env.step(actions)
+            bounded, *_ = unit.step(actions)
+        for name, agent in zip(seen, problem.agents, strict=True):
+            state = infos[name]["state"]
+            assert np.array_equal(seen[name][: agent.n_states], state)
+            assert env.observation_space(name).contains(seen[name])
+            assert unit.observation_space(name).contains(bounded[name])
+            outside += int(not np.all((state >= agent.state_low) & (state <= agent.state_high)))
+    assert outside > 10

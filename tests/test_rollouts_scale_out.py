@@ -187,6 +187,7 @@ def _interrupt_at_once() -> Callable[[int], None]:
 
 
 DRIVER = """
+import signal
 import sys
 import certigym.cli.work as commands
 from certigym.cli.main import main
@@ -196,6 +197,8 @@ class Bar(commands.tqdm):
         return super().update(n)
 commands.tqdm = Bar
 if __name__ == "__main__":
+    # A script that runs the tests in its background ignores SIGINT, and all that is started from there inherits that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main(sys.argv[1:]))
 """
 

@@ -85,7 +85,8 @@ def test_scaled_observations_are_those_of_the_space() -> None:
         for name in problem.agent_names:
             space, k = plain.observation_space(name), len(seen[name]) - 2
             assert isinstance(space, gymnasium.spaces.Box) and len(scaled[name]) == k + 1
-            low, high = space.low[:k], space.high[:k]
+            assert np.all(space.low[:k] == -np.inf) and np.all(space.high[:k] == np.inf)
+            low, high = plain._bounds[name]  # of the workspaces, which [-1, 1] stands for
             assert scaled[name][:k] == pytest.approx((2.0 * seen[name][:k] - low - high) / (high - low), abs=1e-12)
             # Behind the states: the automaton state as a number, or nothing; then the time left.
             assert seen[name][k:].tolist() == [problem.automaton.initial, 1.0] and scaled[name][k] == 1.0

@@ -2,8 +2,9 @@
 
 - **Action**: the inputs of all agents one after the other, scaled to [-1, 1], float32; with `actions="input"` the input
   boxes themselves, float64. Actions outside are clipped.
-- **Observation**: the states of all agents (projected onto the workspace after an exit), the automaton state one-hot,
-  the fraction of time left; with `scale="unit"` states are mapped to [-1, 1].
+- **Observation**: the states of all agents as they are, outside of workspaces, too (the space does not bound them), the
+  automaton state one-hot, the fraction of time left; with `scale="unit"` workspaces are mapped to [-1, 1], and states
+  outside count as their edges.
 - **Reward**: 1 once, when the task is satisfied, else 0; with `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
 - **Info**: `automaton_state`, `satisfied`, `time` as in `parallel_env`, `state` (the true joint state, float64), and
@@ -25,11 +26,10 @@ from .observation import (
     Form,
     action_space,
     checked_option,
+    in_form,
     input_of,
     joint_bounds,
     observation_space,
-    projected,
-    scaled,
     shared,
 )
 from .sensors import READING, Sensors
@@ -162,11 +162,9 @@ class CentralEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             joint = np.concatenate([np.asarray(x, dtype=float) for x in states])[None]
             self._reading = self.sensors.readings(joint, self.np_random)[0]
             states = tuple(self._reading[columns].tolist() for columns in self.problem.columns)
-        seen = projected(states, self._episode.one_world.agents)
-        if self._form.scale == "unit":
-            seen = scaled(seen, self._bounds).tolist()
+        seen = in_form([number for x in states for number in x], self._bounds, self._form)
         tail = shared(self.problem, world.q, world.time, self._form.automaton)
-        return np.array(seen + tail, dtype=self._form.dtype)
+        return np.array([*seen.tolist(), *tail], dtype=self._form.dtype)
 
     def _info(self) -> dict[str, Any]:
         """Return the info of the last observation."""

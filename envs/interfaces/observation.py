@@ -1,7 +1,8 @@
 """Spaces, observations and actions of environments, for one world and for batches alike.
 
-An observation is a list of states, each projected onto its workspace, then the automaton state, then the fraction of
-time left. Spaces are bounded, because the projection stays in them; the true state is in the info.
+An observation is a list of states as they are, then the automaton state, then the fraction of time left. A state may
+leave its workspace, by any amount where noise is unbounded, and is seen where it is: so spaces do not bound states.
+Only `scale="unit"`, for learners that need a finite range, is bounded: there states outside count as the edge.
 
 - "local": the state of the agent itself;
 - "full": the state of the agent itself, then the states of the other agents in order;
@@ -81,12 +82,12 @@ class Form:
 
 
 def joint_bounds(agents: Sequence[AnyAgent]) -> Bounds:
-    """Return between which numbers the states of `agents` lie, one after the other."""
+    """Return between which numbers the workspaces of `agents` lie, one after the other; states may leave them."""
     return np.concatenate([agent.state_low for agent in agents]), np.concatenate([agent.state_high for agent in agents])
 
 
 def relative_bounds(problem: Problem, agent: AnyAgent) -> Bounds:
-    """Return between which numbers the other agents are, as seen by an agent from its own place."""
+    """Return between which numbers the others are, seen from an agent's own place, while all are in workspaces."""
     lows, highs = [np.zeros(0)], [np.zeros(0)]
     for other in problem.agents:
         if other is not agent:
@@ -97,14 +98,13 @@ def relative_bounds(problem: Problem, agent: AnyAgent) -> Bounds:
 
 
 def observation_space(problem: Problem, bounds: Bounds, form: Form) -> spaces.Box:
-    """Return the space of observations whose states lie between `bounds`."""
-    low, high = bounds
-    if form.scale == "unit":
-        low, high = np.full_like(low, -1.0), np.full_like(high, 1.0)
+    """Return the space of observations: states of any size, or those between `bounds` mapped to [-1, 1]."""
+    most = 1.0 if form.scale == "unit" else np.inf
+    low, high = (np.full_like(end, sign * most) for end, sign in zip(bounds, (-1.0, 1.0)))
     # The automaton state one-hot and the fraction of time left lie between 0 and 1.
     states = problem.automaton.n_states
-    most = {"one-hot": [1.0] * states, "number": [states - 1.0], "hidden": []}[form.automaton] + [1.0]
-    low, high = np.concatenate([low, np.zeros(len(most))]), np.concatenate([high, most])
+    rest = {"one-hot": [1.0] * states, "number": [states - 1.0], "hidden": []}[form.automaton] + [1.0]
+    low, high = np.concatenate([low, np.zeros(len(rest))]), np.concatenate([high, rest])
     return spaces.Box(low.astype(form.dtype), high.astype(form.dtype), dtype=np.dtype(form.dtype).type)
 
 
@@ -116,27 +116,18 @@ def action_space(agents: Sequence[AnyAgent], actions: str) -> spaces.Box:
     return spaces.Box(low, np.concatenate([agent.input_high for agent in agents]), dtype=np.float64)
 
 
-def projected(states: Any, agents: Sequence[Any]) -> list[float]:
-    """Return the numbers of several states, each moved into its agent's workspace; NaN becomes the lower edge."""
-    result = []
-    for x, agent in zip(states, agents):
-        for value, low, high in zip(x, agent.state_low, agent.state_high):
-            result.append(low if value < low else high if value > high else value if value == value else low)
-    return result
+def in_form(numbers: Any, bounds: Bounds, form: Form) -> np.ndarray:
+    """Return numbers that tell states, (k,) or (..., k), in the form that was asked for.
 
-
-def projected_rows(states: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the same of arrays of states."""
-    xp = namespace(states)
-    # NaN is the one number that is not itself.
-    result: np.ndarray = xp.minimum(xp.maximum(xp.where(states == states, states, low), low), high)
-    return result
-
-
-def scaled(numbers: Any, bounds: Bounds) -> np.ndarray:
-    """Return numbers (k,) or (..., k) with the range of each mapped to [-1, 1]; those outside count as the ends."""
-    low, high = bounds
-    return np.clip((np.asarray(numbers) - low) * (2.0 / (high - low)) - 1.0, -1.0, 1.0)
+    Where a state is not defined (NaN, after which an episode has ended) it counts as below everything: -inf.
+    """
+    told = np.asarray(numbers, dtype=np.float64)
+    told = np.where(np.isnan(told), -np.inf, told)
+    if form.scale == "unit":
+        low, high = bounds
+        told = np.clip((told - low) * (2.0 / (high - low)) - 1.0, -1.0, 1.0)
+    with np.errstate(over="ignore"):  # what is too large for float32 is infinite there
+        return told.astype(form.dtype, copy=False)
 
 
 def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> list[float]:
@@ -174,9 +165,7 @@ def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, for
     tail = shared_rows(problem, worlds, form.automaton)
     result = np.empty((worlds.n_worlds, problem.n_states + len(tail)))
     seen, result[:, problem.n_states :] = result[:, : problem.n_states], tail.T
-    seen[:] = projected_rows(states, low, high)
-    if form.scale == "unit":
-        seen[:] = scaled(seen, (low, high))
+    seen[:] = in_form(states, (low, high), form)
     return result.astype(form.dtype, copy=False)
 
 

@@ -4,9 +4,10 @@ Everything below holds for any problem; the pages of the suite add the numbers o
 
 - **Actions**: one `Box` per agent, its input box, float64; or [-1, 1], float32, with `actions="unit"`. Actions outside
   are clipped.
-- **Observations**: the state of the agent itself (projected onto the workspace after an exit), with
-  `observation="full"` also the states of the other agents; then the automaton state one-hot and the fraction of time
-  left. See `observation` for other choices, `nearest` for the neighbours, and `sensors` for noisy ones.
+- **Observations**: the state of the agent itself as it is, outside of its workspace, too (spaces do not bound states),
+  with `observation="full"` also the states of the other agents; then the automaton state one-hot and the fraction of
+  time left. With `scale="unit"` workspaces are mapped to [-1, 1], and states outside count as their edges. See
+  `observation` for other choices, `nearest` for the neighbours, and `sensors` for noisy ones.
 - **Rewards**: cooperative: every agent gets 1 once, when the task is satisfied, else 0; the undiscounted return *is*
   satisfaction. For `reward="shaped"` see `shaping`.
 - **Episode ends**: see `episode`.
@@ -36,12 +37,11 @@ from .observation import (
     Form,
     action_space,
     checked_option,
+    in_form,
     input_of,
     joint_bounds,
     observation_space,
-    projected,
     relative_bounds,
-    scaled,
     shared,
 )
 from .sensors import READING, Sensors
@@ -208,9 +208,9 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
         return self._episode.level
 
     def state(self) -> np.ndarray:
-        """Return the true joint state (projected onto the workspace), automaton state and fraction of time left."""
-        world, numbers = self._episode.world, self._episode.one_world.agents
-        return self._told(projected(world.states, numbers), self._joint_bounds, self._tail())
+        """Return the true joint state, automaton state and fraction of time left."""
+        joint = [number for x in self._episode.world.states for number in x]
+        return self._told(joint, self._joint_bounds, self._tail())
 
     def render(self) -> str | np.ndarray | None:
         """Return a line of text ("ansi"), a picture ("rgb_array"), or None."""
@@ -235,10 +235,10 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     def _observations(self) -> Observations:
         """Return the observation of every agent, from new readings of the states."""
-        world, numbers = self._episode.world, self._episode.one_world.agents
+        world = self._episode.world
         self._seen = world.states if self.sensors.is_exact else self._read(world.states)
         tail = self._tail()
-        states = [projected((x,), (agent,)) for x, agent in zip(self._seen, numbers)]
+        states = [list(x) for x in self._seen]
         if self._scope == "neighbours":
             others = self._nearest(states)
         else:
@@ -277,9 +277,7 @@ class ProblemEnv(ParallelEnv):  # type: ignore[misc, type-arg, unused-ignore]
 
     def _told(self, states: list[float], bounds: Bounds, tail: list[float]) -> np.ndarray:
         """Return an observation: states in the form that was asked for, then automaton state and time left."""
-        if self._form.scale == "unit":
-            states = scaled(states, bounds).tolist()
-        return np.array(states + tail, dtype=self._form.dtype)
+        return np.array([*in_form(states, bounds, self._form).tolist(), *tail], dtype=self._form.dtype)
 
     def _infos(self) -> Infos:
         """Return the infos that belong to the last observations."""

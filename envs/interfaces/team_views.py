@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Array, concatenated, is_host, namespace, single
 from ..dynamics import Dynamics, Worlds
 from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
-from .observation import ACTIONS, AUTOMATON, SCALES, checked_option, projected_rows, shared_rows
+from .observation import ACTIONS, AUTOMATON, SCALES, checked_option, shared_rows
 
 OBSERVATIONS = ("own", "joint", "neighbours")
 
@@ -100,10 +100,9 @@ class TeamViews:
         """Yield where the nearest others are from the place of every agent, (k, M) float32."""
         d, p = common_sizes(self.problem)
         blocks = self.dynamics.blocks
-        inside = [projected_rows(x, block.state_low, block.state_high) for block, x in zip(blocks, read, strict=True)]
-        outputs = [block.outputs(x) for block, x in zip(blocks, inside, strict=True)]
-        xp, position = namespace(inside[0]), self.dynamics.position
-        states = xp.stack([inside[block][:d, place] for block, place in position])
+        outputs = [block.outputs(x) for block, x in zip(blocks, read, strict=True)]
+        xp, position = namespace(read[0]), self.dynamics.position
+        states = xp.stack([read[block][:d, place] for block, place in position])
         places = xp.stack([outputs[block][:p, place] for block, place in position])
         for i, (low, high) in enumerate(self.bounds):
             seen = nearest_seen(states, places, i, self.neighbours)

@@ -17,7 +17,7 @@ _BELOW_ALL = 1 << 60  # the "variable" of terminals: larger than every real vari
 
 
 class DiagramSizeError(ValueError):
-    """Raised if a diagram grows beyond the manager's limit on nodes."""
+    """Raised if a diagram grows beyond the manager's limit on nodes, or operations beyond that on steps."""
 
 
 class DecisionDiagrams:
@@ -28,6 +28,9 @@ class DecisionDiagrams:
     node_limit : int
         Largest number of nodes (dimensionless count); `DiagramSizeError` is raised beyond it. The default is about a
         gigabyte.
+    step_limit : int, optional
+        Largest number of steps of all operations together, beyond which `DiagramSizeError` is raised, too. Steps count
+        pairs and nodes that are visited, so the same call always takes as many, on any machine.
 
     Examples
     --------
@@ -40,13 +43,14 @@ class DecisionDiagrams:
     True
     """
 
-    def __init__(self, node_limit: int = 5_000_000) -> None:
+    def __init__(self, node_limit: int = 5_000_000, step_limit: int | None = None) -> None:
         self._variable: list[int] = []
         self._low: list[int] = []
         self._high: list[int] = []
         self._inner: dict[tuple[int, int, int], int] = {}
         self._leaf: dict[int, int] = {}
         self._limit = node_limit
+        self._steps_left = float("inf") if step_limit is None else float(step_limit)
         self._conjoin_memo: dict[tuple[int, int], int] = {}
         self._disjoin_memo: dict[tuple[int, int], int] = {}
         self._negate_memo: dict[int, int] = {}
@@ -148,6 +152,9 @@ class DecisionDiagrams:
         variable, low, high = self._variable, self._low, self._high
         stack = [(f, g)]
         while stack:
+            self._steps_left -= 1.0
+            if self._steps_left < 0.0:
+                raise DiagramSizeError("its decision diagrams take too many steps")
             a, b = key = stack[-1]
             if key in memo:
                 stack.pop()
@@ -233,6 +240,9 @@ class DecisionDiagrams:
         """
         stack = [f]
         while stack:
+            self._steps_left -= 1.0
+            if self._steps_left < 0.0:
+                raise DiagramSizeError("its decision diagrams take too many steps")
             n = stack[-1]
             if n in memo:
                 stack.pop()

@@ -27,6 +27,12 @@ BACKENDS = ("builtin", "mona")
 MOST_NODES = 5_000_000
 """Most nodes of the diagrams that are built: about a gigabyte."""
 
+MOST_STEPS = 1_500_000
+"""Steps of decision diagrams that the states of one automaton may take.
+
+They are counted, not timed, so that a formula is refused everywhere or nowhere.
+"""
+
 
 class AutomatonSizeError(FormulaError):
     """An automaton has more states, or its diagrams more nodes, than may be built."""
@@ -107,7 +113,7 @@ def _explore(
     It has at most so many states, and each of its two managers of diagrams so many nodes.
     """
     max_states, max_nodes = most
-    source, target = DecisionDiagrams(max_nodes), DecisionDiagrams(max_nodes)
+    source, target = DecisionDiagrams(max_nodes, step_limit=MOST_STEPS), DecisionDiagrams(max_nodes)
     obligations = Obligations(source, terms, len(propositions), co_safe)
     start = obligations.start(term)
     number = {start: 0}

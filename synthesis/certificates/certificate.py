@@ -115,6 +115,11 @@ class Certificate:
         return certificate_html(f"Certificate of {self.problem.name}", self)
 
     @property
+    def has_cells(self) -> bool:
+        """Whether it is about cells of workspaces."""
+        return True
+
+    @property
     def fingerprint(self) -> str:
         """Fingerprint of the problem."""
         return self.problem.fingerprint

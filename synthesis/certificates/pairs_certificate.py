@@ -84,6 +84,11 @@ class PairsCertificate:
         return self.gap is not None and self.gap <= EXACT_GAP
 
     @property
+    def has_cells(self) -> bool:
+        """Whether its base is about cells."""
+        return self.base.has_cells
+
+    @property
     def method(self) -> str:
         """Relation, policy search and bound, in words."""
         return f"{self.base.method}, less what pairs may spoil"

@@ -92,6 +92,11 @@ class PathCertificate:
         return max(0.0, math.nextafter(1.0 - self.failure, 0.0))
 
     @property
+    def has_cells(self) -> bool:
+        """Whether it is about cells: it is not, but about one path."""
+        return False
+
+    @property
     def method(self) -> str:
         """How the bound was found, in words."""
         gains = any(np.any(path.gain) for path in self.paths)

@@ -77,6 +77,11 @@ class ProductCertificate:
         return "mean" if any(part.start == "mean" for part in self.parts) else "point"
 
     @property
+    def has_cells(self) -> bool:
+        """Whether all parts are about cells."""
+        return all(part.has_cells for part in self.parts)
+
+    @property
     def method(self) -> str:
         """Relation, bound and policy search of the parts, in words."""
         methods = sorted({part.method for part in self.parts})

@@ -65,6 +65,11 @@ class TeamCertificate:
         return f"joint agent, {self.base.bound}"
 
     @property
+    def has_cells(self) -> bool:
+        """Whether its base is about cells."""
+        return self.base.has_cells
+
+    @property
     def method(self) -> str:
         """How the bound was found, in words."""
         return f"joint agent that sees all states: {self.base.method}"

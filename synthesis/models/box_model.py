@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import qr
 
-from ...envs.agents import Agent, AnyAgent, Box, LinearAgent
+from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
 from ..cells import FloatArray, Grid, RelationRefused, cell_points, grid_laws, in_grid_coordinates, lattice_axes
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
@@ -34,6 +34,9 @@ MOST_CUTS = 64
 
 SAMPLED_CELLS = 500
 """Cells by which that is judged."""
+
+LEAST_DEVIATION, MOST_DEVIATION = 1e-100, 1e100
+"""Deviations of scaled laws: squares of smaller ones are 0 in floating point, and those of larger ones infinite."""
 
 CELLS_AT_ONCE = 4096
 """Cells whose scales are enclosed at once."""
@@ -110,6 +113,13 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
         within.append(np.log(scales[1][usable] / scales[0][usable]))
     if not np.all(most > 0.0):
         raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
+    for law, low, high, text in zip(agent.laws or (), least, most, agent.noise_scale, strict=True):
+        if law.std * low < LEAST_DEVIATION or law.std * high > MOST_DEVIATION:
+            raise RelationRefused(
+                f"agent `{agent.name}`: `noise_scale` {shortened(text, 60)!r} multiplies deviations to numbers from "
+                f"{law.std * low:.3g} to {law.std * high:.3g}; expected from {LEAST_DEVIATION:g} to {MOST_DEVIATION:g} "
+                "on the workspace; bound the expression, or make the workspace smaller"
+            )
     return least, most, np.mean(np.concatenate(within), axis=0)
 
 

@@ -155,8 +155,10 @@ def find_policies(
         return early
     if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
-    # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case.
-    spread = start if lossy else spread_start(problem, joint)
+    # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case. So
+    # are relations that lose delta in every step: who looks beside the path gets there later, which costs them more.
+    loses = lossy or any(np.any(model.delta > 0.0) for model in joint.models)
+    spread = start if loses else spread_start(problem, joint)
     trees = _TreeAscent(joint, start, spread, search, most)
     # One sweep over a tree shows whether it grows too many terms; it need not be pruned less than that.
     first_limits, many_terms = search.limits, most_terms(joint)

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
 from ..simulation import INTERRUPTED, Plan, Rows, html_table, labelled_lines
-from ..statistics import CONSISTENT, REFUTED, holm
+from ..statistics import CONSISTENT, REFUTED, VACUOUS, holm
 
 if TYPE_CHECKING:
     from .ledger import Ledger
@@ -28,6 +28,14 @@ MOST_FINDINGS = 8
 
 NEARLY_EQUAL = 1e-9
 """Difference of logarithmic e-values that counts as none: of agents with equal evidence the first one is named."""
+
+
+MEANINGS_OF_AUDITS = {
+    REFUTED: "the rollouts contradict the certificate",
+    CONSISTENT: "nothing contradicts the certificate",
+    VACUOUS: "nothing contradicts the certificate, but at its start it claims P >= 0, which says nothing",
+}
+"""What each verdict of an audit says."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +112,8 @@ class AuditReport:
         Evidence, number of episodes and mean increment of every pair.
     interrupted : bool
         Whether Ctrl-C ended the audit early.
+    lower_bound : float
+        What the certificate claims at its start.
     """
 
     problem: str
@@ -122,6 +132,7 @@ class AuditReport:
     worlds: NDArray[Any]
     mean_increments: NDArray[Any]
     interrupted: bool = False
+    lower_bound: float = 1.0
 
     @property
     def refuted(self) -> bool:
@@ -131,15 +142,17 @@ class AuditReport:
 
     @property
     def verdict(self) -> str:
-        """``refuted`` or ``consistent``: an audit never confirms."""
-        return REFUTED if self.refuted else CONSISTENT
+        """``refuted``, ``consistent``, or ``vacuous`` where 0 is claimed at the start: an audit never confirms."""
+        if self.refuted:
+            return REFUTED
+        return VACUOUS if self.lower_bound <= 0.0 else CONSISTENT
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
         sizes = ("problem", "horizon", "episodes", "seed", "chunk", "confidence", "tests")
         results = ("overall_log_e", "overall_p", "start_p", "contradictions", "interrupted", "verdict")
         return {
-            **{name: getattr(self, name) for name in (*sizes, *results)},
+            **{name: getattr(self, name) for name in (*sizes, *results, "lower_bound")},
             "findings": [vars(finding) for finding in self.findings],
             **{name: getattr(self, name).tolist() for name in ("log_e", "worlds", "mean_increments")},
         }
@@ -165,7 +178,7 @@ class AuditReport:
     def _rows(self, most: int) -> Rows:
         """Return what was tested, the evidence, at most so many findings, and the verdict."""
         together = f"p = {self.overall_p:.2g} for all steps together, p = {self.start_p:.2g} for the start"
-        meaning = "the rollouts contradict the certificate" if self.refuted else "nothing contradicts the certificate"
+        meaning = MEANINGS_OF_AUDITS[self.verdict]
         more = len(self.findings) - most
         return [
             ("tested", f"{counted(self.tests, 'claim')} that the value does not fall in expectation"),
@@ -177,7 +190,9 @@ class AuditReport:
         ]
 
 
-def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: float) -> AuditReport:
+def joined_report(
+    problem: Problem, reports: Sequence[AuditReport], confidence: float, lower_bound: float
+) -> AuditReport:
     """Return the audits of independent tasks as one report.
 
     Each audit has had its share of the probability of a false alarm. The states of all tasks stand side by side; the
@@ -203,11 +218,12 @@ def joined_report(problem: Problem, reports: Sequence[AuditReport], confidence: 
         worlds=np.concatenate([report.worlds for report in reports], axis=1),
         mean_increments=np.concatenate([report.mean_increments for report in reports], axis=1),
         interrupted=any(report.interrupted for report in reports),
+        lower_bound=lower_bound,
     )
 
 
-def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -> AuditReport:
-    """Return the tests and findings that the sums of an audit give."""
+def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool, lower_bound: float) -> AuditReport:
+    """Return the tests and findings that the sums of an audit give; ``lower_bound`` is the claim at the start."""
     # A wealth W gives the p-value 1 / W. The pairs that were met and the start are adjusted together, by Holm's method.
     log_e, start = _log_e(ledger.wealth), float(_log_e(ledger.start))
     met = ledger.worlds > 0
@@ -257,6 +273,7 @@ def report_of(problem: Problem, ledger: Ledger, plan: Plan, interrupted: bool) -
         worlds=ledger.worlds.astype(np.int64),
         mean_increments=means,
         interrupted=interrupted,
+        lower_bound=lower_bound,
     )
 
 

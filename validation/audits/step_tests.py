@@ -142,7 +142,7 @@ def audit(
 
     chunks = chunks_of(settled.episodes, settled.chunk)
     interrupted = collect(in_order(audit_chunk, setup, chunks, settled.executor), take)
-    return report_of(problem, ledger, replace(settled, episodes=done), interrupted)
+    return report_of(problem, ledger, replace(settled, episodes=done), interrupted, certificate.lower_bound)
 
 
 def _audit_of_product(product: ProductCertificate, plan: Plan) -> AuditReport:
@@ -154,7 +154,7 @@ def _audit_of_product(product: ProductCertificate, plan: Plan) -> AuditReport:
         reports.append(audit(certificate, each))
         if reports[-1].interrupted:
             break
-    return joined_report(product.problem, reports, plan.confidence)
+    return joined_report(product.problem, reports, plan.confidence, product.lower_bound)
 
 
 def audit_chunk(setup: _Setup, job: tuple[int, int]) -> tuple[int, Ledger]:

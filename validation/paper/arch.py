@@ -1,8 +1,8 @@
 """The field's own benchmarks, certified here beside what was published about them.
 
-Problem files and published numbers lie in ``benchmarks/arch`` of a checkout. Every row is synthesized as it is asked
-for there, checked, and met by rollouts. Published seconds are of other machines, ours are processor seconds of this
-one, imports apart: they are of one order, and no race.
+Problem files and published numbers lie in ``benchmarks/arch`` of a checkout, and are packed into wheels. Every row is
+synthesized as it is asked for there, checked, and met by rollouts. Published seconds are of other machines, ours are
+processor seconds of this one, imports apart: they are of one order, and no race.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ from ..statistics import clopper_pearson
 
 Row = dict[str, Any]
 
-FOLDER = Path("benchmarks/arch")
-"""Where the rows lie, seen from the root of a checkout."""
+PACKED = Path(__file__).parent / "field"
+"""Where the rows lie in an installed package."""
+
+FOLDER = PACKED if PACKED.is_dir() else Path(__file__).resolve().parents[2] / "benchmarks" / "arch"
+"""Where the rows lie: beside this file, or in the checkout that it belongs to."""
 
 EPISODES, ERROR = 100_000, 1e-6
 """Rollouts of every row, and the probability that their limits miss the truth."""
@@ -49,7 +52,7 @@ def arch(
         If there is no such row, or no folder with rows.
     """
     if not (folder / "rows.json").is_file():
-        raise ValueError(f"`arch`: expected the folder {folder} with rows.json; run this at the root of a checkout")
+        raise ValueError(f"`arch`: expected the folder {folder} with rows.json; install the package anew")
     wanted = json.loads((folder / "rows.json").read_text(encoding="utf-8"))
     names = [entry["row"] for entry in wanted]
     if row is not None and row not in names:

@@ -27,7 +27,7 @@ from ...synthesis.certificates import AnyCertificate, Synthesis, any_certificate
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
 from ..simulation import Batchable, Rollouts, TrialOptions, TrialPlan, html_table, planned, rollout
-from ..statistics import clopper_pearson, holm, mean_limits, p_at_least
+from ..statistics import VACUOUS, clopper_pearson, holm, mean_limits, p_at_least
 from .rollout_policies import as_controller
 from .training import Training
 
@@ -95,6 +95,8 @@ class Entry:
     def texts(self) -> tuple[str, str, str, str]:
         """Return success rate with limits, certified bound, seconds and information in words; "-" for none."""
         bound = "-" if self.lower_bound is None else shown_bound(self.lower_bound, self.gap)
+        if self.lower_bound is not None and self.lower_bound <= 0.0:
+            bound = f"{bound} ({VACUOUS})"
         seconds = "-" if self.seconds is None else f"{self.seconds:.1f}"
         return f"{self.rate:.5f}   [{self.ci_low:.5f}, {self.ci_high:.5f}]", bound, seconds, self.information
 

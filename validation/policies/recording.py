@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 RECORDING_FORMAT = "certigym recording 1"
-"""Name and version of the file format."""
+"""Name and version of the file format, whose states have always been as they are."""
+
+RAW_STATES = "states as they are, outside of workspaces, too"
+"""What the description of a Minari dataset says of its states; in datasets before 0.3 they were clipped."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,13 +99,11 @@ class Recording:
         write_bytes(path, file.getvalue())
 
     def observations(self) -> Array:
-        """Return what `central_env` shows at each step, (N, T + 1, D + Q + 1): clipped states, automaton, time left."""
+        """Return what `central_env` shows, (N, T + 1, D + Q + 1): states as they are, automaton state, time left."""
         problem, (n, times, _) = self.problem, self.states.shape
-        low = np.concatenate([agent.state_low for agent in problem.agents])
-        high = np.concatenate([agent.state_high for agent in problem.agents])
         left = np.broadcast_to(1.0 - np.arange(times) / problem.horizon, (n, times))[..., None]
         one_hot = self.automaton_states[..., None] == np.arange(problem.automaton.n_states)
-        return np.concatenate([np.clip(self.states, low, high), one_hot, left], axis=2)
+        return np.concatenate([self.states, one_hot, left], axis=2)
 
     def to_minari(self, name: str) -> MinariDataset:
         """Write a Minari dataset of the centralised environment with inputs as actions; return it.
@@ -138,6 +139,7 @@ class Recording:
                 )
             )
         facts = f"{self.problem.name}, fingerprint {self.problem.fingerprint}, seed {self.seed}, chunk {self.chunk}"
+        facts = f"{facts}; {RAW_STATES}"
         return minari.create_dataset_from_buffers(
             name,
             buffers,
@@ -146,6 +148,23 @@ class Recording:
             algorithm_name=self.information,
             description=facts,
         )
+
+
+def checked_dataset(dataset: MinariDataset) -> MinariDataset:
+    """Return a Minari dataset that `Recording.to_minari` wrote, if its observations hold states as they are.
+
+    Raises
+    ------
+    ValueError
+        If they were clipped to the workspaces, as in datasets before 0.3: an episode that left its workspace then seems
+        to end at its edge.
+    """
+    if RAW_STATES in str(dataset.storage.metadata.get("description", "")):
+        return dataset
+    raise ValueError(
+        f"`dataset`: expected one with the note {RAW_STATES!r}, got {dataset.spec.dataset_id!r} without it: its states "
+        "were clipped to the workspaces, as before certigym 0.3; record it again (`certigym record --minari`)"
+    )
 
 
 def record(problem: Any, policy: Any, episodes: int = 1000, seed: int = 0, chunk: int = CHUNK) -> Recording:

@@ -15,7 +15,11 @@ from ...synthesis.certificates import (
 )
 from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
-from ..verdicts import FieldReport, ValidationReport
+from ..statistics import REFUTED
+from ..verdicts import NOT_CERTIFIED, FieldReport, ValidationReport
+
+INVALID = "invalid"
+"""The verdict on a certificate that its check refuses, whatever rollouts say."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,7 +59,8 @@ class ReportContent:
     def __repr__(self) -> str:
         problem, validation = self.certificate.problem, self.validation
         rows = [
-            ("certified", shown_bound(validation.lower_bound, validation.gap)),
+            *([] if self.checked else [("invalid", f"{NOT_CERTIFIED}: {'; '.join(self.checked.failures)}")]),
+            ("certified" if self.checked else "claimed", shown_bound(validation.lower_bound, validation.gap)),
             ("simulated", f"{validation.successes} of {validation.episodes} episodes satisfied the task"),
             ("verdict", validation.verdict),
             ("check", "valid" if self.checked else "failed"),
@@ -72,10 +77,18 @@ class ReportContent:
         is_refuted = is_refuted or (self.field is not None and self.field.verdict == "refuted")
         return self.validation.refuted or is_refuted or not self.checked
 
+    @property
+    def verdict(self) -> str:
+        """``invalid`` if the check failed, ``refuted`` if any test contradicts, else what the rollouts say."""
+        if not self.checked:
+            return INVALID
+        return REFUTED if self.refuted else self.validation.verdict
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the rollouts that are drawn as JSON values."""
         return {
             "refuted": self.refuted,
+            "verdict": self.verdict,
             "validation": self.validation.to_dict(),
             "audit": None if self.audit is None else self.audit.to_dict(),
             "check": {"valid": self.checked.valid, "failures": list(self.checked.failures)},

@@ -22,7 +22,7 @@ from ...synthesis.certificates import (
     as_certificate,
     speaks_of_one_start,
 )
-from ...synthesis.checking import check, claimed_values
+from ...synthesis.checking import CheckReport, check, claimed_values
 from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
 from ..verdicts import slice_axes, slice_starts, start_box, validate, validate_field
@@ -48,6 +48,7 @@ def report(
     plan: TrialPlan | int | None = None,
     *,
     axes: Sequence[int] | None = None,
+    checked: CheckReport | None = None,
     **trial: Unpack[TrialOptions],
 ) -> ReportContent:
     """Write one self-contained page about a certificate, and return what it shows.
@@ -65,25 +66,30 @@ def report(
         audit and few episodes per start of the map.
     axes : sequence of int, optional
         Joint coordinates of the map, one or two; default: the first coordinate of each of the first two agents.
+    checked : CheckReport, optional
+        What ``check`` said of this certificate, if it was asked before; it is not checked again then.
 
     Returns
     -------
     ReportContent
     """
-    content = gathered(certificate, planned(plan, trial, 100_000), axes)
+    content = gathered(certificate, planned(plan, trial, 100_000), axes, checked)
     write_text(path, page_of(content))
     return content
 
 
-def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) -> ReportContent:
-    """Run check, validation, audit and the tests of a map, and return what a report shows."""
+def gathered(
+    certificate: Any, plan: Plan, axes: Sequence[int] | None = None, checked: CheckReport | None = None
+) -> ReportContent:
+    """Run check (unless ``checked``), validation, audit and the tests of a map, and return what a report shows."""
     claim = any_certificate(certificate)
     problem = claim.problem
+    checked = check(claim) if checked is None else checked
     if speaks_of_one_start(claim):
         # It has neither audit nor map: it says nothing of other states and times.
         states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
         nothing: dict[str, Any] = {"audit": None, "field": None, "axes": (), "bounds": None}
-        tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": check(claim)}
+        tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": checked}
         return ReportContent(certificate=claim, states=states, success=success, **tests, **nothing)
     claim = as_certificate(claim)
     shown = slice_axes(problem, axes)
@@ -98,7 +104,7 @@ def gathered(certificate: Any, plan: Plan, axes: Sequence[int] | None = None) ->
         certificate=claim,
         validation=validation,
         audit=audit(claim, replace(plan, episodes=min(episodes, AUDITED))),
-        checked=check(claim),
+        checked=checked,
         field=validate_field(claim, grid, each, shape=shape),
         axes=shown,
         bounds=_bounds(claim, 0.5 * np.sum(start_box(problem), axis=0)),

@@ -21,7 +21,8 @@ from ...synthesis.certificates import (
     significant_up,
     tube_along,
 )
-from ..verdicts import MEANINGS, tried_lines
+from ..statistics import VACUOUS
+from ..verdicts import MEANINGS, NOT_CERTIFIED, tried_lines
 from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
 from .page_style import PLAYER, STYLE
 from .player import episodes_of
@@ -56,11 +57,12 @@ def page_of(content: ReportContent) -> str:
     problem = content.certificate.problem
     sections = [_rollouts(content), _starts(content), _steps(content), _task(content.certificate), _trust(content)]
     task = problem.specification.formula or "given as an automaton"
+    kind = "certificate" if content.checked else "NOT certified"
     size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'control step')}"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(problem.name)}: certificate</title><style>{STYLE}</style></head><body><main>"
+        f"<title>{escape(problem.name)}: {kind}</title><style>{STYLE}</style></head><body><main>"
         f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, {escape(problem.specification.semantics)} task</p>"
         f"<p class=task><code>{escape(_cut(task, LONGEST_TASK))}</code></p>"
         f"{_answer(content)}{''.join(sections)}</main>"
@@ -104,10 +106,17 @@ def _answer(content: ReportContent) -> str:
     start = {"point": "from the initial state", "mean": "on average over the initial box"}.get(certificate.start, "")
     upper = None if v.gap is None else min(1.0, v.lower_bound + v.gap)
     above = "the probability is at least this" if upper is None else "the probability lies between these"
-    claim = (
-        f"<h2>Claim and verdict</h2><p class=big>{escape(shown_bound(v.lower_bound, v.gap))}</p>"
-        f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
-    )
+    shown = escape(shown_bound(v.lower_bound, v.gap))
+    proved = f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
+    if v.verdict == VACUOUS:
+        proved = f"<p>{_verdict(VACUOUS)} {escape(MEANINGS[VACUOUS])}.</p>"
+    claim = f"<h2>Claim and verdict</h2><p class=big>{shown}</p>{proved}"
+    if not content.checked:
+        claim = (
+            f"<h2>Not certified</h2><p class=big>{_verdict(content.verdict)} {escape(NOT_CERTIFIED)}</p>"
+            f"<p><b>{escape(_checked(content))}</b></p><p>It claimed {shown}. Do not rely on it: the claim is "
+            "not proved, whatever rollouts say.</p>"
+        )
     w, field = content.audit, content.field
     tests = [
         (_mark(v.verdict), f"<b>Rollouts</b>: {_verdict(v.verdict)} {escape(MEANINGS.get(v.verdict, ''))}"),
@@ -128,7 +137,7 @@ def _answer(content: ReportContent) -> str:
     caption = f"{_key('bound')}{blue}. {_key('run')}{escape(rates)}"
     drawing = meter((v.lower_bound, upper), (v.estimate, v.ci_low, v.ci_high))
     left = f"<div>{claim}<ul class=tests>{items}</ul></div>"
-    return f'<section class="answer is-{escape(v.verdict)}">{left}{_figure("", drawing, caption)}</section>'
+    return f'<section class="answer is-{escape(content.verdict)}">{left}{_figure("", drawing, caption)}</section>'
 
 
 def _mark(verdict: str) -> str:
@@ -184,7 +193,8 @@ def _starts(content: ReportContent) -> str:
     w, refuted, below = field.weakest, int(field.refuted.sum()), bool((field.margins < 0).any())
     note = (
         f"{len(field.states)} starts that differ in {names}, {counted(int(field.episodes.min()), 'episode')} each, "
-        f"tested together: refuted at {refuted}, confirmed at {int(field.confirmed.sum())}. Weakest "
+        f"tested together: refuted at {refuted}, confirmed at {int(field.confirmed.sum())}, nothing claimed at "
+        f"{int(field.vacuous.sum())}. Weakest "
         f"at ({', '.join(f'{x:.4g}' for x in field.states[w])}): bound {rounded_down(field.lower_bounds[w], 4)}, "
         f"rollouts {field.estimates[w]:.4f}."
     )

@@ -21,12 +21,12 @@ h3{font-size:.95rem;margin:0 0 4px}p{margin:4px 0;max-width:72ch}.soft{color:var
 .answer{display:grid;gap:24px;grid-template-columns:repeat(auto-fit,minmax(min(380px,100%),1fr));align-items:center;
 margin-top:20px;padding:20px;background:var(--card);border:1px solid var(--line);border-left:6px solid #3f566f;
 border-radius:8px}
-.answer.is-confirmed{border-left-color:var(--good)}.answer.is-refuted{border-left-color:var(--bad)}
+.answer.is-confirmed{border-left-color:var(--good)}.answer:is(.is-refuted,.is-invalid){border-left-color:var(--bad)}
 .answer h2{border:0;margin:0 0 4px;padding:0;font-size:.95rem;color:var(--soft)}
 .big{font-size:1.35rem;font-weight:650;line-height:1.25;overflow-wrap:anywhere}
 .verdict{display:inline-block;text-indent:0;
 padding:1px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566f}
-.confirmed{background:#1a6e45}.refuted{background:#a3211a}
+.confirmed{background:#1a6e45}.refuted,.invalid{background:#a3211a}.vacuous{background:#6b5a1e}
 .tests{list-style:none;margin:10px 0 0;padding:0;font-size:.92rem}.tests li{padding:2px 0 2px 1.5em;text-indent:-1.5em}
 .tests .yes::before{content:"\\2713";color:var(--good);display:inline-block;width:1.5em;text-indent:0}
 .tests .open::before{content:"\\2013";color:var(--soft);display:inline-block;width:1.5em;text-indent:0}

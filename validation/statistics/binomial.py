@@ -6,7 +6,10 @@ certificate is
 
 ``confirmed``   if the lower limit reaches the claim: the rollouts reject ``P < lower``;
 ``refuted``     if the upper limit is below the claim, or if the lower limit is above a claimed ``lower + gap``;
+``vacuous``     else if it claims ``P >= 0``, which is true of everything: no rollouts speak for it;
 ``consistent``  otherwise.
+
+A claim of 0 is never confirmed; if it has an upper end below 1, that end may still be refuted.
 
 A true certificate is refuted with probability at most ``1 - confidence``; a false one is confirmed with probability at
 most half of that. Many claims at once go through ``holm``: the claims form one family, their opposites another
@@ -22,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, betaincinv, stdtrit
 
-CONFIRMED, CONSISTENT, REFUTED = "confirmed", "consistent", "refuted"
+CONFIRMED, CONSISTENT, REFUTED, VACUOUS = "confirmed", "consistent", "refuted", "vacuous"
 
 NEARLY_ZERO = 1e-300
 """Replaces a parameter 0 of the incomplete beta function, which must be positive; those entries are overwritten."""
@@ -127,7 +130,14 @@ def verdict(lower: float, gap: float | None, ci_low: float, ci_high: float) -> s
     """Return the verdict on ``lower <= P`` (and on ``P <= lower + gap`` unless ``gap`` is None) from limits on P."""
     if ci_high < lower or (gap is not None and ci_low > lower + gap):
         return REFUTED
+    if lower <= 0.0:
+        return VACUOUS
     return CONFIRMED if ci_low >= lower else CONSISTENT
+
+
+def says_nothing(lower: float, gap: float | None) -> bool:
+    """Return whether a claim holds for every system: ``P >= 0``, and no upper end below 1."""
+    return lower <= 0.0 and (gap is None or lower + gap >= 1.0)
 
 
 def p_at_least(successes: Any, episodes: Any, bound: Any) -> NDArray[Any]:

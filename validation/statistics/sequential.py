@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, betaln, xlog1py, xlogy
 
-from .binomial import CONFIRMED, CONSISTENT, REFUTED, check_confidence
+from .binomial import CONFIRMED, CONSISTENT, REFUTED, VACUOUS, check_confidence, says_nothing
 
 PRIOR = (0.5, 0.5)
 """Beta prior of the mixtures: Jeffreys' prior, which favours no region of P and has power near 0 and 1, too."""
@@ -120,7 +120,7 @@ class SequentialState:
     log_refuted, log_confirmed : float
         Largest logarithmic e-values so far against the claim and against its opposite.
     verdict : str
-        Starts as ``consistent`` and changes at most once, to the final answer.
+        Starts as ``consistent`` and changes at most once, to the final answer; a claim of 0 is ``vacuous``.
     """
 
     lower: float
@@ -151,12 +151,14 @@ class SequentialState:
         against = log_e_at_least(k, n, self.lower)
         if self.gap is not None and self.lower + self.gap < 1.0:
             against = np.maximum(against, log_e_at_most(k, n, self.lower + self.gap))
-        for_it = np.full(len(k), np.inf) if self.lower <= 0.0 else log_e_at_most(k, n, self.lower)
+        # Nothing speaks for a claim of 0; where it has no upper end either, one episode is as good as many.
+        for_it = np.zeros(len(k)) if self.lower <= 0.0 else log_e_at_most(k, n, self.lower)
         # The first episode at which either process crosses its threshold decides.
         refuted, confirmed = against >= self.threshold, for_it >= self.threshold
-        decided = np.flatnonzero(refuted | confirmed)
+        empty = says_nothing(self.lower, self.gap)
+        decided = np.flatnonzero(refuted | confirmed | empty)
         last = int(decided[0]) if len(decided) else len(k) - 1
-        verdict = CONSISTENT if not len(decided) else REFUTED if refuted[last] else CONFIRMED
+        verdict = CONSISTENT if not len(decided) else REFUTED if refuted[last] else VACUOUS if empty else CONFIRMED
         return replace(
             self,
             successes=int(k[last]),

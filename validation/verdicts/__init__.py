@@ -3,11 +3,12 @@
 from .fields import FieldReport, find_weakest, validate_field
 from .starts import corner_starts, random_starts, slice_axes, slice_starts, start_box, workspace_box
 from .stress_test import LADDERS, StressReport, stress
-from .success_rate import MEANINGS, ValidationReport, tried_lines, validate
+from .success_rate import MEANINGS, NOT_CERTIFIED, ValidationReport, tried_lines, validate
 from .sweeps import each_report, synthesize_best, validate_horizons
 
 __all__ = [
     "MEANINGS",
+    "NOT_CERTIFIED",
     "FieldReport",
     "LADDERS",
     "StressReport",

@@ -31,7 +31,17 @@ from ..simulation import (
     planned,
     stream,
 )
-from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
+from ..statistics import (
+    CONFIRMED,
+    CONSISTENT,
+    REFUTED,
+    VACUOUS,
+    check_confidence,
+    clopper_pearson,
+    holm,
+    p_at_least,
+    p_at_most,
+)
 from .starts import corner_starts, neighbours, random_starts
 
 CANDIDATES = 192
@@ -41,6 +51,7 @@ MEANINGS_OF_FIELDS = {
     CONFIRMED: "the rollouts confirm the claim at every state",
     CONSISTENT: "the rollouts refute no claim",
     REFUTED: "the rollouts contradict the claim at some states",
+    VACUOUS: "the certificate claims P >= 0 at every state, which says nothing",
 }
 """What each verdict on all states together says."""
 
@@ -99,13 +110,22 @@ class FieldReport:
 
     @property
     def confirmed(self) -> NDArray[np.bool_]:
-        """Whether the claim is confirmed (N,), all states tested together; a claim of 0 always is."""
-        return np.asarray((self.p_confirmed <= 0.5 * (1.0 - self.confidence)) | (self.lower_bounds <= 0.0))
+        """Whether the claim is confirmed (N,), all states tested together; a claim of 0 never is."""
+        return np.asarray((self.p_confirmed <= 0.5 * (1.0 - self.confidence)) & ~self.vacuous)
+
+    @property
+    def vacuous(self) -> NDArray[np.bool_]:
+        """Whether the certificate claims nothing (N,): a bound of 0, which holds for every system."""
+        return np.asarray(self.lower_bounds <= 0.0)
 
     @property
     def verdict(self) -> str:
-        """``refuted`` if refuted at some state, ``confirmed`` if confirmed at all states, otherwise ``consistent``."""
-        return REFUTED if self.refuted.any() else CONFIRMED if self.confirmed.all() else CONSISTENT
+        """``refuted`` if that at some state; ``confirmed`` or ``vacuous`` if that at all; otherwise ``consistent``."""
+        if self.refuted.any():
+            return REFUTED
+        if self.vacuous.all():
+            return VACUOUS
+        return CONFIRMED if self.confirmed.all() else CONSISTENT
 
     @property
     def fraction_refuted(self) -> float:
@@ -126,6 +146,7 @@ class FieldReport:
             "n_states": len(self.states),
             "fraction_refuted": self.fraction_refuted,
             "fraction_confirmed": float(self.confirmed.mean()),
+            "fraction_vacuous": float(self.vacuous.mean()),
             "confidence": self.confidence,
             "seed": self.seed,
             "chunk": self.chunk,
@@ -168,6 +189,7 @@ class FieldReport:
         return [
             ("refuted", f"at {counted(int(self.refuted.sum()), 'state')} ({100 * self.fraction_refuted:.1f} %)"),
             ("confirmed", f"at {counted(int(self.confirmed.sum()), 'state')}, all states tested together"),
+            *([("vacuous", f"at {counted(int(self.vacuous.sum()), 'state')}: P >= 0")] if self.vacuous.any() else []),
             ("weakest", f"at ({state}): certified P >= {rounded_down(self.lower_bounds[w])}, {estimate}"),
             *([("interrupted", INTERRUPTED)] if self.interrupted else []),
             ("verdict", f"{self.verdict}: {MEANINGS_OF_FIELDS[self.verdict]}"),

@@ -24,7 +24,17 @@ from ..simulation import (
     planned,
     rollout,
 )
-from ..statistics import CONFIRMED, CONSISTENT, REFUTED, check_confidence, clopper_pearson, holm, p_at_least, p_at_most
+from ..statistics import (
+    CONFIRMED,
+    CONSISTENT,
+    REFUTED,
+    VACUOUS,
+    check_confidence,
+    clopper_pearson,
+    holm,
+    p_at_least,
+    p_at_most,
+)
 from .success_rate import claim_at
 
 LADDERS: dict[str, tuple[Mismatch, ...]] = {
@@ -89,11 +99,14 @@ class StressReport:
     interrupted: bool = False
 
     def survives(self, ladder: str) -> Mismatch | None:
-        """Return the last mismatch before the first that refutes the bound; None if the mildest one refutes it."""
+        """Return the last mismatch before the first that refutes the bound; None if the mildest one refutes it.
+
+        A bound of 0 survives nothing: it is never refuted, and says nothing (None).
+        """
         last = None
         for rung in self.rungs:
             if rung.ladder == ladder:
-                if rung.verdict == REFUTED:
+                if rung.verdict in (REFUTED, VACUOUS):
                     break
                 last = rung.mismatch
         return last
@@ -147,7 +160,9 @@ class StressReport:
         texts = []
         for name in dict.fromkeys(rung.ladder for rung in self.rungs):
             verdicts, survived = [rung.verdict for rung in self.rungs if rung.ladder == name], self.survives(name)
-            if REFUTED not in verdicts:
+            if VACUOUS in verdicts:
+                texts.append(f"{name}: vacuous, a bound of 0 cannot fail")
+            elif REFUTED not in verdicts:
                 texts.append(f"{name}: every rung")
             else:
                 texts.append(f"{name}: no rung" if survived is None else f"{name}: up to {survived}")
@@ -203,8 +218,8 @@ def stress(
     level = 0.5 * (1.0 - settled.confidence)
     rungs = []
     for (name, rung), k, p, opposite in zip(pairs, counts[1:], against, in_favour, strict=True):
-        # A claim of 0 is true of every system.
-        verdict = REFUTED if p <= level else CONFIRMED if opposite <= level or lower <= 0.0 else CONSISTENT
+        # A claim of 0 is true of every system, so that surviving a mismatch says nothing.
+        verdict = VACUOUS if lower <= 0.0 else REFUTED if p <= level else CONFIRMED if opposite <= level else CONSISTENT
         rungs.append(Rung(name, rung, k / episodes, *clopper_pearson(k, episodes, settled.confidence), verdict))
     return StressReport(
         problem=problem.name,

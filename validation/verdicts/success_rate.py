@@ -24,7 +24,7 @@ from ...synthesis.certificates import (
     rounded_up,
     shown_bound,
 )
-from ...synthesis.checking import greedy_disturbance
+from ...synthesis.checking import CheckReport, greedy_disturbance
 from ..simulation import (
     INTERRUPTED,
     ChunkResult,
@@ -44,6 +44,7 @@ from ..statistics import (
     CONFIRMED,
     CONSISTENT,
     REFUTED,
+    VACUOUS,
     SequentialState,
     check_confidence,
     clopper_pearson,
@@ -55,6 +56,7 @@ MEANINGS = {
     CONFIRMED: "such rollouts would be unlikely if the claim were false",
     CONSISTENT: "the rollouts neither confirm nor refute the claim",
     REFUTED: "such rollouts would be unlikely if the claim were true",
+    VACUOUS: "the certificate promises P >= 0, which says nothing",
 }
 """What each verdict says."""
 
@@ -72,6 +74,12 @@ MOST_WORDS = 100
 
 FAR = 0.02
 """Distance from the bound to the rollouts' limits above which a report gives advice."""
+
+NOT_CERTIFIED = "the certificate fails its check, and nothing is certified"
+"""The headline of everything that is said about a certificate that its check refuses."""
+
+CHECKED = "valid: separate code computed the claim again"
+"""What a check that holds says."""
 
 NEGLIGIBLE = 1e-12
 """Gain below which a report says 0: far below what is lost to rounding."""
@@ -101,14 +109,15 @@ class ValidationReport:
         Exact two-sided limits at ``confidence``.
     confidence : float
     verdict : str
-        ``confirmed``, ``consistent`` or ``refuted`` (see ``validation.statistics.verdict``).
+        ``confirmed``, ``consistent``, ``vacuous`` or ``refuted`` (see ``validation.statistics.verdict``).
     rank : int
         Largest number of terms of the value function.
     seconds : dict
         ``abstract``, ``synthesize`` (None if the certificate was loaded) and ``validate``.
     details : dict
         Start, bound, seed, chunk, fingerprint, versions; ``inadmissible`` episodes; whether ``sequential``, with its
-        logarithmic e-values; ``mismatch`` and ``interrupted`` if they apply; ``abstract_upper_bound``,
+        logarithmic e-values; ``mismatch`` and ``interrupted`` if they apply; ``check``, if one was made: whether it is
+        ``valid``, and its ``failures``; ``abstract_upper_bound``,
         ``continuous_upper_bound``, ``unilateral_gain`` and ``tried`` of a synthesis (see ``synthesize``).
     """
 
@@ -138,6 +147,16 @@ class ValidationReport:
     def refuted(self) -> bool:
         """Whether the rollouts contradict the claim."""
         return self.verdict == REFUTED
+
+    @property
+    def is_invalid(self) -> bool:
+        """Whether the certificate failed its check, if one was made: then nothing is certified."""
+        return not self.details.get("check", {"valid": True})["valid"]
+
+    def with_check(self, outcome: CheckReport) -> ValidationReport:
+        """Return the report with what the check of the certificate says; a failed one becomes its headline."""
+        told = {"valid": outcome.valid, "failures": list(outcome.failures)}
+        return replace(self, details={**self.details, "check": told})
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as JSON values, those of ``details`` beside the others."""
@@ -171,8 +190,9 @@ class ValidationReport:
         times = ", ".join(f"{name} {value:.2f} s" for name, value in self.seconds.items() if value is not None)
         simulated = f"{self.successes} of {self.episodes} episodes satisfied the task: {self.estimate:.6f}, {limits}"
         rows = [
+            *([("invalid", f"{NOT_CERTIFIED}: {'; '.join(details['check']['failures'])}")] if self.is_invalid else []),
             ("method", f"{self.method} ({details['bound']} bound, rank {self.rank})"),
-            ("certified", shown_bound(self.lower_bound, self.gap)),
+            ("claimed" if self.is_invalid else "certified", shown_bound(self.lower_bound, self.gap)),
             *self._limits_of_search(),
             ("simulated", simulated),
         ]
@@ -185,13 +205,16 @@ class ValidationReport:
             rows.append(("inputs", f"inadmissible in {counted(inadmissible, 'episode')}; there actuators saturated"))
         if self.interrupted:
             rows.append(("interrupted", INTERRUPTED))
-        rows.append(("verdict", f"{self.verdict}{how}: {MEANINGS[self.verdict]}"))
+        if "check" in details:
+            rows.append(("check", "failed, see above" if self.is_invalid else CHECKED))
+        word = f"invalid; the rollouts alone: {self.verdict}" if self.is_invalid else self.verdict
+        rows.append(("verdict", f"{word}{how}: {MEANINGS[self.verdict]}"))
         return [*rows, *self._advice(), ("times", times)]
 
     def _advice(self) -> Rows:
         """Return what to try where the rollouts lie far above the bound; nothing elsewhere."""
         loose = self.ci_low - self.lower_bound
-        if loose < FAR or self.gap is not None or self.refuted or self.method.startswith("path"):
+        if loose < FAR or self.gap is not None or self.refuted or self.is_invalid or not self.details["has_cells"]:
             return []
         less = f"rollouts lie at least {loose:.2g} above the bound: the cells lose this, not the task"
         return [("advice", f"{less}; try --accuracy {FAR / 2:g}, or more --cells")]
@@ -373,6 +396,8 @@ def _validated(
     if isinstance(result, Synthesis):
         seconds = dict(result.stats["seconds"])  # type: ignore[call-overload]
     found = state.verdict if sequential else verdict(lower, gap, ci_low, ci_high)
+    if lower <= 0.0 and found == CONSISTENT:
+        found = VACUOUS  # its upper end was tested in vain
     if "disturbance" in details and found == CONFIRMED:
         found = CONSISTENT  # another behaviour might do worse
     return ValidationReport(
@@ -427,6 +452,7 @@ def _details(certificate: Certificate | ProductCertificate, start: str, plan: Tr
     return {
         "start": start,
         "bound": certificate.bound,
+        "has_cells": certificate.has_cells,
         "fingerprint": certificate.fingerprint,
         "settings": certificate.settings,
         "seed": plan.seed,

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...envs.problem import Problem
 from ...synthesis.certificates import Certificate
+from ...synthesis.checking import check
 from ...synthesis.horizons import each_horizon
 from ...synthesis.synthesize import synthesize
 from ..simulation import Executor, TrialOptions, TrialPlan, in_order, planned
@@ -45,7 +46,7 @@ def each_report(
 ) -> Iterator[ValidationReport]:
     """Yield the reports of ``validate_horizons`` one by one, in increasing order of horizons."""
     for result in each_horizon(problem, horizons, **(settings or {})):
-        yield validate(result, plan)
+        yield validate(result, plan).with_check(check(result.certificate))
 
 
 def synthesize_best(

@@ -8,9 +8,17 @@ import sys
 
 from ..validation.simulation import LABEL_WIDTH
 
-_GREEN, _RED, _CYAN, _BOLD, _FAINT = 32, 31, 36, 1, 2
+_GREEN, _RED, _CYAN, _YELLOW, _BOLD, _FAINT = 32, 31, 36, 33, 1, 2
 
-_WORDS = {"confirmed": _GREEN, "valid": _GREEN, "consistent": _CYAN, "refuted": _RED, "invalid": _RED, "failed": _RED}
+_WORDS = {
+    "confirmed": _GREEN,
+    "valid": _GREEN,
+    "consistent": _CYAN,
+    "vacuous": _YELLOW,
+    "refuted": _RED,
+    "invalid": _RED,
+    "failed": _RED,
+}
 """Words of verdicts and their colours."""
 
 _LABEL = re.compile(rf"(?=.{{{LABEL_WIDTH}}}\S)(?P<label>[a-z ]{{{LABEL_WIDTH - 1}}} )")
@@ -33,6 +41,8 @@ def _line(line: str) -> str:
     if label is None:
         return re.sub(r"(?<=: )(valid|invalid)(?=:)", lambda m: _painted(m[0], _WORDS[m[0]]), line)
     rest = line[label.end() :]
+    if label[0].strip() == "invalid":
+        return _painted(line, _RED)
     if label[0].strip() == "certified":
         rest = _painted(rest, _BOLD)
     elif (first := re.match(r"\w+", rest)) and first[0] in _WORDS:

@@ -1,7 +1,7 @@
 """Command line: ``certigym COMMAND ...``.
 
-Exit status: 0 if the verdict is confirmed or consistent, or if the command has no verdict; 1 if a certificate is
-refuted or fails the check; 2 for bad input, with one line on standard error; 130 after Ctrl-C.
+Exit status: 0 if the verdict is confirmed, consistent or vacuous, or if the command has no verdict; 1 if a certificate
+is refuted or fails the check; 2 for bad input, with one line on standard error; 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"certigym: {first}", file=sys.stderr)
         return 2
     except MemoryError:
-        print("certigym: not enough memory for this problem; ask for fewer --cells", file=sys.stderr)
+        remedy = "; ask for fewer --cells" if hasattr(options, "cells") else ""
+        print(f"certigym: not enough memory for this problem{remedy}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains when it exits

@@ -19,6 +19,9 @@ from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
 
+VACUOUS_CHECK = "; vacuous: it promises P >= 0, which says nothing"
+"""What is said of a certificate that holds because it claims nothing."""
+
 MOST_AGENTS_SHOWN, MOST_REGIONS_SHOWN = 12, 24
 """Agents and propositions that ``describe`` prints: about two screens."""
 
@@ -51,7 +54,7 @@ def describe(options: Namespace) -> int:
 
 
 def run(options: Namespace) -> int:
-    """Synthesize, validate, and print the report; with ``--horizons``, a row for each."""
+    """Synthesize, check, validate, and print the report; with ``--horizons``, a row for each."""
     if options.horizons is not None:
         if options.out or options.horizon is not None:
             raise ValueError("`--horizons`: expected neither --horizon nor --out beside it; leave them out")
@@ -59,7 +62,7 @@ def run(options: Namespace) -> int:
     result = synthesized(options)
     if options.out:
         save_certificate(result.certificate, options.out)
-    status = validate_result(options, result, None)
+    status = validate_result(options, result, None, check_certificate(result.certificate))
     if options.no_deadline and options.json != "-":
         print(f"{'no deadline':<{LABEL_WIDTH}}{_lasting(result)}")
     return status
@@ -127,9 +130,11 @@ def check(options: Namespace) -> int:
     # A valid certificate may claim an upper end that is too large a computation to verify; say so.
     unverified = report and report.above is None and certificate.gap is not None
     rest = "; the upper end of the claim would take too large a computation" if unverified else ""
+    rest += VACUOUS_CHECK if report and report.claimed <= 0.0 else ""
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {report}{rest}"
     outcome = {
         "valid": report.valid,
+        "vacuous": bool(report) and report.claimed <= 0.0,
         "lower_bound": report.claimed,
         "recomputed": None if np.isnan(report.recomputed) else report.recomputed,
         "above": report.above,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +16,9 @@ import numpy as np
 from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem
 from ..synthesis.certificates import StartHull, load_certificate, rounded_down
+from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
-from ..validation.paper import refute_published
-from ..validation.paper import reproduce as paper_figures
-from ..validation.paper.arch import arch
+from ..validation.paper import TARGETS, lines_text, reproduced, silent
 from ..validation.reports import report as write_report
 from ..validation.simulation import Mismatch
 from ..validation.verdicts import (
@@ -35,6 +37,9 @@ from ..validation.verdicts import validate_field as field_of
 from .given import budget_of, cells_of, problem_of, relation_of, search_of, show, state_of, write_json
 from .work import trials
 
+INVALID = "invalid: it fails its check"
+"""What a row says of a certificate that its check refuses."""
+
 
 def validate(options: Namespace) -> int:
     """Test a saved certificate by rollouts."""
@@ -45,8 +50,11 @@ def validate(options: Namespace) -> int:
     return validate_result(options, certificate, state)
 
 
-def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
-    """Validate, print and write the report; after Ctrl-C it is about the finished episodes, and the status is 130."""
+def validate_result(options: Namespace, result: Any, initial_state: Any, checked: CheckReport | None = None) -> int:
+    """Validate, print and write the report; after Ctrl-C it is about the finished episodes, and the status is 130.
+
+    A check that failed is its headline, and the status is 1 whatever the rollouts say.
+    """
     with trials(options, options.episodes) as plan:
         report = validate_certificate(
             result,
@@ -56,8 +64,9 @@ def validate_result(options: Namespace, result: Any, initial_state: Any) -> int:
             mismatch=_mismatch(options.mismatch),
             disturbance=options.disturbance,
         )
+    report = report if checked is None else report.with_check(checked)
     show(options, report, report.to_dict())
-    return 130 if report.interrupted else int(report.refuted)
+    return 130 if report.interrupted else int(report.refuted or report.is_invalid)
 
 
 def print_horizons(options: Namespace) -> int:
@@ -76,11 +85,12 @@ def print_horizons(options: Namespace) -> int:
                 reports.append(report)
                 if options.json != "-":
                     bound, rate = rounded_down(report.lower_bound), f"simulated {report.estimate:.6f}"
-                    print(f"{report.horizon:>4}  P >= {bound}  {rate}  {report.verdict}", flush=True)
+                    word = INVALID if report.is_invalid else report.verdict
+                    print(f"{report.horizon:>4}  P >= {bound}  {rate}  {word}", flush=True)
         except KeyboardInterrupt:  # a row is about all episodes or is left out
             interrupted = True
     write_json(options, [report.to_dict() for report in reports])
-    return 130 if interrupted else int(any(report.refuted for report in reports))
+    return 130 if interrupted else int(any(report.refuted or report.is_invalid for report in reports))
 
 
 def validate_field(options: Namespace) -> int:
@@ -118,46 +128,46 @@ def report(options: Namespace) -> int:
     """Write one page about a saved certificate."""
     with trials(options) as plan:
         content = write_report(options.certificate, options.out, plan, axes=options.axes)
-    show(options, f"{content.validation}\nwritten to {options.out}", content.to_dict())
+    show(options, f"{content.validation.with_check(content.checked)}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
 
 
 def reproduce(options: Namespace) -> int:
-    """Recompute a figure or table of the paper, or refute its certificate."""
+    """Recompute what was published, print it beside ours; the status is 1 if a number is not as it was recorded."""
     if options.out and Path(options.out).exists() and not Path(options.out).is_dir():
         raise ValueError(f"`--out`: expected a folder, got the file {options.out!r}; name a folder, it is made")
+    if options.row is not None and options.what != "arch":
+        raise ValueError("`--row`: expected only with arch; leave it out")
+    folder, told, wrong = Path(options.out or "reproduced"), {}, 0
 
     def say(text: str) -> None:
         if options.json != "-":
-            print(text)
+            print(text, flush=True)
 
-    if options.row is not None and options.what != "arch":
-        raise ValueError("`--row`: expected only with arch; leave it out")
-    if options.what == "arch":
-        folder = Path(options.out or "reproduced")
-        rows: Any = arch(folder, options.row, progress=say)
-        say(f"written to {folder}")
-        write_json(options, rows)
-        return 0 if all(row["check"] == "valid" for row in rows) else 1
-    if options.what == "refutation":
-        result: Any = refute_published()
-        where = ", ".join(f"{x:g}" for x in result["worst_initial_state"])
-        say(
-            f"published certificate at T = {result['T']}: {result['verdict']} at {result['refuted']} of "
-            f"{result['initial_states']} initial states; largest excess {result['worst_excess']:.4f} at ({where})"
-        )
-        say(f"certificates at the right noise: {result['right_noise_verdict']}")
-        if options.out:
-            Path(options.out).mkdir(parents=True, exist_ok=True)
-            save_json(Path(options.out) / "refutation.json", result)
-    else:
-        folder = Path(options.out or "reproduced")
-        result = getattr(paper_figures, options.what)(folder, progress=say)
-        say(f"written to {folder}")
-        if not options.what.startswith("table") and not (folder / f"{options.what}.png").exists():
+    for target, result, lines in _reproduced(options, folder, say):
+        folder.mkdir(parents=True, exist_ok=True)
+        save_json(folder / f"{target}-lines.json", lines)
+        told[target] = {"result": result, "lines": lines}
+        wrong += sum(line["wrong"] is not None for line in lines)
+        say(f"{target}\n{lines_text(lines)}")
+        if target.startswith("fig") and not (folder / f"{target}.png").exists():
             print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
-    write_json(options, result)
-    return 0
+    say(f"written to {folder}; " + ("every number is as it was recorded" if not wrong else f"{wrong} are NOT"))
+    write_json(options, told if options.what == "all" else told[options.what])
+    return int(wrong > 0)
+
+
+def _reproduced(options: Namespace, folder: Path, say: Callable[[str], None]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield target, result and lines of what is asked for; all targets share the cores."""
+    if options.what != "all":
+        yield (options.what, *reproduced(options.what, folder, say, options.row))
+        return
+    # The longest first, in processes of their own: threads would wait for one another.
+    names = ("arch", "table2", "fig3", *(name for name in TARGETS if name not in ("arch", "table2", "fig3")))
+    with ProcessPoolExecutor(min(len(names), os.cpu_count() or 1), get_context("spawn")) as pool:
+        begun = {name: pool.submit(reproduced, name, folder, silent) for name in names}
+        for name in TARGETS:
+            yield (name, *begun[name].result())
 
 
 def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] | None]:

@@ -1,0 +1,112 @@
+"""Published numbers beside ours: the difference, a verdict on each, and whether all are as they were recorded.
+
+A reproduction is a list of lines. What the lines gave when the page about published results was written is kept in
+``recorded.json``; a line that gives less, or another verdict, fails. So what is lost is seen by whoever runs the
+command.
+
+The kind of a line says how it is judged:
+
+``digits``     ours repeats a published computation, and has to have its digits
+``bound``      ours is a certified lower bound; it must not be below the recorded one
+``claim``      the published number is a claim about a probability, ours is the upper limit of rollouts on it
+``measured``   ours is a count or an estimate of a fixed seed; it has to be near the recorded one
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+RECORDED = Path(__file__).with_name("recorded.json")
+"""What each line of each target gave when the pages were written: a number, rounded down, and a verdict."""
+
+AGREES, HIGHER, LOWER, REFUTED_CLAIM, OURS_ALONE = "agrees", "higher", "lower", "published claim refuted", "ours alone"
+DIFFERS, STANDS = "differs", "published claim not refuted"
+
+NEAR = 0.02
+"""Relative difference up to which counts and estimates agree with those that were published or recorded."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One published number and ours.
+
+    Parameters
+    ----------
+    name : str
+        What the number is.
+    published : float or None
+        None where nothing was published.
+    ours : float
+    kind : str
+        How it is judged, see above.
+    digits : float
+        Half a unit of the last published digit, for ``digits``.
+    """
+
+    name: str
+    published: float | None
+    ours: float
+    kind: str
+    digits: float = 5.1e-7
+
+    @property
+    def verdict(self) -> str:
+        """What ours says about the published number."""
+        if self.published is None:
+            return OURS_ALONE
+        if self.kind == "claim":
+            return REFUTED_CLAIM if self.ours < self.published else STANDS
+        if self.kind == "bound":
+            return HIGHER if self.ours >= self.published else LOWER
+        room = self.digits if self.kind == "digits" else NEAR * abs(self.published)
+        return AGREES if abs(self.ours - self.published) <= room else DIFFERS
+
+    def judged(self, recorded: tuple[float, str] | None) -> dict[str, Any]:
+        """Return the line as JSON values, with its difference, its verdict, and what is wrong with it, if anything."""
+        wrong = None
+        if recorded is None:
+            wrong = "not recorded"
+        elif self.verdict != recorded[1]:
+            wrong = f"recorded as {recorded[1]}"
+        elif self.kind in ("bound", "digits") and self.ours < recorded[0]:
+            wrong = f"below the recorded {recorded[0]:.6g}"
+        elif self.kind in ("claim", "measured") and abs(self.ours - recorded[0]) > NEAR * abs(recorded[0]):
+            wrong = f"far from the recorded {recorded[0]:.6g}"
+        difference = None if self.published is None else self.ours - self.published
+        return {**asdict(self), "difference": difference, "verdict": self.verdict, "wrong": wrong}
+
+
+def judged_lines(
+    target: str, lines: Sequence[Line], path: Path = RECORDED, only: str | None = None
+) -> list[dict[str, Any]]:
+    """Return the lines of a target with difference and verdict; a recorded line that is missing is wrong, too.
+
+    With ``only`` one row of the target was computed, and no line can be missing.
+    """
+    recorded: dict[str, list[Any]] = json.loads(path.read_text(encoding="utf-8")).get(target, {})
+    before = {name: (float(value), str(verdict)) for name, (value, verdict) in recorded.items()}
+    found = [line.judged(before.get(line.name)) for line in lines]
+    missing = [] if only is not None else sorted(set(before) - {line.name for line in lines})
+    nothing = {"published": None, "ours": None, "difference": None, "verdict": "missing", "wrong": "was recorded"}
+    return [*found, *({"name": name, **nothing} for name in missing)]
+
+
+def lines_text(judged: Sequence[dict[str, Any]]) -> str:
+    """Return judged lines as a table: what, published, ours, difference, verdict."""
+    rows = [("what", "published", "ours", "difference", "verdict")]
+    for line in judged:
+        numbers = [_shown(line[name]) for name in ("published", "ours")]
+        wrong = f", WRONG: {line['wrong']}" if line["wrong"] else ""
+        difference = "-" if line["difference"] is None else f"{line['difference']:+.3g}"
+        rows.append((line["name"], *numbers, difference, line["verdict"] + wrong))
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    return "\n".join("  ".join([*(f"{row[k]:<{widths[k]}}" for k in range(4)), row[4]]) for row in rows)
+
+
+def _shown(number: float | None) -> str:
+    """Return a number with the six digits that are published of the largest ones."""
+    return "-" if number is None else f"{number:.6g}"

@@ -1,0 +1,136 @@
+"""All that can be reproduced, by name: each target computes its rows, and says which numbers were published of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from . import reproduce
+from .arch import arch
+from .judged_lines import Line, judged_lines
+from .refutation import refute_published
+
+TARGETS = ("fig3", "fig4", "table1", "table2", "refutation", "arch")
+"""In the order in which ``all`` computes them."""
+
+
+def reproduced(
+    target: str, out: Path, progress: Callable[[str], None] = print, row: str | None = None
+) -> tuple[Any, list[dict[str, Any]]]:
+    """Compute a target, write its files into a folder, and return its rows beside its judged lines.
+
+    Raises
+    ------
+    ValueError
+        If there is no such target or row.
+    """
+    computed: dict[str, Callable[[], Any]] = {
+        "refutation": refute_published,
+        "arch": partial(arch, out, row, progress=progress),
+        **{name: partial(getattr(reproduce, name), out, progress=progress) for name in TARGETS[:4]},
+    }
+    if target not in computed:
+        raise ValueError(f"`target`: expected one of {', '.join(TARGETS)}, got {target!r}")
+    result = computed[target]()
+    return result, judged_lines(target, LINES[target](result), only=row)
+
+
+def _fig3(rows: Sequence[dict[str, Any]]) -> list[Line]:
+    """Return the lines of Fig. 3: the published computation repeated, and what is certified at the stated noise."""
+    lines = []
+    for row in rows:
+        at, robust, posterior = f"T = {row['T']}: ", row["published"], row["a_posteriori_published"]
+        lines += [
+            Line(f"{at}robust tree, variance as deviation", robust, row["robust_tree_variance_as_std"], "digits"),
+            Line(f"{at}robust tree, stated noise", robust, row["robust_tree"], "measured"),
+            Line(f"{at}robust tree, certified", robust, row["robust_tree_certified"], "bound"),
+            Line(f"{at}a-posteriori, certified", posterior, row["a_posteriori"], "bound"),
+            Line(f"{at}exact relation, certified", robust, row["exact"], "bound"),
+        ]
+    return lines
+
+
+def _fig4(rows: Sequence[dict[str, Any]]) -> list[Line]:
+    """Return the lines of Fig. 4, of which no digits were published."""
+    lines = []
+    for row in rows:
+        for name in [key for key in row if key != "T"]:
+            kind, setting, n = name.rsplit("_", 2)
+            what = "exact relation" if kind == "exact" else "robust tree"
+            how = "bound" if kind == "exact" else "measured"
+            lines.append(Line(f"T = {row['T']}, setting {setting}, {n} agents: {what}", None, row[name], how))
+    return lines
+
+
+def _table1(rows: Sequence[dict[str, Any]]) -> list[Line]:
+    """Return the lines of Table 1: bytes."""
+    lines = []
+    for row in rows:
+        name = row["problem"]
+        lines += [
+            Line(f"{name}: joint bytes", row["published_joint_bytes"], row["joint_bytes"], "measured"),
+            Line(f"{name}: bytes per term", row["published_bytes_per_term"], row["bytes_per_term"], "measured"),
+        ]
+    return lines
+
+
+def _table2(rows: Sequence[dict[str, Any]]) -> list[Line]:
+    """Return the lines of Table 2: the published claims against rollouts, and what is certified."""
+    lines = []
+    for k, row in enumerate(rows):
+        name = f"point {k // 2 + 1}{', eased' if row['published'] is None else ''}: "
+        if row["published"] is not None:
+            lines += [
+                Line(f"{name}upper limit of rollouts", row["published"], row["ci_high"], "claim"),
+                Line(f"{name}the paper's method", row["published"], row["robust_tree_certified"], "bound"),
+            ]
+        lines += [
+            Line(f"{name}exact relation", row["published"], row["exact"], "bound"),
+            Line(f"{name}rollouts", row["published"], row["estimate"], "measured"),
+        ]
+    return lines
+
+
+def _refutation(result: dict[str, Any]) -> list[Line]:
+    """Return the lines of the refutation of the certificate at T = 6."""
+    right = result["right_noise"]
+    return [
+        Line("initial states at which the claim is refuted", None, result["refuted"], "measured"),
+        Line("initial states", None, result["initial_states"], "measured"),
+        Line("share of states with a success rate below the claim", None, result["fraction_below_claim"], "measured"),
+        Line("largest excess of a claim", None, result["worst_excess"], "measured"),
+        Line("worst start, x1", None, result["worst_initial_state"][0], "measured"),
+        Line("worst start, x2", None, result["worst_initial_state"][1], "measured"),
+        Line("success rate at the worst start", result["worst_claim"], result["worst_estimate"], "claim"),
+        Line("mean over the region", result["published_mean"], result["simulated_mean"], "measured"),
+        *(
+            Line(f"{name} relation at the stated noise, {what}", None, right[name][key], kind)
+            for name in ("paper", "exact")
+            for what, key, kind in (("certified", "lower_bound", "bound"), ("rollouts", "estimate", "measured"))
+        ),
+    ]
+
+
+def _arch(rows: Sequence[dict[str, Any]]) -> list[Line]:
+    """Return a line for each row of the field's benchmarks, and one for each share of starts."""
+    lines = []
+    for row in rows:
+        # What fails its check is worth nothing.
+        holds = row["check"] == "valid"
+        lines.append(Line(row["row"], row["published"], row["certified"] if holds else 0.0, "bound"))
+        if row["starts"] is not None:
+            lines.append(Line(f"{row['row']}: share of starts", row["published_starts"], row["starts"], "bound"))
+    return lines
+
+
+LINES: dict[str, Callable[[Any], list[Line]]] = {
+    "fig3": _fig3,
+    "fig4": _fig4,
+    "table1": _table1,
+    "table2": _table2,
+    "refutation": _refutation,
+    "arch": _arch,
+}
+"""How the numbers of a target become lines."""
