@@ -223,7 +223,7 @@ def test_certificates_travel(tmp_path: Path) -> None:
     loaded: Any = cg.load_certificate(tmp_path / "pairs.npz")
     assert isinstance(loaded, PairsCertificate) and loaded.lower_bound == certificate.lower_bound
     assert cg.check(loaded) and loaded.fingerprint == certificate.fingerprint
-    with pytest.raises(ValueError, match="about pairs of agents"):
+    with pytest.raises(ValueError, match="what pairs of agents may spoil is bounded for the whole run"):
         cg.audit(loaded)
 
 

@@ -228,7 +228,9 @@ def test_replaced_problems_compute_their_properties_again() -> None:
     before = problem.fingerprint, problem.initial_q, problem.tasks
     changed = problem.replace(horizon=3, initial_state=[[-10.0], [-4.0]], disturbance_scale=0.5, name="other")
     assert (changed.name, changed.horizon, changed.n_agents) == ("other", 3, 2)
-    assert changed.fingerprint != before[0] and changed.initial_q is not None and before[1] is None
+    assert changed.fingerprint != before[0]
+    there = problem.replace(initial_state=[[2.0], [-4.0]])
+    assert changed.initial_q == before[1] == problem.automaton.initial and there.initial_q != before[1]
     assert changed.tasks == (changed,) and before[2] == (problem,)
     assert changed.labeling is problem.labeling and changed.automaton is problem.automaton
     assert problem.replace().fingerprint == problem.fingerprint

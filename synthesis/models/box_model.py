@@ -114,6 +114,8 @@ def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[Flo
     if not np.all(most > 0.0):
         raise RelationRefused(f"agent `{agent.name}`: no cell is seen to have a positive `noise_scale`")
     for law, low, high, text in zip(agent.laws or (), least, most, agent.noise_scale, strict=True):
+        if law.std == 0.0:
+            continue  # a state without noise has none to be multiplied
         if law.std * low < LEAST_DEVIATION or law.std * high > MOST_DEVIATION:
             raise RelationRefused(
                 f"agent `{agent.name}`: `noise_scale` {shortened(text, 60)!r} multiplies deviations to numbers from "
