@@ -77,7 +77,9 @@ def _wrong_means(
         share[rng.random(share.shape) < 0.25] = 0.0
     index = np.unravel_index(cells, part.grid.shape)
     axes = zip(part.grid.edges, index, share, strict=True)
-    states = part.coordinates @ np.stack([e[k] + r * (e[k + 1] - e[k]) for e, k, r in axes])
+    # Where a cell is a few units of rounding wide, its highest point is the one below the next edge.
+    points = [np.minimum(e[k] + r * (e[k + 1] - e[k]), np.nextafter(e[k + 1], e[k])) for e, k, r in axes]
+    states = part.coordinates @ np.stack(points)
     beside = _anywhere(agent, count, rng)
     inputs = controller.act(states[:, None], q, t, None, None, None if beside is None else beside[:, None])[0][:, 0]
     if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
