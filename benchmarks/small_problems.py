@@ -176,6 +176,26 @@ def _in_words(rng: np.random.Generator, agent: Spec, write: Callable[..., None])
     write(rng, agent)
 
 
+def _write_plainly(rng: np.random.Generator, agent: Spec) -> None:
+    """The linear dynamics themselves, in words."""
+    d, m = len(agent["A"]), len(agent["B"][0])
+    dynamics: list[Expression] = []
+    for k in range(d):
+        total: Expression = float(agent["offset"][k])
+        for j in range(d):
+            total = ("+", total, ("*", float(agent["A"][k][j]), f"x{j}"))
+        for j in range(m):
+            total = ("+", total, ("*", float(agent["B"][k][j]), f"u{j}"))
+        dynamics.append(total)
+    agent["tuples"], agent["winds"] = dynamics, {}
+    keys = ("name", "state_low", "state_high", "input_low", "input_high", "noise_covariance")
+    agent["written"] = {key: agent[key] for key in keys} | {
+        "states": [f"x{k}" for k in range(d)],
+        "inputs": [f"u{j}" for j in range(m)],
+        "dynamics": [expression_text(expression) for expression in dynamics],
+    }
+
+
 def _told_starts(spec: Spec) -> Spec:
     """Starts of agents that were written before they had one."""
     for agent in spec["agents"]:
@@ -201,8 +221,8 @@ def _states(rng: np.random.Generator) -> Spec:
 
 def _lawful(rng: np.random.Generator) -> Spec:
     """The relation `boxes`, with noise of four laws and scales, some of which are constants."""
-    d = int(rng.choice([1, 2], p=[0.8, 0.2]))
-    agents = [_linear(rng, f"agent_{i}", d, (0.1, 0.3)) for i in range(1 + int(d == 1 and rng.random() < 0.3))]
+    d = int(rng.choice([1, 2], p=[0.92, 0.08]))
+    agents = [_linear(rng, f"agent_{i}", d, (0.1, 0.3)) for i in range(1 + int(d == 1 and rng.random() < 0.15))]
     for agent in agents:
         _in_words(rng, agent, _write)
         _make_uneven(rng, agent)
@@ -215,7 +235,7 @@ def _lawful(rng: np.random.Generator) -> Spec:
         if rng.random() < 0.3:  # laws without any scale
             del agent["written"]["noise_scale"]
             agent["scales"] = [1.0] * d
-    sizes = (20, 45) if d == 1 and len(agents) == 1 else (12, 24) if d == 1 else (8, 12)
+    sizes = (14, 32) if d == 1 and len(agents) == 1 else (8, 14) if d == 1 else (5, 8)
     cells = {agent["name"]: [int(rng.integers(*sizes)) for _ in range(d)] for agent in agents}
     return _told_starts(
         _problem(rng, agents, {"cells": cells, "relation": "boxes", "max_sweeps": 1}, (1, 2, 3, 4))
@@ -248,9 +268,9 @@ def _coupled(rng: np.random.Generator) -> Spec:
 
 def _common(rng: np.random.Generator) -> Spec:
     """Agents whose dynamics name an input of another one, which is chosen in common."""
-    agents = [_linear(rng, f"agent_{i}", 1, (0.1, 0.25)) for i in range(int(rng.choice([2, 3], p=[0.8, 0.2])))]
+    agents = [_linear(rng, f"agent_{i}", 1, (0.1, 0.25)) for i in range(int(rng.choice([2, 3], p=[0.9, 0.1])))]
     for agent in agents:
-        _in_words(rng, agent, _write)
+        _in_words(rng, agent, _write if rng.random() < 0.15 else _write_plainly)
     for agent in agents[1:]:
         other = agents[0] if rng.random() < 0.8 else agents[1] if agent is not agents[1] else agents[0]
         named = f"{other['name']}.u0"
@@ -258,9 +278,9 @@ def _common(rng: np.random.Generator) -> Spec:
         moved: Expression = named if rng.random() < 0.6 else ("sin", named)
         agent["tuples"][0] = ("+", agent["tuples"][0], ("*", share, moved))
         agent["beside"] = [named]
-    cells = {agent["name"]: [int(rng.integers(12, 20))] for agent in agents}
-    options: Spec = {"cells": cells, "max_sweeps": 1, "relation": "boxes", "common": True}
-    return _told_starts(_problem(rng, agents, options, (1, 2, 3, 4)))
+    cells = {agent["name"]: [int(rng.integers(6, 10))] for agent in agents}
+    options: Spec = {"cells": cells, "max_sweeps": 0, "relation": "boxes", "common": True}
+    return _told_starts(_problem(rng, agents, options, (1, 2, 3)))
 
 
 def _path(rng: np.random.Generator) -> Spec:
@@ -293,13 +313,13 @@ def _menus(rng: np.random.Generator) -> Spec:
     agents = [_linear(rng, f"agent_{i}", 1, (0.1, 0.25)) for i in range(int(rng.choice([1, 2], p=[0.7, 0.3])))]
     if rng.random() < 0.25:
         agents = [_linear(rng, "agent_0", 2, (0.1, 0.25))]
-    written = rng.random() < 0.3
+    written = rng.random() < 0.04
     for agent in agents:
         agent["input_low"] = (2.0 * np.array(agent["input_low"])).tolist()
         agent["input_high"] = (2.0 * np.array(agent["input_high"])).tolist()
         if written:
             _in_words(rng, agent, _write_aimed)
-    sizes = (16, 40) if len(agents) == 1 and len(agents[0]["A"]) == 1 else (8, 14)
+    sizes = (5, 8) if len(agents[0]["A"]) == 2 else (16, 36) if len(agents) == 1 and not written else (7, 12)
     cells = {agent["name"]: [int(rng.integers(*sizes)) for _ in agent["A"]] for agent in agents}
     spec = _told_starts(_problem(rng, agents, {"cells": cells, "relation": "exact", "value": "tree"}, (1, 2, 3, 4)))
     spec["share"] = float(rng.choice([0.5, 0.8, 0.95, 0.999]))
@@ -321,14 +341,17 @@ def _networks(rng: np.random.Generator) -> Spec:
 
 def _above(rng: np.random.Generator) -> Spec:
     """Problems whose certificates get an upper end: every relation with cells."""
-    kind = int(rng.integers(4))
+    kind = int(rng.choice([0, 1, 2, 3], p=[0.05, 0.05, 0.8, 0.1]))
     if kind == 0:
         spec = _coupled(rng)
     elif kind == 1:
         spec = _lawful(rng)
     elif kind == 2:
-        agent = _linear(rng, "agent_0", 1, (0.1, 0.3))
-        options = {"cells": {"agent_0": [int(rng.integers(30, 80))]}, "max_sweeps": 1,
+        agent = _linear(rng, "agent_0", 1, (0.08, 0.2))
+        weak = float(rng.uniform(0.05, 0.25))  # too weak to be nearly sure of anything
+        for side in ("input_low", "input_high"):
+            agent[side] = (weak * np.array(agent[side])).tolist()
+        options = {"cells": {"agent_0": [int(rng.integers(40, 80))]}, "max_sweeps": 1,
                    "relation": str(rng.choice(["linear", "boxes", "exact"]))}  # fmt: skip
         spec = _problem(rng, [agent], options, (1, 2, 3, 4))
     else:
