@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -36,6 +36,12 @@ NEAREST = 1e-11
 Cells that are not much wider than rounding hold nearly no mass, and what is fed back of the place in them is noise.
 """
 
+MOST_MORE = 3
+"""Most cells that an axis gets beyond those asked for, to have its edges off the start."""
+
+APART = 1e-9
+"""Least distance of such a start from edges, as a share of the numbers that it is computed from."""
+
 MOST_CELLS = 20_000_000
 """Most cells of one agent: their tables take some GB."""
 
@@ -61,8 +67,28 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
         boundaries = _named_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
         ends = float(low[k]), float(high[k])
         _refuse_nearly_equal(agent.name, k, ends, boundaries)
-        edges.append(aligned_edges(*ends, cells[k], [edge for edge, _ in boundaries]))
+        tried = (aligned_edges(*ends, cells[k] + more, [edge for edge, _ in boundaries]) for more in range(MOST_MORE + 1))
+        edges.append(_off_the_start(agent, coordinates, k, tried))
     return Grid(tuple(edges)), coordinates
+
+
+def _off_the_start(agent: AnyAgent, coordinates: FloatArray, axis: int, tried: Iterator[FloatArray]) -> FloatArray:
+    """Return the first edges on none of which a start lies to rounding, in coordinates other than the states.
+
+    There a controller may read another cell than the proof. A start of zeros is read without rounding.
+    """
+    first = next(tried)
+    if np.array_equal(coordinates, np.eye(len(coordinates))) or not agent.initial.is_point or not np.any(agent.initial.low):
+        return first
+    inverse = np.linalg.inv(coordinates)
+    start, size = inverse[axis] @ agent.initial.low, np.abs(inverse[axis]) @ np.abs(agent.initial.low)
+    for edges in (first, *tried):
+        if np.all(np.abs(edges - start) > APART * (size + max(abs(edges[0]), abs(edges[-1])))):
+            return edges
+    raise RelationRefused(
+        f"`initial_state`: expected a start of agent `{agent.name}` off the edges of regions and workspace along state "
+        f"{axis}, as its noise is correlated and its cells lie askew, got {agent.initial.low.tolist()}; move it a little"
+    )
 
 
 def _refuse_nearly_equal(name: str, axis: int, ends: tuple[float, float], boundaries: list[tuple[float, str]]) -> None:

@@ -100,8 +100,11 @@ def _wrong_means(
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     networked = choice < network_modes(part)
-    for mode in np.unique(choice[networked & (choice >= 0)]):
-        here = np.flatnonzero(choice == mode)[:NETWORKED]
+    # Cells that lie askew stick out of the workspace; there networks see its nearest point, and nothing is claimed.
+    box = agent.workspace
+    inside = np.all((box.low[:, None] <= states) & (states <= box.high[:, None]), axis=0)
+    for mode in np.unique(choice[networked & inside & (choice >= 0)]):
+        here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
         low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
         beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])
         if np.any(beyond):
