@@ -3,6 +3,7 @@
     python benchmarks/adversary.py claims --trials 800        random problems; certificates against ``independent``
     python benchmarks/adversary.py forgeries --trials 40      every field of certificates changed, digest recomputed
     python benchmarks/adversary.py kinds --kind paths         small problems of one kind, until 300 say something
+    python benchmarks/adversary.py cells --kind paths         one entry of honest claims of one kind changed
     python benchmarks/adversary.py files                      hostile files and formulas, under limits
 
 Every finding is printed with the seed that makes it. A claim is refuted if what was seen has probability below 1e-6,
@@ -27,7 +28,7 @@ from deployed import Deployed, problem_of
 from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
 from independent import successes
-from kind_trials import INFLATION, trial
+from kind_trials import INFLATION, forged_cells, trial
 from measuring import Rows, show
 from random_expressions import aimed_spec, polar_spec, uneven_spec, written_spec
 from random_problems import Spec, random_spec
@@ -198,6 +199,23 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
     return findings
 
 
+def forge_cells(kind: str, wanted: int, first: int, each: int) -> int:
+    """Forgeries of one cell of so many honest claims of a kind; the number of findings."""
+    outcomes, sorts, findings, done, seed = Counter[str](), Counter[str](), 0, 0, first
+    while done < wanted and seed < first + 40 * wanted:
+        forged = forged_cells(kind, seed, each, FALSE_ALARM / (1000 * wanted))
+        for name, outcome, finding in forged:
+            outcomes[outcome] += 1
+            sorts[f"{name}: {outcome}"] += 1
+            if finding:
+                findings += 1
+                print(f"{kind}, seed {seed}: {name}: {outcome}: {finding}", flush=True)
+        done, seed = done + bool(forged), seed + 1
+    show("Forgeries of one cell", [{"kind": kind, "claims": done, **outcomes, "findings": findings}])
+    show("Sorts", [{"times": n, "what": sort} for sort, n in sorted(sorts.items())])
+    return findings
+
+
 def files() -> int:
     """All hostile files, formulas and numbers, each in a process of its own; the number of findings."""
     rows = [row for name in CASES for row in limited([name])]
@@ -217,7 +235,7 @@ def files() -> int:
 def main() -> int:
     """Run one part of the campaign; the exit status is 1 if there are findings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["claims", "kinds", "forgeries", "files"])
+    parser.add_argument("part", choices=["claims", "kinds", "cells", "forgeries", "files"])
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
@@ -232,6 +250,8 @@ def main() -> int:
         return int(files() > 0)
     if given.part == "kinds":
         return int(of_kind(given.kind, given.trials, given.seed, 10 * given.trials, given.more) > 0)
+    if given.part == "cells":
+        return int(forge_cells(given.kind, given.trials, given.seed, given.per_array) > 0)
     if given.part == "claims":
         return int(claims(given.trials, given.episodes, given.seed, given.relation) > 0)
     return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array, given.relation) > 0)

@@ -7,14 +7,16 @@ if the same test, at the same level, refutes the claim made larger by so much.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.stats import binom
 
 import certigym as cg
-from certigym.synthesis.certificates import PathCertificate
+from cell_forgeries import forgeries_of
+from certigym.synthesis.certificates import AgentPath, PathCertificate, StartHull
 from certigym.synthesis.raw_networks import certify_network, differences
 from certigym.synthesis.relations import Network
 from certigym.synthesis.upper_ends import bound_above, wrong_upper_end
@@ -32,6 +34,9 @@ INFLATION = 0.01
 
 FIRST = 20_000
 """Episodes of a first look; where an inflation may be visible, a second one has ``more`` times as many."""
+
+RESERVES = 1e-5
+"""By how much stored values may grow and still be proved: reserves of searches that the check does not need."""
 
 STARTS = 2
 """Starts of a set that are simulated."""
@@ -186,3 +191,100 @@ CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "upper": _of_upper_end,
 }
 """How claims are made; all other kinds are certificates of ``synthesize``."""
+
+
+# --- forgeries of one cell
+def forged_cells(kind: str, seed: int, each: int, level: float) -> list[tuple[str, str, str]]:
+    """What was changed in an honest claim of a kind, what became of it, and a finding if something false was accepted.
+
+    Empty if the problem has no claim that says something.
+    """
+    spec = small_spec(kind, seed)
+    try:
+        problem = problem_of(spec)
+        claim, verify = _honest(problem, spec)
+    except ValueError:
+        return []
+    if claim is None or not LEAST < claim.lower_bound < MOST or not verify(claim):
+        return []
+    rng, found = np.random.default_rng([20261201, seed]), []
+    for name, forged in forgeries_of(claim, rng, each):
+        outcome, finding = _judged(spec, claim, forged, verify, level)
+        found.append((name, outcome, finding))
+    return found
+
+
+def _honest(problem: cg.Problem, spec: Spec) -> tuple[Any, Callable[[Any], Any]]:
+    """A claim that a forger begins with, and its check."""
+    if "network" in spec:
+        actor = SharedActor(problem, random_network(problem, spec))
+        cells, relation = spec["options"]["cells"], spec["network"]["relation"]
+        return certify_network(problem, actor, cells, relation=relation).certificate, cg.check
+    certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
+    if isinstance(certificate, cg.ProductCertificate):
+        return None, cg.check
+    if "share" in spec:
+        return cg.permit(certificate, probability=spec["share"] * certificate.lower_bound), cg.check_permission
+    if "probability" in spec:
+        return cg.certified_starts(certificate, spec["probability"], rays=10), cg.check
+    return certificate, cg.check
+
+
+def _claiming(claim: Any, lower: float) -> Any:
+    """The same claim with another bound."""
+    if isinstance(claim, PathCertificate | StartHull):
+        return replace(claim, failure=1.0 - lower)
+    if isinstance(claim, cg.Permission):
+        return replace(claim, lower_bound=lower)
+    return replace(claim, lower_bound=lower, bounds={claim.bound: lower}, gap=None, exact=False)
+
+
+def _judged(spec: Spec, honest: Any, forged: Any, verify: Callable[[Any], Any], level: float) -> tuple[str, str]:
+    """What becomes of a forgery: the forger asks what would be proved, claims that, and is tested by simulation."""
+    try:
+        report = verify(_claiming(forged, 1e-9))
+        if not report:
+            return "refused", ""
+        lower = report.recomputed * (1.0 - 1e-9) - 1e-12
+        forged = _claiming(forged, lower)
+        if not verify(forged):
+            return "refused", ""
+        if verify(_claiming(forged, min(1.0, lower * 1.001 + 1e-6))):
+            return "ACCEPTED", f"more than was recomputed, {lower}"
+    except ValueError:
+        return "refused", ""
+    except Exception as error:  # noqa: BLE001 a crash is a finding
+        return "crashed", f"{type(error).__name__}: {error}"
+    # What is said of other starts must not grow by more than reserves, unless policies are others.
+    if isinstance(forged, cg.Certificate) and all(
+        np.array_equal(one.policy, other.policy) and one.relation == other.relation
+        for one, other in zip(forged.agents, honest.agents)
+    ):
+        rng, agents = np.random.default_rng(0), honest.problem.agents
+        low, high = (np.concatenate([getattr(a.workspace, side) for a in agents]) for side in ("low", "high"))
+        states = low + (high - low) * rng.random((400, len(low)))
+        if np.any(forged.at(states) > honest.at(states) + RESERVES):
+            return "ACCEPTED", "it says more of other starts than the honest one"
+    for own, act in _behaviours(spec, forged):
+        number, beyond = successes(own, act, FIRST, 1)
+        if binom.cdf(number, FIRST, lower) < level:
+            return "ACCEPTED", f"claims {lower}, {number} of {FIRST} succeeded"
+        if beyond > 1e-9 and lower > 0:
+            return "ACCEPTED", f"an input was outside of its box by {beyond:.3g} of its width"
+    return "true all the same", ""
+
+
+def _behaviours(spec: Spec, claim: Any) -> Iterator[tuple[Spec, Act]]:
+    """Problems and controllers that a claim is about."""
+    if isinstance(claim, cg.Permission):
+        for way in ("random", "lowest", "highest", "outermost"):
+            yield spec, Permitted(claim, way, FIRST, 1)
+    elif isinstance(claim, StartHull):
+        for i in range(0, len(claim.corners), 3):
+            agent = {**spec["agents"][0], "initial_state": claim.corners[i].tolist()}
+            own = {**spec, "agents": [agent]}
+            yield own, Followed(own, [AgentPath(claim.inputs[i], claim.gain)])
+    elif isinstance(claim, PathCertificate):
+        yield spec, Followed(spec, claim.paths)
+    else:
+        yield spec, Deployed(claim, FIRST, 1)
