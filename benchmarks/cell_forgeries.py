@@ -30,11 +30,11 @@ def forgeries_of(claim: Any, rng: np.random.Generator, each: int) -> Iterator[Fo
         for name, inside in _of_parts(claim.certificate, rng, 1):
             yield f"certificate of menus: {name}", replace(claim, certificate=inside)
     elif isinstance(claim, PathCertificate):
-        for one in (_nominal_input, _gain, _letter, _face):
-            yield from _repeated(one, claim, rng, each)
+        for along in (_nominal_input, _gain, _letter, _face):
+            yield from _repeated(along, claim, rng, each)
     elif isinstance(claim, StartHull):
-        for one in (_corner, _corner_input, _hull_letter):
-            yield from _repeated(one, claim, rng, each)
+        for around in (_corner, _corner_input, _hull_letter):
+            yield from _repeated(around, claim, rng, each)
     elif isinstance(claim, cg.Certificate):
         yield from _of_parts(claim, rng, each)
         for one in (_factor, _guard, _start_guard, _union, _kept):
@@ -82,6 +82,7 @@ def _best_choice(part: Any, rng: np.random.Generator) -> Any:
     """In one cell without a choice, or any, the commonest choice of its time and automaton state."""
     empty = np.argwhere(part.policy < 0)
     place = tuple(empty[int(rng.integers(len(empty)))]) if len(empty) else _anywhere(part.policy, rng)
+    assert place is not None
     row = part.policy[place[0], place[1]]
     known = row[row >= 0]
     return replace(part, policy=_put(part.policy, place, np.bincount(known).argmax())) if len(known) else None
@@ -171,9 +172,7 @@ def _start_guard(certificate: cg.Certificate, rng: np.random.Generator) -> Forge
     return _guard_of(certificate, rng, "start_target", "start_mask", "start_masks")
 
 
-def _guard_of(
-    certificate: cg.Certificate, rng: np.random.Generator, target: str, mask: str, masks: str
-) -> Forged | None:
+def _guard_of(certificate: Any, rng: np.random.Generator, target: str, mask: str, masks: str) -> Forged | None:
     targets, chosen = getattr(certificate, target), getattr(certificate, mask)
     if not len(targets):
         return None

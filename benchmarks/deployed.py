@@ -47,8 +47,9 @@ class Deployed:
             letters = np.stack([own[name] for name in part.problem.propositions]) if own else empty
             self.q[k] = part.problem.automaton.next_state(self.q[k], letters)
             if not hasattr(part.controller, "agents"):  # along a path
+                follow: Any = part.controller
                 for j, i in enumerate(members):
-                    inputs[i] = part.controller._inputs(j, states[i], t)
+                    inputs[i] = follow._inputs(j, states[i], t)
                 continue
             for i, agent in zip(members, part.controller.agents, strict=True):
                 x = states[i][:, None]

@@ -242,7 +242,7 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
             words[:, t] |= held[i][name].astype(np.int64) << bit
         if t == spec["horizon"]:
             break
-        inputs, told = act(states, held, t), {}
+        inputs, told = act(states, held, t), dict[str, np.ndarray]()
         for agent, x, u in zip(agents, states, inputs):  # what expressions of others may name, before anybody moves
             low, high = (np.array(agent[side], dtype=float)[:, None] for side in ("input_low", "input_high"))
             told |= {f"{agent['name']}.x{k}": row for k, row in enumerate(x)}

@@ -89,7 +89,11 @@ def trial(kind: str, seed: int, level: float, more: int = 15) -> dict[str, Any]:
                 row["visible"] |= seen
                 estimates.append(estimate)
     except Refuted as error:
-        return row | {"outcome": "REFUTED", "lower": lower, "finding": f"refuted: {error}; check: {refusals or 'valid'}"}
+        return row | {
+            "outcome": "REFUTED",
+            "lower": lower,
+            "finding": f"refuted: {error}; check: {refusals or 'valid'}",
+        }
     outcome = "certified" if LEAST < lower < MOST else "trivial"
     row |= {"outcome": outcome, "lower": lower, "estimate": min(estimates, default=np.nan)}
     return row | ({"finding": f"true, and refused: {refusals}"} if refusals else {})
@@ -123,7 +127,7 @@ def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A set of starts: mixtures of few corners, and a corner that is hardly mixed."""
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
     hull = cg.certified_starts(certificate, spec["probability"], rays=10)
-    rng, claims = np.random.default_rng([5, len(hull.corners)]), []
+    rng, claims = np.random.default_rng([5, len(hull.corners)]), list[Any]()
     for alpha in (0.05, 1e-4)[:STARTS]:
         weights = rng.dirichlet(np.full(len(hull.corners), alpha) + 1e-6)
         inputs = np.tensordot(weights, hull.inputs, axes=1)
@@ -141,10 +145,12 @@ def _of_menus(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
         raise ValueError("of independent tasks")
     permission = cg.permit(certificate, probability=spec["share"] * certificate.lower_bound)
     report = cg.check_permission(permission)
-    claims: Claims = [
-        (spec, lambda n, seed, way=way: Permitted(permission, way, n, seed), permission.lower_bound)
-        for way in ("random", "lowest", "highest", "outermost")
-    ]
+    ways = ("random", "lowest", "highest", "outermost")
+
+    def behaving(way: str) -> Callable[[int, int], Act]:
+        return lambda n, seed: Permitted(permission, way, n, seed)
+
+    claims = [(spec, behaving(way), permission.lower_bound) for way in ways]
     return claims, "" if report else "; ".join(report.failures)
 
 
@@ -168,8 +174,8 @@ def random_network(problem: cg.Problem, spec: Spec) -> Network:
     biases = [0.2 * rng.standard_normal(n) for n in sizes[1:]]
     if not facts["hidden"]:  # against the state
         weights[0][:, :d] -= np.sign(np.array(spec["agents"][0]["B"])[:, :n_out].T[:, :d] if n_out <= d else 0.0)
-    single = (tuple(np.asarray(array, dtype=np.float32) for array in arrays) for arrays in (weights, biases))
-    return Network(*single, facts["activation"], facts["squashed"])
+    first, second = (tuple(np.asarray(array, dtype=np.float32) for array in arrays) for arrays in (weights, biases))
+    return Network(first, second, facts["activation"], facts["squashed"])
 
 
 def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
@@ -179,7 +185,7 @@ def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
         raise ValueError("of independent tasks")
     end = bound_above(certificate)
     failing = {**spec, "fails": True}
-    claims = [(failing, lambda n, seed: Deployed(certificate, n, seed), 1.0 - end.upper_bound)]
+    claims: Claims = [(failing, lambda n, seed: Deployed(certificate, n, seed), 1.0 - end.upper_bound)]
     return claims, "; ".join(wrong_upper_end(end, certificate))
 
 

@@ -27,7 +27,7 @@ def small_spec(kind: str, seed: int) -> Spec:
 def _problem(rng: np.random.Generator, agents: list[Spec], options: Spec, horizons: tuple[int, ...]) -> Spec:
     """Regions, a task and starts for agents, drawn in this order."""
     propositions: dict[str, Spec] = {}
-    goals, safes = [], []
+    goals, safes = list[str](), list[str]()
     for agent in agents:
         for what, names in (("goal", goals), ("safe", safes)):
             if rng.random() < 0.75 or not names:
@@ -237,9 +237,7 @@ def _lawful(rng: np.random.Generator) -> Spec:
             agent["scales"] = [1.0] * d
     sizes = (14, 32) if d == 1 and len(agents) == 1 else (8, 14) if d == 1 else (5, 8)
     cells = {agent["name"]: [int(rng.integers(*sizes)) for _ in range(d)] for agent in agents}
-    return _told_starts(
-        _problem(rng, agents, {"cells": cells, "relation": "boxes", "max_sweeps": 1}, (1, 2, 3, 4))
-    )
+    return _told_starts(_problem(rng, agents, {"cells": cells, "relation": "boxes", "max_sweeps": 1}, (1, 2, 3, 4)))
 
 
 def _coupled(rng: np.random.Generator) -> Spec:
@@ -333,7 +331,8 @@ def _networks(rng: np.random.Generator) -> Spec:
     cells = {agent["name"]: [int(rng.integers(*((50, 120) if d == 1 else (10, 16)))) for _ in range(d)]
              for agent in agents}  # fmt: skip
     spec = _problem(rng, agents, {"cells": cells}, (1, 2, 3))
-    spec["network"] = {"seed": int(rng.integers(2**31)), "hidden": [int(n) for n in rng.integers(3, 9, rng.integers(3))],
+    hidden = [int(n) for n in rng.integers(3, 9, rng.integers(3))]
+    spec["network"] = {"seed": int(rng.integers(2**31)), "hidden": hidden,
                        "activation": str(rng.choice(["tanh", "relu"])), "squashed": bool(rng.random() < 0.4),
                        "relation": str(rng.choice(["linear", "boxes"]))}  # fmt: skip
     return spec

@@ -1,4 +1,4 @@
-"""Where numbers nearly meet, or have units far apart, what is true passes the check, and the search says what it cannot.
+"""Where numbers nearly meet, or have units far apart, what is true passes the check, or the search says why not.
 
 Each of these was found by the small problems of ``benchmarks/adversary.py``; sabotages stand beside the repairs.
 """
@@ -13,7 +13,11 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.cells import agent_grids
+from certigym.synthesis.checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
+from certigym.synthesis.relations import Network
+from certigym.validation.policies.actors import SharedActor
+from certigym.validation.policies.views import SharedView
 from network_problems import changed, proportional, reach
 from test_paths_are_certified import path_of
 
@@ -45,7 +49,11 @@ def test_edges_that_differ_by_rounding_are_named(relation: str, steps: int) -> N
     with pytest.raises(ValueError) as refusal:
         cg.synthesize(problem, 20, relation=relation)
     told = str(refusal.value)
-    assert "0.3 of region `p`" in told and f"{float(problem.propositions['q'].high[0])!r}" in told and "make them equal" in told
+    assert (
+        "0.3 of region `p`" in told
+        and f"{float(problem.propositions['q'].high[0])!r}" in told
+        and "make them equal" in told
+    )
 
 
 def test_so_is_an_edge_beside_the_workspace_and_the_grid_of_a_network() -> None:
@@ -101,6 +109,14 @@ def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> N
     assert report, report.failures
     assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-9)
     assert not cg.check(replace(certificate, failure=0.9999 * certificate.failure))
+
+
+def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
+    certificate = path_of(turned([1.0, 1.0]))
+    agent = turned([1e10, 1.0], noise=np.diag([1e-320, 0.01])).agents[0]
+    assert isinstance(agent, cg.LinearAgent) and agent.noise_covariance[0, 0] > 0.0
+    motion = Motion.of(agent, certificate.paths[0])
+    assert np.array_equal(motion.agent.units, [1.0, 1.0]) and np.array_equal(motion.agent.A, agent.A)
 
 
 def test_rollouts_agree_in_uneven_units() -> None:
@@ -174,7 +190,10 @@ def test_networks_are_looked_at_where_something_is_claimed() -> None:
         state_high=[4.0, 4.0], input_low=[-2.0, -2.0], input_high=[2.0, 2.0], initial_state=[0.3, 0.1],
     )  # fmt: skip
     problem = reach(agent, horizon=2)
-    certificate: Any = certify_network(problem, proportional(problem), 12, relation="boxes").certificate
+    row = np.zeros((2, SharedView(problem).size), dtype=np.float32)
+    row[:, :2] = -0.9 * np.eye(2)  # linear in the state, up to the edge of the workspace
+    actor = SharedActor(problem, Network((row,), (np.zeros(2, dtype=np.float32),), "tanh", False))
+    certificate: Any = certify_network(problem, actor, 12, relation="boxes").certificate
     assert cg.check(certificate), cg.check(certificate).failures
     network = certificate.agents[0].relation["network"]
     weights = [np.array(layer).tolist() for layer in network["weights"]]

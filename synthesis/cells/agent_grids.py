@@ -67,7 +67,8 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
         boundaries = _named_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
         ends = float(low[k]), float(high[k])
         _refuse_nearly_equal(agent.name, k, ends, boundaries)
-        tried = (aligned_edges(*ends, cells[k] + more, [edge for edge, _ in boundaries]) for more in range(MOST_MORE + 1))
+        numbers = range(cells[k], cells[k] + MOST_MORE + 1)
+        tried = (aligned_edges(*ends, number, [edge for edge, _ in boundaries]) for number in numbers)
         edges.append(_off_the_start(agent, coordinates, k, tried))
     return Grid(tuple(edges)), coordinates
 
@@ -77,17 +78,17 @@ def _off_the_start(agent: AnyAgent, coordinates: FloatArray, axis: int, tried: I
 
     There a controller may read another cell than the proof. A start of zeros is read without rounding.
     """
-    first = next(tried)
-    if np.array_equal(coordinates, np.eye(len(coordinates))) or not agent.initial.is_point or not np.any(agent.initial.low):
+    first, start = next(tried), agent.initial
+    if np.array_equal(coordinates, np.eye(len(coordinates))) or not start.is_point or not np.any(start.low):
         return first
     inverse = np.linalg.inv(coordinates)
-    start, size = inverse[axis] @ agent.initial.low, np.abs(inverse[axis]) @ np.abs(agent.initial.low)
+    point, size = inverse[axis] @ start.low, np.abs(inverse[axis]) @ np.abs(start.low)
     for edges in (first, *tried):
-        if np.all(np.abs(edges - start) > APART * (size + max(abs(edges[0]), abs(edges[-1])))):
+        if np.all(np.abs(edges - point) > APART * (size + max(abs(edges[0]), abs(edges[-1])))):
             return edges
     raise RelationRefused(
         f"`initial_state`: expected a start of agent `{agent.name}` off the edges of regions and workspace along state "
-        f"{axis}, as its noise is correlated and its cells lie askew, got {agent.initial.low.tolist()}; move it a little"
+        f"{axis}, as its noise is correlated and its cells lie askew, got {start.low.tolist()}; move it a little"
     )
 
 
@@ -99,9 +100,9 @@ def _refuse_nearly_equal(name: str, axis: int, ends: tuple[float, float], bounda
     for (one, first), (other, second) in zip(known, known[1:], strict=False):
         if one < other < one + least:
             raise RelationRefused(
-                f"`propositions`: expected edges of regions and workspace of agent `{name}` along state {axis} that are "
-                f"equal or more than {least:.2g} apart, got {one!r} of {first} and {other!r} of {second}; make them "
-                "equal, or move one of them"
+                f"`propositions`: expected edges of regions and workspace of agent `{name}` along state {axis} that "
+                f"are equal or more than {least:.2g} apart, got {one!r} of {first} and {other!r} of {second}; make "
+                "them equal, or move one of them"
             )
 
 

@@ -133,7 +133,9 @@ class _Rays:
         self.response = Response.of(agent, steps)
         self.powers = [np.linalg.matrix_power(agent.A, t) for t in range(steps + 1)]
         self.problem = problem
-        self.spare = SPARE * (1.0 + np.abs(agent.output_matrix) @ np.maximum(abs(agent.state_low), abs(agent.state_high)))
+        self.spare = SPARE * (
+            1.0 + np.abs(agent.output_matrix) @ np.maximum(abs(agent.state_low), abs(agent.state_high))
+        )
         self.sides = self._sides(agent.output_matrix @ agent.initial.low)
 
     def _sides(self, outputs: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
@@ -167,7 +169,7 @@ class _Rays:
                 del fixed[p]
         return [(low, high) for _, low, high in fixed.values()]
 
-    def _is_one_state(self, values: list[tuple[bool, ...]]) -> bool:
+    def _is_one_state(self, values: Sequence[tuple[bool, ...]]) -> bool:
         """Return whether all letters with these values lead to the same state."""
         if math.prod(map(len, values)) > MOST_LETTERS:
             return False
