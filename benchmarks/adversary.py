@@ -2,6 +2,8 @@
 
     python benchmarks/adversary.py claims --trials 800        random problems; certificates against ``independent``
     python benchmarks/adversary.py forgeries --trials 40      every field of certificates changed, digest recomputed
+    python benchmarks/adversary.py kinds --kind paths         small problems of one kind, until 300 say something
+    python benchmarks/adversary.py cells --kind paths         one entry of honest claims of one kind changed
     python benchmarks/adversary.py files                      hostile files and formulas, under limits
 
 Every finding is printed with the seed that makes it. A claim is refuted if what was seen has probability below 1e-6,
@@ -22,69 +24,24 @@ import numpy as np
 from scipy.stats import binom
 
 import certigym as cg
+from deployed import Deployed, problem_of
 from forgeries import Forgery, forgeries, opened, written
 from hostile import CASES, limited
 from independent import successes
+from kind_trials import INFLATION, forged_cells, trial
 from measuring import Rows, show
 from random_expressions import aimed_spec, polar_spec, uneven_spec, written_spec
 from random_problems import Spec, random_spec
+from small_problems import MAKERS
 
 FALSE_ALARM = 1e-6
 """Probability that a campaign of true claims reports a refuted one."""
-
-INFLATION = 0.01
-"""A claim that is false by so much counts as visible if it would have been refuted."""
-
-
-def agent_of(agent: Spec) -> cg.LinearAgent | cg.Agent:
-    """The package's record of a random agent."""
-    return cg.Agent(**agent["written"]) if "written" in agent else cg.LinearAgent(**agent)
 
 
 def drawn(seed: int, relation: str | None) -> Spec:
     """A random problem; those of `written`, `aimed`, `polar` and `uneven` have agents with expressions."""
     kinds = {"aimed": aimed_spec, "written": written_spec, "polar": polar_spec, "uneven": uneven_spec}
     return kinds[relation](seed) if relation in kinds else random_spec(seed, relation)
-
-
-def problem_of(spec: Spec) -> cg.Problem:
-    """The package's record of a random problem."""
-    return cg.Problem(
-        name="random",
-        horizon=spec["horizon"],
-        agents=[agent_of(agent) for agent in spec["agents"]],
-        propositions={name: cg.Proposition(**region) for name, region in spec["propositions"].items()},
-        specification=cg.Specification(spec["text"], spec["semantics"]),
-    )
-
-
-class Deployed:
-    """The controllers of a certificate, their automaton states kept by letters that the simulator read."""
-
-    def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
-        self.problem = certificate.problem
-        parts = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
-        names = self.problem.agent_names
-        self.parts = [(part, [names.index(name) for name in part.problem.agent_names]) for part in parts]
-        self.q = [np.full(episodes, part.problem.automaton.initial) for part, _ in self.parts]
-        self.memory: dict[int, Any] = {}
-        self.rng = np.random.default_rng([seed, 1])
-
-    def __call__(self, states: list[np.ndarray], held: list[dict[str, np.ndarray]], t: int) -> list[np.ndarray]:
-        inputs: list[Any] = [None] * len(states)
-        for k, (part, members) in enumerate(self.parts):
-            own = {name: value for i in members for name, value in held[i].items()}
-            empty = np.zeros((0, len(self.q[k])), dtype=bool)
-            letters = np.stack([own[name] for name in part.problem.propositions]) if own else empty
-            self.q[k] = part.problem.automaton.next_state(self.q[k], letters)
-            for i, agent in zip(members, part.controller.agents, strict=True):
-                x = states[i][:, None]
-                if t == 0:
-                    self.memory[i] = agent.begin(x)
-                uniform = self.rng.random((1, x.shape[-1])) if agent.draws else None
-                u, self.memory[i] = agent.act(x, self.q[k], t, self.memory[i], uniform)
-                inputs[i] = u[:, 0]
-        return inputs
 
 
 def claim(seed: int, episodes: int, level: float, relation: str | None = None) -> dict[str, Any]:
@@ -144,6 +101,35 @@ def claims(trials: int, episodes: int, first: int, relation: str | None = None) 
         }
     ]  # fmt: skip
     show("Random problems against an independent simulator", table)
+    show("Reasons for refusing", [{"times": n, "reason": reason} for reason, n in reasons.most_common(12)])
+    return sum(bool(row["finding"]) for row in rows)
+
+
+def of_kind(kind: str, wanted: int, first: int, most: int, more: int) -> int:
+    """Problems of one kind until so many are certified and non-trivial; the number of findings."""
+    level, rows, reasons, began = FALSE_ALARM / most, list[dict[str, Any]](), Counter[str](), time.time()
+    for seed in range(first, first + most):
+        try:
+            row = trial(kind, seed, level, more)
+        except Exception as error:  # noqa: BLE001 a traceback is a finding, too
+            row = {"seed": seed, "outcome": "error", "visible": False, "finding": f"{type(error).__name__}: {error}"}
+        if row["finding"]:
+            print(f"{kind}, seed {row['seed']}: {row['outcome']}: {row['finding']}", flush=True)
+        if row["outcome"] == "refused":
+            reasons[row["reason"][:70]] += 1
+        rows.append(row)
+        if sum(row["outcome"] in ("certified", "REFUTED") for row in rows) >= wanted:
+            break
+    count = Counter(str(row["outcome"]) for row in rows)
+    told: Rows = [
+        {
+            "kind": kind, "problems": len(rows), "certified": count["certified"] + count["REFUTED"],
+            "trivial": count["trivial"], "refused in words": count["refused"], "refuted": count["REFUTED"],
+            "true, and refused": sum(row["finding"].startswith("true, and") for row in rows), "errors": count["error"],
+            f"visible +{INFLATION}": sum(bool(row["visible"]) for row in rows), "minutes": (time.time() - began) / 60,
+        }
+    ]  # fmt: skip
+    show("Small problems against an independent simulator", told)
     show("Reasons for refusing", [{"times": n, "reason": reason} for reason, n in reasons.most_common(12)])
     return sum(bool(row["finding"]) for row in rows)
 
@@ -213,6 +199,23 @@ def forge_all(trials: int, episodes: int, first: int, per_array: int, relation: 
     return findings
 
 
+def forge_cells(kind: str, wanted: int, first: int, each: int) -> int:
+    """Forgeries of one cell of so many honest claims of a kind; the number of findings."""
+    outcomes, sorts, findings, done, seed = Counter[str](), Counter[str](), 0, 0, first
+    while done < wanted and seed < first + 40 * wanted:
+        forged = forged_cells(kind, seed, each, FALSE_ALARM / (1000 * wanted))
+        for name, outcome, finding in forged:
+            outcomes[outcome] += 1
+            sorts[f"{name}: {outcome}"] += 1
+            if finding:
+                findings += 1
+                print(f"{kind}, seed {seed}: {name}: {outcome}: {finding}", flush=True)
+        done, seed = done + bool(forged), seed + 1
+    show("Forgeries of one cell", [{"kind": kind, "claims": done, **outcomes, "findings": findings}])
+    show("Sorts", [{"times": n, "what": sort} for sort, n in sorted(sorts.items())])
+    return findings
+
+
 def files() -> int:
     """All hostile files, formulas and numbers, each in a process of its own; the number of findings."""
     rows = [row for name in CASES for row in limited([name])]
@@ -232,17 +235,23 @@ def files() -> int:
 def main() -> int:
     """Run one part of the campaign; the exit status is 1 if there are findings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["claims", "forgeries", "files"])
+    parser.add_argument("part", choices=["claims", "kinds", "cells", "forgeries", "files"])
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     parser.add_argument(
         "--relation", help="one relation, such as linear; `written`, `aimed`, `polar`, `uneven`: expressions"
     )
+    parser.add_argument("--kind", choices=sorted(MAKERS), default="states", help="kind of small problems")
+    parser.add_argument("--more", type=int, default=15, help="how much longer the second look is")
     parser.add_argument("--per-array", type=int, default=4, help="forgeries of each array of a certificate")
     given = parser.parse_args()
     if given.part == "files":
         return int(files() > 0)
+    if given.part == "kinds":
+        return int(of_kind(given.kind, given.trials, given.seed, 10 * given.trials, given.more) > 0)
+    if given.part == "cells":
+        return int(forge_cells(given.kind, given.trials, given.seed, given.per_array) > 0)
     if given.part == "claims":
         return int(claims(given.trials, given.episodes, given.seed, given.relation) > 0)
     return int(forge_all(given.trials, given.episodes // 5, given.seed, given.per_array, given.relation) > 0)

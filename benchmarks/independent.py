@@ -242,7 +242,11 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
             words[:, t] |= held[i][name].astype(np.int64) << bit
         if t == spec["horizon"]:
             break
-        inputs = act(states, held, t)
+        inputs, told = act(states, held, t), dict[str, np.ndarray]()
+        for agent, x, u in zip(agents, states, inputs):  # what expressions of others may name, before anybody moves
+            low, high = (np.array(agent[side], dtype=float)[:, None] for side in ("input_low", "input_high"))
+            told |= {f"{agent['name']}.x{k}": row for k, row in enumerate(x)}
+            told |= {f"{agent['name']}.u{j}": row for j, row in enumerate(np.clip(u, low, high))}
         for i, (agent, x, u) in enumerate(zip(agents, states, inputs)):
             low, high = (np.array(agent[side], dtype=float)[:, None] for side in ("input_low", "input_high"))
             running = left > t
@@ -254,17 +258,21 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
                 noise = (
                     _uneven(agent, x, applied, rng) if "laws" in agent else factors[i] @ rng.standard_normal(x.shape)
                 )
-                states[i] = _bent(agent, x, applied, winds) + noise
+                states[i] = _bent(agent, x, applied, winds, told) + noise
                 continue
             noise = factors[i] @ rng.standard_normal(x.shape)
             offset = np.array(agent.get("offset") or np.zeros(len(x)), dtype=float)[:, None]
             states[i] = np.array(agent["A"]) @ x + np.array(agent["B"]) @ u + offset + noise
-    return _count(spec, names, words, left), beyond
+    number = _count(spec, names, words, left)
+    # A claim about an upper end is one about failures.
+    return (episodes - number if spec.get("fails") else number), beyond
 
 
-def _bent(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _bent(
+    agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator, told: dict[str, np.ndarray]
+) -> np.ndarray:
     """Means (d, M) of agents whose dynamics are nested tuples; disturbances jump between their ends."""
-    values = {f"x{k}": row for k, row in enumerate(x)} | {f"u{j}": row for j, row in enumerate(u)}
+    values = {f"x{k}": row for k, row in enumerate(x)} | {f"u{j}": row for j, row in enumerate(u)} | told
     for name, ends in agent["winds"].items():
         values[name] = np.where(rng.random(x.shape[1]) < 0.7, ends[0], ends[1])
     with np.errstate(all="ignore"):

@@ -209,6 +209,25 @@ MUTANTS = [
         ("if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):", "if False:"),
     ),
     *_in(
+        "synthesis/checking/path_check.py",
+        (
+            '"noise_covariance": (agent.noise_covariance, state, 1.0 / state)',
+            '"noise_covariance": (agent.noise_covariance, state, state)',
+        ),
+        ("        state, values = np.ones(agent.n_states), {", "        values = {"),
+        ("if region.agent != owner or value == 0:", "if region.agent != name or value == 0:"),
+    ),
+    *_in(
+        "synthesis/checking/carrying_out.py",
+        ("np.nextafter(e[k + 1], e[k])", "e[k + 1]"),
+        ("here = np.flatnonzero((choice == mode) & inside)", "here = np.flatnonzero((choice == mode) & ~inside)"),
+    ),
+    *_in(
+        "synthesis/cells/agent_grids.py",
+        ("if one < other < one + least:", "if False:"),
+        ("for edges in (first, *tried):", "for edges in (first,):"),
+    ),
+    *_in(
         "synthesis/checking/start_check.py",
         ("if problem.starts_outside:", "if False:"),
         ("if problem.initial_q is None:", "if False:"),

@@ -10,9 +10,13 @@ import pytest
 import certigym as cg
 from adversary import FALSE_ALARM, claim, drawn, forged, problem_of
 from forgeries import forgeries, opened
+from kind_trials import forged_cells, trial
+from small_problems import MAKERS
 
 CLAIMS, WRITTEN, FIRST, EPISODES = 16, 8, 900_000, 20_000
 FORGERIES, FORGED_SEEDS = 8, (910_001, 910_004)
+SMALL = 4
+"""Small problems of every kind."""
 
 
 @pytest.mark.parametrize("seed", range(FIRST, FIRST + CLAIMS))
@@ -33,6 +37,25 @@ def test_random_claims_about_written_agents_are_true(seed: int, kind: str) -> No
     row = claim(seed, EPISODES, FALSE_ALARM / (6 * WRITTEN), kind)
     assert row["finding"] == "", row
     assert row["outcome"] in ("refused", "certified", "nothing certified")
+
+
+@pytest.mark.parametrize("kind", sorted(MAKERS))
+def test_small_problems_of_every_kind_are_true_and_accepted(kind: str) -> None:
+    """Claims of every kind that the simulator does not refute pass the check; false alarm 1e-6 over all kinds."""
+    rows = [trial(kind, seed, FALSE_ALARM / (SMALL * len(MAKERS)), 0) for seed in range(FIRST, FIRST + SMALL)]
+    assert [row for row in rows if row["finding"]] == []
+
+
+@pytest.mark.parametrize("kind", ["states", "paths", "hulls", "menus", "networks"])
+def test_forgeries_of_one_cell_are_refused_or_true(kind: str) -> None:
+    """One entry of an honest claim is another: what is false is refused; some are refused, so that the forger works."""
+    found = []
+    for seed in range(FIRST, FIRST + 40):
+        found += forged_cells(kind, seed, 1, FALSE_ALARM / 1000)
+        if len(found) >= 4:
+            break
+    assert [(name, finding) for name, _, finding in found if finding] == []
+    assert len(found) >= 4 and any(outcome == "refused" for _, outcome, _ in found)
 
 
 def _certified(first: int, relation: str | None = None) -> tuple[dict, cg.Certificate]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -30,6 +30,18 @@ LEAST_ROOM_SHARE = 0.1
 A start on the face itself would leave no room, and feedbacks are judged by the share of the room that they take.
 """
 
+NEAREST = 1e-11
+"""Least distance of different edges, as a share of the largest number of their axis: 10^4 to 10^5 units of rounding.
+
+Cells that are not much wider than rounding hold nearly no mass, and what is fed back of the place in them is noise.
+"""
+
+MOST_MORE = 3
+"""Most cells that an axis gets beyond those asked for, to have its edges off the start."""
+
+APART = 1e-9
+"""Least distance of such a start from edges, as a share of the numbers that it is computed from."""
+
 MOST_CELLS = 20_000_000
 """Most cells of one agent: their tables take some GB."""
 
@@ -52,9 +64,46 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
     # Axes that are state axes up to scale (rows with a single entry) have their edges on region boundaries.
     edges = []
     for k in range(agent.n_states):
-        boundaries = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
-        edges.append(aligned_edges(float(low[k]), float(high[k]), cells[k], boundaries))
+        boundaries = _named_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
+        ends = float(low[k]), float(high[k])
+        _refuse_nearly_equal(agent.name, k, ends, boundaries)
+        numbers = range(cells[k], cells[k] + MOST_MORE + 1)
+        tried = (aligned_edges(*ends, number, [edge for edge, _ in boundaries]) for number in numbers)
+        edges.append(_off_the_start(agent, coordinates, k, tried))
     return Grid(tuple(edges)), coordinates
+
+
+def _off_the_start(agent: AnyAgent, coordinates: FloatArray, axis: int, tried: Iterator[FloatArray]) -> FloatArray:
+    """Return the first edges on none of which a start lies to rounding, in coordinates other than the states.
+
+    There a controller may read another cell than the proof. A start of zeros is read without rounding.
+    """
+    first, start = next(tried), agent.initial
+    if np.array_equal(coordinates, np.eye(len(coordinates))) or not start.is_point or not np.any(start.low):
+        return first
+    inverse = np.linalg.inv(coordinates)
+    point, size = inverse[axis] @ start.low, np.abs(inverse[axis]) @ np.abs(start.low)
+    for edges in (first, *tried):
+        if np.all(np.abs(edges - point) > APART * (size + max(abs(edges[0]), abs(edges[-1])))):
+            return edges
+    raise RelationRefused(
+        f"`initial_state`: expected a start of agent `{agent.name}` off the edges of regions and workspace along state "
+        f"{axis}, as its noise is correlated and its cells lie askew, got {start.low.tolist()}; move it a little"
+    )
+
+
+def _refuse_nearly_equal(name: str, axis: int, ends: tuple[float, float], boundaries: list[tuple[float, str]]) -> None:
+    """Refuse edges of one axis that differ, but by so little that rounding does not tell what lies between them."""
+    least = NEAREST * max(abs(ends[0]), abs(ends[1]))
+    inside = [(edge, f"region `{region}`") for edge, region in boundaries if ends[0] < edge < ends[1]]
+    known = sorted([(end, "the workspace") for end in ends] + inside)
+    for (one, first), (other, second) in zip(known, known[1:], strict=False):
+        if one < other < one + least:
+            raise RelationRefused(
+                f"`propositions`: expected edges of regions and workspace of agent `{name}` along state {axis} that "
+                f"are equal or more than {least:.2g} apart, got {one!r} of {first} and {other!r} of {second}; make "
+                "them equal, or move one of them"
+            )
 
 
 def _noise_coordinates(agent: AnyAgent) -> FloatArray:
@@ -85,16 +134,21 @@ def _noise_coordinates(agent: AnyAgent) -> FloatArray:
 
 def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
     """Return the region boundaries of agent i that are hyperplanes of one state coordinate."""
+    return [edge for edge, _ in _named_boundaries(problem, i, axis)]
+
+
+def _named_boundaries(problem: Problem, i: int, axis: int) -> list[tuple[float, str]]:
+    """Return the same boundaries, each with the name of its region."""
     agent = problem.agents[i]
     boundaries = []
-    for proposition in problem.propositions.values():
+    for name, proposition in problem.propositions.items():
         if proposition.agent != agent.name:
             continue
         for k, (low, high) in enumerate(zip(proposition.low, proposition.high, strict=True)):
             # A region bounds a single state where its output is a multiple of that state.
             found = agent.output_axis(k)
             if found is not None and found[0] == axis:
-                boundaries += [float(low / found[1]), float(high / found[1])]
+                boundaries += [(float(edge / found[1]), name) for edge in (low, high)]
     return boundaries
 
 

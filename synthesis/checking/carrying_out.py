@@ -77,7 +77,9 @@ def _wrong_means(
         share[rng.random(share.shape) < 0.25] = 0.0
     index = np.unravel_index(cells, part.grid.shape)
     axes = zip(part.grid.edges, index, share, strict=True)
-    states = part.coordinates @ np.stack([e[k] + r * (e[k + 1] - e[k]) for e, k, r in axes])
+    # Where a cell is a few units of rounding wide, its highest point is the one below the next edge.
+    points = [np.minimum(e[k] + r * (e[k + 1] - e[k]), np.nextafter(e[k + 1], e[k])) for e, k, r in axes]
+    states = part.coordinates @ np.stack(points)
     beside = _anywhere(agent, count, rng)
     inputs = controller.act(states[:, None], q, t, None, None, None if beside is None else beside[:, None])[0][:, 0]
     if not np.all((agent.input_box.low[:, None] <= inputs) & (inputs <= agent.input_box.high[:, None])):
@@ -101,7 +103,7 @@ def _wrong_means(
     # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
     # states have failed, so that nothing is claimed of the step from there.
     inside = np.all((agent.workspace.low[:, None] <= states) & (states <= agent.workspace.high[:, None]), axis=0)
-    for mode in np.unique(choice[networked & (choice >= 0)]):
+    for mode in np.unique(choice[networked & inside & (choice >= 0)]):
         here = np.flatnonzero((choice == mode) & inside)[:NETWORKED]
         low, high = _network_means(agent, part, cells[here], int(mode), states[:, here])
         beyond = (mean[:, here] < low.T - execution.mean[:, None]) | (mean[:, here] > high.T + execution.mean[:, None])

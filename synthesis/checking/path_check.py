@@ -62,6 +62,24 @@ class Powers:
 
 
 @dataclass(frozen=True, eq=False)
+class System:
+    """Matrices, ranges and start of a linear agent, in ``units`` (d,) of the states that are powers of two."""
+
+    units: FloatArray
+
+    A: FloatArray
+    B: FloatArray
+    offset: FloatArray
+    noise_covariance: FloatArray
+    start: FloatArray
+    state_low: FloatArray
+    state_high: FloatArray
+    input_low: FloatArray
+    input_high: FloatArray
+    output_matrix: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Nominal path of one agent, what means may be off by, and the deviations from it.
 
@@ -69,23 +87,25 @@ class Motion:
     state may be from them, ``powers`` those of the closed loop.
     """
 
-    agent: LinearAgent
+    name: str
+    agent: System
     path: AgentPath
     states: FloatArray
     off: list[float]
     powers: Powers
 
     @classmethod
-    def of(cls, agent: LinearAgent, path: AgentPath) -> Motion:
-        """Follow the nominal inputs of an agent."""
-        steps, d, m = len(path.inputs), agent.n_states, agent.n_inputs
+    def of(cls, moved: LinearAgent, followed: AgentPath) -> Motion:
+        """Follow the nominal inputs of an agent, states and inputs in units in which they are of about one size."""
+        agent, path = _in_even_units(moved, followed)
+        steps, (d, m) = len(path.inputs), agent.B.shape
         unit = 2.0 * (d + m + 4.0) * UNIT
         size_B, size_K = float(np.linalg.norm(agent.B)) * TAIL, float(np.linalg.norm(path.gain)) * TAIL
         size_A, size_c = float(np.linalg.norm(agent.A)) * TAIL, float(np.linalg.norm(agent.offset)) * TAIL
         wrong = unit * (size_A + size_B * size_K) if size_K else 0.0  # without feedback nothing is added
         closed = Powers.of(agent.A + agent.B @ path.gain, wrong, steps + 1)
         states, rounded = np.zeros((steps + 1, d)), []
-        states[0] = agent.initial.low
+        states[0] = agent.start
         for t, u in enumerate(path.inputs):
             states[t + 1] = agent.A @ states[t] + agent.B @ u + agent.offset
             parts = size_A * float(np.linalg.norm(states[t])) + size_B * float(np.linalg.norm(u)) + size_c
@@ -100,7 +120,7 @@ class Motion:
                 span = largest + float(np.linalg.norm(states[t])) + off[t]
                 pushed.append(size_B * (size_K * off[t] + unit * (float(np.linalg.norm(u)) + size_K * span)) * TAIL)
             off = [first + second for first, second in zip(off, closed.carried(pushed), strict=True)]
-        return cls(agent, path, states, off, closed)
+        return cls(moved.name, agent, path, states, off, closed)
 
     def variances(self, t: int, rows: FloatArray) -> FloatArray:
         """Variances (J,) of rows (J, d) of the deviation at time t, from above."""
@@ -115,6 +135,40 @@ class Motion:
         return np.maximum(total, 0.0) + error * TAIL
 
 
+def _in_even_units(agent: LinearAgent, path: AgentPath) -> tuple[System, AgentPath]:
+    """Return the matrices of an agent and its path, every state and input counted in a power of two near its range.
+
+    Norms take states together: in units of their own, what a large one is off by would be charged to a small one. With
+    powers of two every number keeps its digits, and so does every sum and product that the controller forms: what is
+    off by rounding is the same in both units. Where numbers would leave the range of floating point, nothing is done.
+    """
+    state, push = _near(agent.state_high - agent.state_low), _near(agent.input_high - agent.input_low)
+    output = np.ones(agent.n_outputs)
+    # Every array, what its rows are counted in, and what its columns are counted per.
+    units = {
+        "A": (agent.A, state, state), "B": (agent.B, state, push), "offset": (agent.offset, state),
+        "noise_covariance": (agent.noise_covariance, state, 1.0 / state), "start": (agent.initial.low, state),
+        "state_low": (agent.state_low, state), "state_high": (agent.state_high, state),
+        "input_low": (agent.input_low, push), "input_high": (agent.input_high, push),
+        "output_matrix": (agent.output_matrix, output, state),
+        "inputs": (path.inputs, np.ones(len(path.inputs)), 1.0 / push), "gain": (path.gain, push, state),
+    }  # fmt: skip
+    values, is_kept = {}, True
+    for name, (array, rows, *columns) in units.items():
+        factor = np.outer(1.0 / rows, columns[0]) if columns else 1.0 / rows
+        values[name] = array * factor
+        is_kept &= bool(np.array_equal(values[name] / factor, array))
+    if not is_kept:
+        state, values = np.ones(agent.n_states), {name: array for name, (array, *_) in units.items()}
+    inputs, gain = values.pop("inputs"), values.pop("gain")
+    return System(state, **values), AgentPath(inputs, gain)
+
+
+def _near(width: FloatArray) -> FloatArray:
+    """Return powers of two near widths; 1 for inputs of a single value."""
+    return np.asarray(2.0 ** np.round(np.log2(np.where(width > 0.0, width, 1.0))))
+
+
 def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     """What is wrong with a certificate along a path, and an upper bound on the probability of failing."""
     problem = certificate.problem
@@ -125,9 +179,9 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     if failures:
         return failures, 1.0
     log_kept = 0.0
-    for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
+    for agent, path in zip(problem.agents, certificate.paths, strict=True):
         assert isinstance(agent, LinearAgent)
-        log_kept += float(np.log1p(-min(1.0 - 1e-16, _failure(certificate, i, Motion.of(agent, path)))))
+        log_kept += float(np.log1p(-min(1.0 - 1e-16, _failure(certificate, Motion.of(agent, path)))))
     return [], min(1.0, float(-np.expm1(log_kept)) * TAIL)
 
 
@@ -138,7 +192,7 @@ def both_failures(certificate: PathCertificate) -> tuple[float, float]:
     """
     agent = certificate.problem.agents[0]
     assert isinstance(agent, LinearAgent)
-    return _both(certificate, 0, Motion.of(agent, certificate.paths[0]))[1:]
+    return _both(certificate, Motion.of(agent, certificate.paths[0]))[1:]
 
 
 def _wrong_form(certificate: PathCertificate) -> list[str]:
@@ -216,13 +270,13 @@ def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> se
     return targets
 
 
-def _failure(certificate: PathCertificate, i: int, motion: Motion) -> float:
-    """Upper bound on the probability that an inequality of agent i fails."""
-    return min(_both(certificate, i, motion))
+def _failure(certificate: PathCertificate, motion: Motion) -> float:
+    """Upper bound on the probability that an inequality of an agent fails."""
+    return min(_both(certificate, motion))
 
 
-def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, float, float]:
-    """Upper bounds on the probability that an inequality of agent i fails.
+def _both(certificate: PathCertificate, motion: Motion) -> tuple[float, float, float]:
+    """Upper bounds on the probability that an inequality of an agent fails, in the units of its motion.
 
     By Boole, whatever the nominal values; the same where every nominal value keeps its limits, else 1; and by the
     correlation inequality.
@@ -230,7 +284,7 @@ def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, 
     agent, path = motion.agent, motion.path
     below, above = [], []
     for t in range(1, certificate.n_steps + 1):
-        rows, low, high = _limits(certificate, i, t)
+        rows, low, high = _limits(certificate, motion.name, agent, t)
         off = np.linalg.norm(rows, axis=1) * motion.off[t] * TAIL
         tails = _tails(rows @ motion.states[t], off, motion.variances(t, rows), low, high)
         below.append(tails[0])
@@ -259,32 +313,34 @@ def _both(certificate: PathCertificate, i: int, motion: Motion) -> tuple[float, 
     return min(1.0, boole), min(1.0, boole), min(1.0, correlated)
 
 
-def _moved_inputs(agent: LinearAgent, path: AgentPath) -> NDArray[np.bool_]:
+def _moved_inputs(agent: System, path: AgentPath) -> NDArray[np.bool_]:
     """Whether the feedback may move inputs (S, m), by where matrices have zeros: the others have deviations of 0."""
     steers = path.gain != 0.0
     passes = (agent.A != 0.0) | ((agent.B != 0.0) @ steers)
     noisy = np.any(agent.noise_covariance != 0.0, axis=1)
-    reached, moved = np.zeros(agent.n_states, dtype=bool), []
+    reached, moved = np.zeros(len(agent.A), dtype=bool), []
     for _ in path.inputs:
         moved.append(steers @ reached)
         reached = noisy | (passes @ reached)
     return np.array(moved)
 
 
-def _limits(certificate: PathCertificate, i: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rows (J, d) of the inequalities on the state of agent i at time t, and their limits."""
-    problem, agent = certificate.problem, certificate.problem.agents[i]
-    assert isinstance(agent, LinearAgent)
-    rows, low, high = [*np.eye(agent.n_states)], [*agent.state_low], [*agent.state_high]
+def _limits(
+    certificate: PathCertificate, owner: str, agent: System, t: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rows (J, d) of the inequalities on the state of an agent at time t, and their limits."""
+    problem = certificate.problem
+    # Limits are those of the problem: rows give outputs and states in its units.
+    rows, low, high = [*np.diag(agent.units)], [*(agent.state_low * agent.units)], [*(agent.state_high * agent.units)]
     for p, name in enumerate(problem.automaton.propositions):
         region, value = problem.propositions[name], int(certificate.letters[t, p])
-        if region.agent != agent.name or value == 0:
+        if region.agent != owner or value == 0:
             continue
-        outputs = range(agent.n_outputs)
+        outputs = range(len(agent.output_matrix))
         if value < 0:
             face = int(certificate.faces[t, p])
-            if not 0 <= face < 2 * agent.n_outputs:
-                return np.zeros((1, agent.n_states)), np.array([1.0]), np.array([1.0])  # no side: it never holds
+            if not 0 <= face < 2 * len(agent.output_matrix):
+                return np.zeros((1, len(agent.A))), np.array([1.0]), np.array([1.0])  # no side: it never holds
             k = face // 2
             rows.append(agent.output_matrix[k])
             low.append(region.high[k] if face % 2 else -np.inf)

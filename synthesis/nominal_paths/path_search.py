@@ -186,8 +186,8 @@ class _Finder:
             for _ in range(FACE_ROUNDS if avoided else 1):
                 faces = chosen_faces(self.problem, i, letters, agent, u)
                 states = state_slabs(limits_of(self.problem, i, letters, faces), covariances)
-                if np.any(states.low >= states.high):
-                    continue  # regions that do not meet, on this side
+                if np.any(states.are_empty):
+                    continue  # regions that do not meet, or hardly, on this side
                 # Without noise in a limit only the nominal path counts; the start is exact.
                 u = nominal_inputs(agent, states, inputs, response)
                 failure = failure_along(agent, u, states, inputs)

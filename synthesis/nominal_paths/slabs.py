@@ -30,6 +30,9 @@ OUTWARD = 1.0 + 3e-9
 SMALLEST = 1e-300
 """What stands for smaller tails, which floating point does not hold."""
 
+NARROW = 1e-11
+"""Share of their size by which limits have to be apart: what lies between nearer ones has no probability."""
+
 INWARD = 1e-9
 """Share of the size of a number by which distances are shortened for rounding."""
 
@@ -57,6 +60,12 @@ class Slabs:
     low: FloatArray
     high: FloatArray
     deviations: FloatArray
+
+    @property
+    def are_empty(self) -> NDArray[np.bool_]:
+        """Whether inequalities (J,) leave no room but for rounding."""
+        size = np.maximum(*(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.low, self.high)))
+        return np.asarray(self.high - self.low <= NARROW * size)
 
     def failure(self, nominal: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return both tails (J,) of each inequality from above, for nominal values (J,) that are off by ``size``."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,12 @@ MOST_SIGNS = 6
 
 INSIDE = 1.0 - 1e-6
 """Share of the way to the edge of the workspace that is gone: mixtures of corners stay inside for all rounding."""
+
+SPARE = 4e-9
+"""Distance from edges that starts keep, as a share of one more than the largest outputs: more than the check asks."""
+
+MOST_LETTERS = 256
+"""First letters that are looked at: fewer than the check looks at."""
 
 
 def certified_starts(
@@ -125,14 +133,49 @@ class _Rays:
         self.response = Response.of(agent, steps)
         self.powers = [np.linalg.matrix_power(agent.A, t) for t in range(steps + 1)]
         self.problem = problem
-        self.first_state = self._first_state(agent.initial.low)
+        self.spare = SPARE * (
+            1.0 + np.abs(agent.output_matrix) @ np.maximum(abs(agent.state_low), abs(agent.state_high))
+        )
+        self.sides = self._sides(agent.output_matrix @ agent.initial.low)
 
-    def _first_state(self, start: FloatArray) -> int:
-        """Return the automaton state after the letter of a start."""
-        outputs = self.agent.output_matrix @ start
-        regions = (self.problem.propositions[name] for name in self.problem.automaton.propositions)
-        letter = [bool(np.all((region.low <= outputs) & (outputs <= region.high))) for region in regions]
-        return int(self.problem.automaton.next_state(self.problem.automaton.initial, np.array(letter, dtype=bool)))
+    def _sides(self, outputs: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return boxes (low, high) of outputs in which starts have to be: there the first letter leads to one state.
+
+        They are convex, so that mixtures of starts are in them, too. Of several propositions that may have any value
+        those are left open first whose edges are nearest.
+        """
+        automaton, fixed, values = self.problem.automaton, dict[int, tuple[float, FloatArray, FloatArray]](), []
+        for p, name in enumerate(automaton.propositions):
+            region = self.problem.propositions[name]
+            beyond = np.concatenate([region.low - outputs, outputs - region.high]) - np.tile(self.spare, 2)
+            inside = np.minimum(outputs - region.low, region.high - outputs) - self.spare
+            low, high = np.full(len(outputs), -np.inf), np.full(len(outputs), np.inf)
+            face, k = int(np.argmax(beyond)), int(np.argmax(beyond)) % len(outputs)
+            if np.all(inside >= 0.0):
+                fixed[p] = float(inside.min()), region.low, region.high
+            elif beyond[face] > 0.0:
+                (high if face < len(outputs) else low)[k] = (region.low if face < len(outputs) else region.high)[k]
+                fixed[p] = float(beyond[face]), low, high
+            values.append((True,) if np.all(inside >= 0.0) else (False,) if beyond[face] > 0.0 else (False, True))
+        if not self._is_one_state(values):
+            raise RelationRefused(
+                "`initial_state`: expected a start off the edges of regions on which the first letter depends, got one "
+                "on such an edge, around which there is no set of starts; move it"
+            )
+        for p in sorted(fixed, key=lambda p: fixed[p][0]):
+            opened = [*values[:p], (False, True), *values[p + 1 :]]
+            if self._is_one_state(opened):
+                values = opened
+                del fixed[p]
+        return [(low, high) for _, low, high in fixed.values()]
+
+    def _is_one_state(self, values: Sequence[tuple[bool, ...]]) -> bool:
+        """Return whether all letters with these values lead to the same state."""
+        if math.prod(map(len, values)) > MOST_LETTERS:
+            return False
+        automaton = self.problem.automaton
+        letters = (np.array(letter, dtype=bool) for letter in product(*values))
+        return len({int(automaton.next_state(automaton.initial, letter)) for letter in letters}) == 1
 
     def farthest(
         self, middle: FloatArray, direction: FloatArray, allowed: float
@@ -156,7 +199,8 @@ class _Rays:
 
     def _from(self, start: FloatArray) -> tuple[FloatArray, FloatArray, tuple[float, float]] | None:
         """Return a start with nominal inputs and both bounds on failing; None if its first letter leads elsewhere."""
-        if self._first_state(start) != self.first_state:
+        outputs = self.agent.output_matrix @ start
+        if not all(np.all((low + self.spare <= outputs) & (outputs <= high - self.spare)) for low, high in self.sides):
             return None
         moved = np.array([power @ (start - self.agent.initial.low) for power in self.powers])
         response = replace(self.response, free=self.response.free + moved)

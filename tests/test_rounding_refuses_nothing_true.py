@@ -1,0 +1,201 @@
+"""Where numbers nearly meet, or have units far apart, what is true passes the check, or the search says why not.
+
+Each of these was found by the small problems of ``benchmarks/adversary.py``; sabotages stand beside the repairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.cells import agent_grids
+from certigym.synthesis.checking.path_check import Motion
+from certigym.synthesis.raw_networks import certify_network
+from certigym.synthesis.relations import Network
+from certigym.validation.policies.actors import SharedActor
+from certigym.validation.policies.views import SharedView
+from network_problems import changed, proportional, reach
+from test_paths_are_certified import path_of
+
+EDGE = 0.3
+
+
+def beside(steps: int, **changes: Any) -> cg.Problem:
+    """A task of two regions, the edge of one beyond that of the other by units of rounding."""
+    other = EDGE
+    for _ in range(steps):
+        other = float(np.nextafter(other, 1.0))
+    facts: dict[str, Any] = {
+        "A": [[0.9]], "B": [[0.5]], "noise_covariance": [[0.04]], "state_low": [-1.0], "state_high": [1.0],
+        "input_low": [-1.0], "input_high": [1.0], "initial_state": [0.0],
+    }  # fmt: skip
+    return cg.Problem(
+        name="beside",
+        horizon=3,
+        agents=[cg.LinearAgent(name="a", **{**facts, **changes})],
+        propositions={"p": cg.Proposition("a", [EDGE], [1.0]), "q": cg.Proposition("a", [-1.0], [other])},
+        specification=cg.Specification("F (p & F q)", "co-safe"),
+    )
+
+
+@pytest.mark.parametrize("relation", ["exact", "tube", "ellipsoid", "paper", "linear", "boxes", "auto", "best"])
+@pytest.mark.parametrize("steps", [1, 1000])
+def test_edges_that_differ_by_rounding_are_named(relation: str, steps: int) -> None:
+    problem = beside(steps)
+    with pytest.raises(ValueError) as refusal:
+        cg.synthesize(problem, 20, relation=relation)
+    told = str(refusal.value)
+    assert (
+        "0.3 of region `p`" in told
+        and f"{float(problem.propositions['q'].high[0])!r}" in told
+        and "make them equal" in told
+    )
+
+
+def test_so_is_an_edge_beside_the_workspace_and_the_grid_of_a_network() -> None:
+    with pytest.raises(ValueError, match=r"of the workspace and .*0\.3.* of region `p`"):
+        cg.synthesize(beside(0, state_low=[float(np.nextafter(EDGE, 0.0))], initial_state=[0.5]), 20, relation="exact")
+    with pytest.raises(ValueError, match="make them equal"):
+        certify_network(beside(1), proportional(beside(1)), 20)
+
+
+@pytest.mark.parametrize("relation", ["exact", "boxes"])
+@pytest.mark.parametrize("steps", [0, 1, 3, 10])
+def test_the_check_looks_at_narrow_cells_from_inside(
+    relation: str, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Certificates with such cells are honest, and a controller that steers elsewhere is still seen."""
+    monkeypatch.setattr(agent_grids, "NEAREST", 0.0)
+    certificate = cg.synthesize(beside(steps), 20, relation=relation).certificate
+    assert isinstance(certificate, cg.Certificate) and certificate.lower_bound > 0.9
+    assert cg.check(certificate)
+    part = certificate.agents[0]
+    policy = np.where(part.policy >= 0, np.roll(part.policy, 3, axis=2), -1)
+    assert not cg.check(replace(certificate, agents=(replace(part, policy=policy),)))
+
+
+def test_a_task_on_such_edges_has_a_path() -> None:
+    """A certificate along a path needs no cells."""
+    problem = beside(1, noise_covariance=[[0.002]])
+    assert cg.check(cg.synthesize(problem, relation="path").certificate)
+
+
+def turned(unit: list[float], **changes: Any) -> cg.Problem:
+    """Two states in units of their own that are to stay near the middle."""
+    u = np.array(unit)
+    facts: dict[str, Any] = {
+        "A": [[1.0, 0.5], [0.0, 0.9]], "B": [[0.0], [0.5]], "noise_covariance": 0.01 * np.eye(2),
+    }  # fmt: skip
+    agent = cg.LinearAgent(
+        name="a", A=u[:, None] * np.array(facts["A"]) / u, B=u[:, None] * np.array(facts["B"]),
+        noise_covariance=np.array(changes.get("noise", facts["noise_covariance"])) * np.outer(u, u), state_low=-u,
+        state_high=u, input_low=[-1.0], input_high=[1.0], initial_state=u * changes.get("start", [0.1, 0.0]),
+    )  # fmt: skip
+    safe = cg.Proposition("a", (-0.6 * u).tolist(), (0.6 * u).tolist())
+    task = cg.Specification("G safe", "finite-trace")
+    return cg.Problem(name="turned", horizon=4, agents=[agent], propositions={"safe": safe}, specification=task)
+
+
+@pytest.mark.parametrize("unit", [[1.0, 1.0], [3e4, 7e-4], [1e-7, 1e8]])
+def test_the_check_of_paths_proves_the_same_in_all_units(unit: list[float]) -> None:
+    """Rounding of states that are counted in large numbers is not charged to those counted in small ones."""
+    plain = cg.check(path_of(turned([1.0, 1.0])))
+    certificate = path_of(turned(unit))
+    report = cg.check(certificate)
+    assert report, report.failures
+    assert report.recomputed == pytest.approx(plain.recomputed, rel=1e-9)
+    assert not cg.check(replace(certificate, failure=0.9999 * certificate.failure))
+
+
+def test_units_in_which_digits_would_be_lost_are_not_taken() -> None:
+    certificate = path_of(turned([1.0, 1.0]))
+    agent = turned([1e10, 1.0], noise=np.diag([1e-320, 0.01])).agents[0]
+    assert isinstance(agent, cg.LinearAgent) and agent.noise_covariance[0, 0] > 0.0
+    motion = Motion.of(agent, certificate.paths[0])
+    assert np.array_equal(motion.agent.units, [1.0, 1.0]) and np.array_equal(motion.agent.A, agent.A)
+
+
+def test_rollouts_agree_in_uneven_units() -> None:
+    """20,000 episodes with a fixed seed; a true claim is refuted with probability 1e-6."""
+    certificate = path_of(turned([3e4, 7e-4]))
+    assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - 1e-6).verdict != "refuted"
+
+
+def hull_problem(start: list[float]) -> cg.Problem:
+    """The first letter says whether the start is in the region, and the task asks for it later alone."""
+    problem = turned([1.0, 1.0], noise=0.002 * np.eye(2), start=start)
+    task = cg.Specification("F safe", "co-safe")
+    return cg.Problem(
+        name="hull", horizon=4, agents=problem.agents, propositions=problem.propositions, specification=task
+    )
+
+
+def test_corners_do_not_cross_edges_on_which_the_first_letter_depends() -> None:
+    """A set around a start near an edge stays on its side of it, and is verified."""
+    problem = hull_problem([0.62, 0.0])
+    certificate: Any = cg.synthesize(problem, relation="path").certificate
+    hull = cg.certified_starts(certificate, 0.7, rays=12)
+    assert cg.check(hull), cg.check(hull).failures
+    assert hull.corners[:, 0].min() < 0.601 and hull.corners[:, 0].min() > 0.6
+    # Sabotage: one corner beyond the edge.
+    corners = hull.corners.copy()
+    corners[np.argmin(corners[:, 0]), 0] = 0.59
+    assert "first letter" in str(cg.check(replace(hull, corners=corners)))
+
+
+def test_a_start_on_such_an_edge_has_no_set_around_it() -> None:
+    certificate: Any = cg.synthesize(hull_problem([0.6, 0.0]), relation="path").certificate
+    with pytest.raises(ValueError, match="on such an edge"):
+        cg.certified_starts(certificate, 0.7, rays=12)
+
+
+SKEW = np.array([[0.02, 0.012], [0.012, 0.03]])
+"""Correlated noise: cells are no boxes of states."""
+
+
+def skewed(start: list[float]) -> cg.Problem:
+    """Two states with correlated noise, whose inputs reach every mean."""
+    agent = cg.LinearAgent(
+        name="a", A=0.9 * np.eye(2), B=np.eye(2), noise_covariance=SKEW, state_low=[-1.0, -1.0], state_high=[1.0, 1.0],
+        input_low=[-1.0, -1.0], input_high=[1.0, 1.0], initial_state=start,
+    )  # fmt: skip
+    goal = cg.Proposition("a", [0.2, -1.0], [1.0, 1.0])
+    return cg.Problem(
+        name="skewed", horizon=3, agents=[agent], propositions={"goal": goal},
+        specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+
+
+def test_cells_that_lie_askew_keep_off_the_start() -> None:
+    """Along the second axis the middle of an even number of cells is an edge; a start there gets other cells."""
+    certificate = cg.synthesize(skewed([-0.5, -0.3]), 10, relation="exact").certificate
+    assert isinstance(certificate, cg.Certificate)
+    coordinates = certificate.agents[0].coordinates
+    assert not np.array_equal(coordinates, np.eye(2))
+    on_edge = coordinates @ np.array([-0.5, certificate.agents[0].grid.edges[1][4]])
+    moved = cg.synthesize(skewed(on_edge.tolist()), 10, relation="exact").certificate
+    assert cg.check(moved), cg.check(moved).failures
+    with pytest.raises(ValueError, match="its cells lie askew"):
+        cg.synthesize(skewed([0.2, 0.1]), 10, relation="exact")
+
+
+def test_networks_are_looked_at_where_something_is_claimed() -> None:
+    """Cells that lie askew stick out of the workspace, where networks see its nearest point; a false weight is seen."""
+    agent = cg.LinearAgent(
+        name="a", A=np.eye(2), B=0.5 * np.eye(2), noise_covariance=[[0.1, 0.09], [0.09, 0.2]], state_low=[-4.0, -4.0],
+        state_high=[4.0, 4.0], input_low=[-2.0, -2.0], input_high=[2.0, 2.0], initial_state=[0.3, 0.1],
+    )  # fmt: skip
+    problem = reach(agent, horizon=2)
+    row = np.zeros((2, SharedView(problem).size), dtype=np.float32)
+    row[:, :2] = -0.9 * np.eye(2)  # linear in the state, up to the edge of the workspace
+    actor = SharedActor(problem, Network((row,), (np.zeros(2, dtype=np.float32),), "tanh", False))
+    certificate: Any = certify_network(problem, actor, 12, relation="boxes").certificate
+    assert cg.check(certificate), cg.check(certificate).failures
+    network = certificate.agents[0].relation["network"]
+    weights = [np.array(layer).tolist() for layer in network["weights"]]
+    weights[-1] = (-np.array(weights[-1])).tolist()
+    assert not cg.check(changed(certificate, weights=weights))
