@@ -278,7 +278,7 @@ def test_grids_that_leave_a_part_of_the_workspace_out_do_not_check() -> None:
     certificate = cg.synthesize(problem, {"plane": [12, 12], "line": 16}, relation="exact").certificate
     assert cg.check(certificate)
     part = certificate.agents[0]
-    inner = np.zeros((12, 12), dtype=bool)
+    inner = np.zeros(part.grid.shape, dtype=bool)
     inner[3:, 3:] = True
     kept = inner.ravel()
     cut = replace(

@@ -75,9 +75,13 @@ def test_values_are_probabilities_and_grow_with_cells_horizon_and_inputs(problem
 
 
 def test_a_start_outside_the_workspace_is_worth_nothing_and_a_decided_one_everything() -> None:
-    outside = two_agents(horizon=3).replace(initial_state=[9.0, 0.0])
-    assert value(outside) == 0.0
-    assert cg.validate(cg.synthesize(outside, 40), 1000).estimate == 0.0
+    inside = two_agents(horizon=3)
+    outside = inside.replace(initial_state=[9.0, 0.0])
+    with pytest.raises(ValueError, match="expected a start in the workspace"):
+        cg.synthesize(outside, 40)
+    certificate = cg.synthesize(inside, 40).certificate
+    assert certificate.at([9.0, 0.0])[0] == 0.0
+    assert cg.rollout(outside, certificate.controller, 1000).successes == 0
     decided = two_agents("F a", horizon=3).replace(initial_state=[2.0, 0.0])
     assert value(decided) == pytest.approx(1.0, abs=1e-9)
     lost = two_agents("G b", "finite-trace", horizon=3).replace(initial_state=[2.0, 0.0])

@@ -62,7 +62,7 @@ def test_fig_4_is_the_recomputed_one_and_full_invariance_is_nearly_certain(tmp_p
 
 def test_table_1_counts_bytes_and_is_written(tmp_path: Path) -> None:
     assert main(["reproduce", "table1", "--out", str(tmp_path), "--json", str(tmp_path / "t.json")]) == 0
-    rows = json.loads((tmp_path / "t.json").read_text())
+    rows = json.loads((tmp_path / "t.json").read_text())["result"]
     assert len(rows) == 3 and np.isfinite(rows[0]["measured_bytes"])
     for row in rows:
         assert row["bytes_per_term"] == pytest.approx(row["published_bytes_per_term"], rel=0.01)
