@@ -52,8 +52,7 @@ def test_ellipsoid_bounds_hold_and_check(name: str, delta: float | None) -> None
     assert cg.check(certificate), str(cg.check(certificate))
     report = cg.validate(result, 20_000, seed=3, confidence=1 - FALSE_ALARM / 9)
     assert report.verdict != REFUTED, str(report)
-    # Where cells lie askew, a start on a face of them moves the edges, and with them what the bound is.
-    assert report.lower_bound > (0.2 if name == "correlated" else 0.3)
+    assert report.lower_bound > 0.3
 
 
 def test_two_agents_couple_with_independent_coins() -> None:

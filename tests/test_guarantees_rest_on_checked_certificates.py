@@ -124,9 +124,14 @@ def test_starts_on_a_face_that_rounding_decides_are_refused() -> None:
     certificate = correlated([0.1, 0.2])
     assert cg.check(certificate)
     part = certificate.agents[0]
-    face = part.grid.edges[0][14]
-    start = part.coordinates @ [face, 0.5 * (part.grid.edges[1][12] + part.grid.edges[1][13])]
-    report = cg.check(correlated(start))
+    skewed = 1
+    assert np.count_nonzero(part.coordinates[skewed]) == 2 and np.count_nonzero(part.coordinates[0]) == 1
+    place = [part.grid.edges[0][14], part.grid.edges[skewed][14]]
+    on_both = part.coordinates @ place
+    forged = replace(certificate, problem=certificate.problem.replace(initial_state=on_both))
+    report = cg.check(forged)
     assert not report and "lies on a face of cells to rounding" in report.failures[0]
-    beside = part.coordinates @ [face + 1e-6, 0.5 * (part.grid.edges[1][12] + part.grid.edges[1][13])]
+    # The search keeps off such faces; a coordinate that is a state is read without rounding.
+    assert cg.check(correlated(on_both))
+    beside = part.coordinates @ [place[0], place[1] + 1e-6]
     assert cg.check(correlated(beside)) and cg.check(correlated([0.0, 0.0]))

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.cells import agent_grids
 from certigym.synthesis.checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
@@ -44,32 +43,29 @@ def beside(steps: int, **changes: Any) -> cg.Problem:
 
 @pytest.mark.parametrize("relation", ["exact", "tube", "ellipsoid", "paper", "linear", "boxes", "auto", "best"])
 @pytest.mark.parametrize("steps", [1, 1000])
-def test_edges_that_differ_by_rounding_are_named(relation: str, steps: int) -> None:
-    problem = beside(steps)
-    with pytest.raises(ValueError) as refusal:
-        cg.synthesize(problem, 20, relation=relation)
-    told = str(refusal.value)
-    assert (
-        "0.3 of region `p`" in told
-        and f"{float(problem.propositions['q'].high[0])!r}" in told
-        and "make them equal" in told
-    )
+def test_edges_that_differ_by_rounding_are_certified(relation: str, steps: int) -> None:
+    """Cells between them hold no mass; relations that feed the place in a cell back get little, and by default others
+    are taken."""
+    certificate = cg.synthesize(beside(steps), 20, relation=relation).certificate
+    assert cg.check(certificate)
+    if relation in ("exact", "boxes", "auto", "best"):
+        assert certificate.lower_bound > 0.9
 
 
 def test_so_is_an_edge_beside_the_workspace_and_the_grid_of_a_network() -> None:
-    with pytest.raises(ValueError, match=r"of the workspace and .*0\.3.* of region `p`"):
-        cg.synthesize(beside(0, state_low=[float(np.nextafter(EDGE, 0.0))], initial_state=[0.5]), 20, relation="exact")
-    with pytest.raises(ValueError, match="make them equal"):
-        certify_network(beside(1), proportional(beside(1)), 20)
+    low = float(np.nextafter(EDGE, 0.0))
+    near = beside(0, state_low=[low], initial_state=[0.5])
+    facts = {name: getattr(near, name) for name in ("name", "horizon", "agents", "propositions")}
+    near = cg.Problem(**facts, specification=cg.Specification("G[0,2] p", "finite-trace"))
+    certificate = cg.synthesize(near, 20, relation="exact").certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.5
+    assert cg.check(certify_network(beside(1), proportional(beside(1)), 20).certificate)
 
 
 @pytest.mark.parametrize("relation", ["exact", "boxes"])
 @pytest.mark.parametrize("steps", [0, 1, 3, 10])
-def test_the_check_looks_at_narrow_cells_from_inside(
-    relation: str, steps: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_check_looks_at_narrow_cells_from_inside(relation: str, steps: int) -> None:
     """Certificates with such cells are honest, and a controller that steers elsewhere is still seen."""
-    monkeypatch.setattr(agent_grids, "NEAREST", 0.0)
     certificate = cg.synthesize(beside(steps), 20, relation=relation).certificate
     assert isinstance(certificate, cg.Certificate) and certificate.lower_bound > 0.9
     assert cg.check(certificate)
@@ -179,8 +175,10 @@ def test_cells_that_lie_askew_keep_off_the_start() -> None:
     on_edge = coordinates @ np.array([-0.5, certificate.agents[0].grid.edges[1][4]])
     moved = cg.synthesize(skewed(on_edge.tolist()), 10, relation="exact").certificate
     assert cg.check(moved), cg.check(moved).failures
-    with pytest.raises(ValueError, match="its cells lie askew"):
-        cg.synthesize(skewed([0.2, 0.1]), 10, relation="exact")
+    assert moved.agents[0].grid.shape == (10, 10)
+    # The first axis is a state, which is read as it is: an edge of a region there is as good a start as any.
+    edge = cg.synthesize(skewed([0.2, 0.1]), 10, relation="exact").certificate
+    assert edge.lower_bound > 0.999 and cg.check(edge)
 
 
 def test_networks_are_looked_at_where_something_is_claimed() -> None:

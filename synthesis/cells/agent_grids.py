@@ -30,14 +30,11 @@ LEAST_ROOM_SHARE = 0.1
 A start on the face itself would leave no room, and feedbacks are judged by the share of the room that they take.
 """
 
-NEAREST = 1e-11
-"""Least distance of different edges, as a share of the largest number of their axis: 10^4 to 10^5 units of rounding.
-
-Cells that are not much wider than rounding hold nearly no mass, and what is fed back of the place in them is noise.
-"""
-
 MOST_MORE = 3
 """Most cells that an axis gets beyond those asked for, to have its edges off the start."""
+
+LOWER = 1e-6
+"""How much wider such an axis may get, as a share of itself, for the same purpose: this is tried before more cells."""
 
 APART = 1e-9
 """Least distance of such a start from edges, as a share of the numbers that it is computed from."""
@@ -64,11 +61,12 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
     # Axes that are state axes up to scale (rows with a single entry) have their edges on region boundaries.
     edges = []
     for k in range(agent.n_states):
-        boundaries = _named_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
+        inside = region_boundaries(problem, i, k) if np.count_nonzero(coordinates[k]) == 1 else []
         ends = float(low[k]), float(high[k])
-        _refuse_nearly_equal(agent.name, k, ends, boundaries)
-        numbers = range(cells[k], cells[k] + MOST_MORE + 1)
-        tried = (aligned_edges(*ends, number, [edge for edge, _ in boundaries]) for number in numbers)
+        # Where an axis has no edges of its own, those that lie a little lower leave a start in the cell above its face.
+        lower = [] if np.count_nonzero(coordinates[k]) == 1 else [(ends[0] - LOWER * (ends[1] - ends[0]), cells[k])]
+        ways = [(ends[0], cells[k]), *lower, *((ends[0], cells[k] + more) for more in range(1, MOST_MORE + 1))]
+        tried = (aligned_edges(bottom, ends[1], number, inside) for bottom, number in ways)
         edges.append(_off_the_start(agent, coordinates, k, tried))
     return Grid(tuple(edges)), coordinates
 
@@ -76,12 +74,16 @@ def agent_grid(problem: Problem, i: int, cells: tuple[int, ...]) -> tuple[Grid, 
 def _off_the_start(agent: AnyAgent, coordinates: FloatArray, axis: int, tried: Iterator[FloatArray]) -> FloatArray:
     """Return the first edges on none of which a start lies to rounding, in coordinates other than the states.
 
-    There a controller may read another cell than the proof. A start of zeros is read without rounding.
+    There a controller may read another cell than the proof. A coordinate that is a state and a start of zeros are
+    read without rounding.
     """
     first, start = next(tried), agent.initial
-    if np.array_equal(coordinates, np.eye(len(coordinates))) or not start.is_point or not np.any(start.low):
-        return first
     inverse = np.linalg.inv(coordinates)
+    is_state = np.array_equal(coordinates[axis], np.eye(len(coordinates))[axis]) and np.array_equal(
+        inverse[axis], coordinates[axis]
+    )
+    if is_state or not start.is_point or not np.any(start.low):
+        return first
     point, size = inverse[axis] @ start.low, np.abs(inverse[axis]) @ np.abs(start.low)
     for edges in (first, *tried):
         if np.all(np.abs(edges - point) > APART * (size + max(abs(edges[0]), abs(edges[-1])))):
@@ -90,20 +92,6 @@ def _off_the_start(agent: AnyAgent, coordinates: FloatArray, axis: int, tried: I
         f"`initial_state`: expected a start of agent `{agent.name}` off the edges of regions and workspace along state "
         f"{axis}, as its noise is correlated and its cells lie askew, got {start.low.tolist()}; move it a little"
     )
-
-
-def _refuse_nearly_equal(name: str, axis: int, ends: tuple[float, float], boundaries: list[tuple[float, str]]) -> None:
-    """Refuse edges of one axis that differ, but by so little that rounding does not tell what lies between them."""
-    least = NEAREST * max(abs(ends[0]), abs(ends[1]))
-    inside = [(edge, f"region `{region}`") for edge, region in boundaries if ends[0] < edge < ends[1]]
-    known = sorted([(end, "the workspace") for end in ends] + inside)
-    for (one, first), (other, second) in zip(known, known[1:], strict=False):
-        if one < other < one + least:
-            raise RelationRefused(
-                f"`propositions`: expected edges of regions and workspace of agent `{name}` along state {axis} that "
-                f"are equal or more than {least:.2g} apart, got {one!r} of {first} and {other!r} of {second}; make "
-                "them equal, or move one of them"
-            )
 
 
 def _noise_coordinates(agent: AnyAgent) -> FloatArray:
@@ -134,21 +122,16 @@ def _noise_coordinates(agent: AnyAgent) -> FloatArray:
 
 def region_boundaries(problem: Problem, i: int, axis: int) -> list[float]:
     """Return the region boundaries of agent i that are hyperplanes of one state coordinate."""
-    return [edge for edge, _ in _named_boundaries(problem, i, axis)]
-
-
-def _named_boundaries(problem: Problem, i: int, axis: int) -> list[tuple[float, str]]:
-    """Return the same boundaries, each with the name of its region."""
     agent = problem.agents[i]
     boundaries = []
-    for name, proposition in problem.propositions.items():
+    for proposition in problem.propositions.values():
         if proposition.agent != agent.name:
             continue
         for k, (low, high) in enumerate(zip(proposition.low, proposition.high, strict=True)):
             # A region bounds a single state where its output is a multiple of that state.
             found = agent.output_axis(k)
             if found is not None and found[0] == axis:
-                boundaries += [(float(edge / found[1]), name) for edge in (low, high)]
+                boundaries += [float(low / found[1]), float(high / found[1])]
     return boundaries
 
 

@@ -76,6 +76,9 @@ def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
     lost = np.abs(coordinates @ inverse - np.eye(d)) + unit * np.abs(coordinates) @ np.abs(inverse)
     off = (2.0 * np.abs(inverse) @ lost + unit * np.abs(inverse)) @ np.abs(start)
     points = np.linalg.solve(coordinates, start)
+    # A coordinate that is a state is read as it is, by both.
+    own = np.all(coordinates == np.eye(d), axis=1) & np.all(inverse == np.eye(d), axis=1) & (points == start)
+    off = np.where(own, 0.0, off)
     triples = zip(part.grid.edges, points, off, strict=True)
     # A start of zeros is read without rounding.
     return any(width > 0.0 and bool(np.any(np.abs(edges - x) <= width)) for edges, x, width in triples)
