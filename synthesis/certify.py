@@ -32,9 +32,9 @@ from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .models import (
     Abstraction,
-    AffineChoices,
     AgentModel,
     BoxChoices,
+    CornerChoices,
     InputMenu,
     JointModel,
     Policies,
@@ -166,7 +166,7 @@ def wrap(problem: Problem, abstraction: Abstraction, policy: Decentralised) -> P
         for t in range(problem.horizon):
             for q in range(n_q):
                 centres = _means_at(agent, model, model.grid.centres, partial(_inputs, policy, i, q, t))
-                if isinstance(model.choices, AffineChoices):
+                if isinstance(model.choices, CornerChoices):
                     corners = [
                         _means_at(agent, model, points, partial(_inputs, policy, i, q, t)) for points in _corners(model)
                     ]
@@ -223,28 +223,27 @@ def _nearest_boxes(choices: BoxChoices, means: FloatArray, scale: FloatArray) ->
 
 
 def _nearest_maps(
-    choices: AffineChoices, means: FloatArray, corners: Sequence[FloatArray], scale: FloatArray
+    choices: CornerChoices, means: FloatArray, corners: Sequence[FloatArray], scale: FloatArray
 ) -> NDArray[np.int32]:
     """Return the choice (S,) of each cell whose means are nearest to those (d, S) at its centre and near its corners.
 
-    The target of each gain is the one nearest at the centre; the corners decide between gains.
+    The inputs and the target that are nearest at the centre; the corners decide between these.
     """
-    cells = np.arange(choices.grid.n_cells)
-    if not choices.windows:
-        offered = [choices.centres(cells, np.full(len(cells), a)) for a in range(len(choices.relation.menu))]
-        distances = [(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered]
-        return np.argmin(distances, axis=0).astype(np.int32)
-    tried, gaps = [], []
-    sides = 2.0 * corner_sides(len(scale)) - 1.0
-    for gain, windows in enumerate(choices.windows):
-        targets = _nearest_targets(windows, means, scale)
-        tried.append(np.where(targets >= 0, targets + gain * choices.n_points, -1))
-        centres, gap = choices.centres(cells, np.maximum(targets, 0)), np.zeros(len(cells))
-        for side, goal in zip(sides, corners, strict=True):
-            here = centres + choices.relation.gains[gain][0, 0] * INSIDE * side * choices.grid.half_widths
-            gap += (((here - goal.T) / scale) ** 2).sum(axis=1)
-        gaps.append(np.where(targets >= 0, gap, np.inf))
-    return np.stack(tried)[np.argmin(gaps, axis=0), cells].astype(np.int32)
+    cells, half = np.arange(choices.grid.n_cells), choices.grid.half_widths
+    offered = [choices.centres(cells, np.full(len(cells), a)) for a in range(choices.n_inputs)]
+    distances = np.stack([(((centres - means.T) / scale) ** 2).sum(axis=1) for centres in offered])
+    inputs = np.argmin(distances, axis=0).astype(np.int32)
+    if choices.windows is None:
+        return inputs
+    targets = _nearest_targets(choices.windows, means, scale)
+    gains = choices.maps.gain[cells, inputs if choices.maps.gain.shape[1] > 1 else 0]
+    aims = choices.centres(cells, np.maximum(targets, 0) + choices.n_inputs)
+    moved, aimed = np.zeros(len(cells)), np.where(targets >= 0, 0.0, np.inf)
+    for side, goal in zip(2.0 * corner_sides(len(scale)) - 1.0, corners, strict=True):
+        here = choices.centres(cells, inputs) + INSIDE * np.einsum("sij,sj->si", gains, side * half)
+        moved += (((here - goal.T) / scale) ** 2).sum(axis=1)
+        aimed += (((aims - goal.T) / scale) ** 2).sum(axis=1)
+    return np.where(aimed <= moved, targets + choices.n_inputs, inputs).astype(np.int32)
 
 
 def _nearest_targets(windows: TargetWindows, means: FloatArray, scale: FloatArray) -> NDArray[np.int32]:

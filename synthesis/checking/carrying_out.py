@@ -13,12 +13,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
-from ..cells import FloatArray
+from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart
 from ..controllers import AgentController
 from ..relations import (
     CoupledRelation,
-    WrittenTargets,
     commands_of,
 )
 from .common_check import by_number, known_inputs
@@ -88,16 +87,18 @@ def _wrong_means(
     if execution.loss >= 1.0:
         return []
     choice = part.policy[t, q, cells]
-    if isinstance(controller.relation, WrittenTargets):
-        off = np.abs(
-            controller.relation.agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(choice, 0))
-        )
-        if np.any(~(off <= execution.mean[:, None]) & (choice >= 0)):
-            return ["its controller was seen to steer elsewhere than its policy says"]
-        return []
-    if not isinstance(agent, LinearAgent):
-        chosen = np.where(choice >= 0, cells, -1), np.maximum(choice, 0)
+    if isinstance(agent, Agent):
+        aims = choice - first_target(part)
+        if np.any(aims >= 0):
+            off = np.abs(agent.mean(states, inputs, None, beside) - _lattice_points(part, np.maximum(aims, 0)))
+            if np.any(~(off <= execution.mean[:, None]) & (aims >= 0)):
+                return ["its controller was seen to steer elsewhere than its policy says"]
+        if part.relation["kind"] == "exact":
+            return []
+        fixed = (choice >= 0) & (aims < 0)
+        chosen = np.where(fixed, cells, -1), np.where(fixed, choice, 0)
         return _wrong_written(agent, part, states, inputs, *chosen, beside)
+    agent = linear_agent(agent, part.relation["kind"])
     mean = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
     networked = choice < network_modes(part)
     # Cells in other coordinates reach beyond the workspace, where networks see what they were not enclosed for; such
@@ -113,6 +114,13 @@ def _wrong_means(
     if np.any((off > execution.mean[:, None]) & (choice >= 0) & ~networked):
         return ["its controller was seen to steer elsewhere than its policy says"]
     return []
+
+
+def first_target(part: AgentPart) -> int:
+    """The first choice that is a target, less its lattice point; beyond all choices where there are none."""
+    if part.relation["kind"] == "exact":
+        return 0
+    return len(part.relation["menu"]) if "aims" in part.relation else int(np.iinfo(np.int32).max)
 
 
 def _network_means(
@@ -191,7 +199,10 @@ def _asked_means(
         asked = agent.A @ states + agent.B @ (menu[choice].T + fed) + agent.offset[:, None]
         return np.asarray(np.linalg.solve(part.coordinates, asked))
     if len(menu):
-        return np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ menu[choice].T + agent.offset[:, None])
+        first = first_target(part)
+        inputs = menu[np.minimum(choice, len(menu) - 1)].T
+        means = np.linalg.solve(part.coordinates, agent.A @ states + agent.B @ inputs + agent.offset[:, None])
+        return np.where(choice >= first, _lattice_points(part, np.maximum(choice - first, 0)), means)
     gain, point = np.divmod(choice, int(np.prod([len(axis) for axis in part.lattice])))
     return _lattice_points(part, point) + gain * offsets
 

@@ -12,7 +12,7 @@ The very code that acts is run in ``carrying_out``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import erf
@@ -25,6 +25,7 @@ from ..relations import (
     CoupledRelation,
     ExactRelation,
     LinearRelation,
+    MapRelation,
     Relation,
     WrittenTargets,
 )
@@ -92,8 +93,8 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
     setting = _setting(agent, part)
     if isinstance(relation, ExactRelation):
         return _exact(setting, part, relation)
-    if "network" in part.relation and isinstance(relation, LinearRelation):
-        return _boxed(setting, np.zeros((1, agent.n_inputs, agent.n_states)))
+    if isinstance(relation, MapRelation):
+        return _mapped(setting, part, relation)
     if isinstance(relation, LinearRelation):
         return _affine(setting, part, relation)
     if isinstance(relation, BoxRelation):
@@ -184,6 +185,23 @@ def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution
     off = s.A_off @ s.x + s.B_off @ s.u + s.c_off + s.unit * size
     added = DENSITY * float(np.sqrt(np.sum((off / s.deviations) ** 2)))
     return Execution(off, np.zeros(len(s.x)), np.zeros(len(s.u)), added + _misread(s, s.read) + s.law)
+
+
+def targets_alone(part: AgentPart) -> AgentPart:
+    """The targets of policies that have inputs as well, as lattice points; -1 where they choose something else."""
+    first = len(part.relation["menu"])
+    return replace(part, policy=np.where(part.policy >= first, part.policy - first, -1).astype(part.policy.dtype))
+
+
+def _mapped(s: _Setting, part: AgentPart, relation: MapRelation) -> Execution:
+    """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
+    inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
+    if relation.aims is None:
+        return inputs
+    part = targets_alone(part)
+    aims = relation.aims
+    aimed = _aimed(s, part, aims) if isinstance(aims, WrittenTargets) else _exact(s, part, aims)
+    return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
 
 
 def _boxed(s: _Setting, gains: FloatArray) -> Execution:

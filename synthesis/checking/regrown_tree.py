@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Agent, AnyAgent
+from ...envs.agents import AnyAgent
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, Certificate, axis_tables, smooth
 from ..values import Merges, Terms
@@ -119,7 +119,7 @@ def _linear_tables_once(certificate: Certificate) -> list[LinearTables | Written
 
 def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:
     """Tables of an agent under the relation ``linear``."""
-    if isinstance(agent, Agent) or "network" in part.relation:
+    if "reach" in part.relation:
         return written_tables(agent, part, execution_of(agent, part, part.relation_of(agent)).mean)
     return linear_tables(linear_agent(agent, "linear"), part)
 

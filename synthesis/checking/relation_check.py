@@ -23,8 +23,8 @@ from ..relations import (
     CoupledRelation,
     ExactRelation,
     LinearRelation,
+    MapRelation,
     Relation,
-    WrittenRelation,
     WrittenTargets,
     ellipsoid_factor,
     ellipsoid_failure,
@@ -32,7 +32,7 @@ from ..relations import (
     ellipsoid_support,
 )
 from .aim_spans import wrong_aims
-from .execution import Execution
+from .execution import Execution, targets_alone
 from .geometry import cell_boxes
 
 MOST_TERMS = 400
@@ -62,9 +62,8 @@ def verify_relation(agent: AnyAgent, part: AgentPart, relation: Relation, execut
     """
     if isinstance(relation, BoxRelation):
         return _verify_boxes(agent, part, execution)
-    if isinstance(relation, WrittenRelation):
-        outside = (relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)
-        return ["its menu holds inputs beyond its input box"] if np.any(outside) else []
+    if isinstance(relation, MapRelation):
+        return _verify_maps(agent, part, relation, execution)
     if isinstance(relation, WrittenTargets):
         return wrong_aims(relation.agent, part, relation)
     if not isinstance(agent, LinearAgent):
@@ -102,6 +101,19 @@ def error_support(part: AgentPart, relation: CoupledRelation, execution: Executi
     if relation.kind == "paper":
         return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
     return _tube_support(relation.A + relation.B @ relation.feedback, _disturbance(part, relation, execution), rows)
+
+
+def _verify_maps(agent: AnyAgent, part: AgentPart, relation: MapRelation, execution: Execution) -> list[str]:
+    """Every choice is an input of the box, or a target that admissible inputs reach from all of its cell."""
+    if np.any((relation.menu < agent.input_box.low) | (relation.menu > agent.input_box.high)):
+        return ["its menu holds inputs beyond its input box"]
+    if relation.aims is None:
+        return []
+    aimed = targets_alone(part)
+    if isinstance(relation.aims, WrittenTargets):
+        return wrong_aims(relation.aims.agent, aimed, relation.aims)
+    assert isinstance(agent, LinearAgent)  # others have no such targets
+    return _verify_targets(agent, aimed, relation.aims, aimed.policy, execution)
 
 
 def _verify_affine(agent: LinearAgent, part: AgentPart, relation: LinearRelation, execution: Execution) -> list[str]:

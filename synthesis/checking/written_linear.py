@@ -21,7 +21,7 @@ from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise
 from .geometry import cell_boxes
-from .linear_tables import UNIT, applied, normal_hats
+from .linear_tables import UNIT, applied, grid_matrix, normal_hats
 from .mean_spans import spans_of_means
 from .network_spans import network_maps
 from .own_intervals import Span, bounds, products
@@ -63,6 +63,28 @@ class Maps:
 
 
 @dataclass(frozen=True, eq=False)
+class MatrixMaps:
+    """The same of matrices: one slope for all cells, and nothing but rounding is left.
+
+    ``off`` (d,) is what means are off by in floating point; what is computed here is off by as little.
+    """
+
+    agent: LinearAgent
+    part: AgentPart
+    off: FloatArray
+
+    def at(self, numbers: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The maps with some numbers (C,)."""
+        menu, d = np.array(self.part.relation["menu"], dtype=float), len(self.off)
+        cells, choices = np.divmod(numbers, len(menu))
+        low, high = cell_boxes(self.part)
+        slope = grid_matrix(self.agent, self.part)
+        pushed = np.linalg.solve(self.part.coordinates, (self.agent.offset + menu @ self.agent.B.T).T).T
+        z = (0.5 * (low + high))[cells] @ slope.T + pushed[choices]
+        return z, np.broadcast_to(slope, (len(cells), d, d)), np.broadcast_to(2.0 * self.off, (len(cells), d))
+
+
+@dataclass(frozen=True, eq=False)
 class NetworkMaps:
     """The same under the modes of a network, made when they are asked for: every step asks for one mode.
 
@@ -93,7 +115,7 @@ class WrittenTables:
     """
 
     masses: list[FloatArray]
-    maps: Maps | NetworkMaps
+    maps: Maps | MatrixMaps | NetworkMaps
     slack: float
     normal: list[bool]
     ends: Ends | None
@@ -133,7 +155,12 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
         )
         if ends is not None:  # between points along the uniform axis second derivatives jump by a share of their range
             slack += r * r / 8.0 * 2.0 * SECOND * ends.share / 2.0
-    maps = _maps(agent, part) if isinstance(agent, Agent) else NetworkMaps(linear_agent(agent, "linear"), part, off)
+    maps: Maps | MatrixMaps | NetworkMaps
+    if isinstance(agent, Agent):
+        maps = _maps(agent, part)
+    else:
+        kind = NetworkMaps if "network" in part.relation else MatrixMaps
+        maps = kind(linear_agent(agent, "linear"), part, off)
     return WrittenTables(masses, maps, slack, normal, ends)
 
 
@@ -141,7 +168,7 @@ def _maps(agent: Agent, part: AgentPart) -> Maps:
     """The maps of every cell under every choice that a policy makes there."""
     menu = np.array(part.relation["menu"], dtype=float)
     cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
-    asked = part.policy >= 0
+    asked = (part.policy >= 0) & (part.policy < len(menu))
     numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
     cell, choice = np.divmod(numbers, len(menu))
     low, high = cell_boxes(part)
@@ -283,8 +310,31 @@ def image_values(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Values (n, C, K) at the images of points ``share`` (K, d) of cells, what they may lack (n, C), and images inside.
 
-    ``around`` is made by ``written_values``; ``largest`` (n,) are the largest numbers of the factors.
+    ``around`` is made by ``written_values``; ``largest`` (n,) are the largest numbers of the factors. The image of a
+    target is one lattice point: its value is that of all its points, and lacks nothing.
     """
+    targets = choices >= len(part.relation["menu"])
+    at = np.zeros((len(largest), len(cells), len(share)))
+    lacking, inside = np.zeros(at.shape[:2]), np.ones(len(cells), dtype=bool)
+    points = choices[targets] - len(part.relation["menu"])
+    at[:, targets] = around[0].reshape(len(largest), -1)[:, points][:, :, None]
+    moving = np.flatnonzero(~targets)
+    if len(moving):
+        found = _moving_images(part, tables, around, largest, cells[moving], choices[moving], share)
+        at[:, moving], lacking[:, moving], inside[moving] = found
+    return at, lacking, inside
+
+
+def _moving_images(
+    part: AgentPart,
+    tables: WrittenTables,
+    around: list[FloatArray],
+    largest: FloatArray,
+    cells: NDArray[np.int64],
+    choices: NDArray[np.integer],
+    share: FloatArray,
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """The same of inputs, whose means move with the state."""
     d, shape = len(part.lattice), around[0].shape[1:]
     z, gain, rho = tables.maps.at(cells * len(part.relation["menu"]) + choices)
     places = np.unravel_index(cells, part.grid.shape)

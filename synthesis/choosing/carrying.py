@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import Abstraction, AffineChoices, AgentModel, InputMenu, Policies, StepPolicy, TargetWindows
+from ..models import Abstraction, AgentModel, CornerChoices, InputMenu, Policies, StepPolicy, TargetWindows
 from ..relations import CoupledRelation
 
 
@@ -24,9 +24,12 @@ def _carried(before: AgentModel, after: AgentModel, policy: NDArray[np.int32]) -
     choices = policy[..., cell]
     if isinstance(old, TargetWindows) and isinstance(new, TargetWindows):
         return _each_time(lambda chosen: _targets(old, new, chosen), choices)
-    if isinstance(old, AffineChoices) and isinstance(new, AffineChoices) and new.windows:
-        moved = after.grid.centres - before.grid.centres[cell]
-        return _each_time(lambda chosen: _affine_targets(old, new, chosen, moved), choices)
+    if isinstance(old, CornerChoices) and isinstance(new, CornerChoices) and old.windows and new.windows:
+        # Menus are the same on all grids; targets are those nearest.
+        first, coarse, fine = old.n_inputs, old.windows, new.windows
+        aims = _each_time(lambda chosen: _targets(coarse, fine, chosen), np.where(choices < first, -1, choices - first))
+        aimed = np.where(aims >= 0, aims + new.n_inputs, new.resting_choice)
+        return np.where((choices < 0) | (choices >= first), aimed, choices).astype(np.int32)
     if isinstance(old, InputMenu) and isinstance(new, InputMenu):
         # Each input becomes the nearest one of the other menu.
         assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
@@ -58,22 +61,3 @@ def _targets(old: TargetWindows, new: TargetWindows, choices: StepPolicy) -> Ste
     fits = (choices >= 0) & np.all(new.low < new.high, axis=1)
     fits &= new.admissible(np.arange(len(flat)), flat)
     return np.where(fits, flat, new.resting_choice).astype(np.int32)
-
-
-def _affine_targets(
-    old: AffineChoices, new: AffineChoices, choices: StepPolicy, moved: NDArray[np.float64]
-) -> StepPolicy:
-    """Return the choices (S',) nearest to what coarse choices (S',) ask for, ``moved`` (S', d) from their centres."""
-    gain, point = np.divmod(np.maximum(choices, 0), old.n_points)
-    index = np.unravel_index(point, old.shape)
-    target = np.stack([axis[k] for axis, k in zip(old.lattice, index, strict=True)], axis=1) + gain[:, None] * moved
-    nearest = np.rint((target - new.origin) / new.pitch).astype(np.int64)
-    result = new.resting_choice.astype(np.int64)
-    for number, windows in enumerate(new.windows):
-        fits = (gain == number) & (choices >= 0) & np.all(windows.low < windows.high, axis=1)
-        clipped = np.clip(nearest, windows.low, np.maximum(windows.high - 1, windows.low))
-        flat = np.ravel_multi_index(tuple(np.clip(clipped, 0, np.array(new.shape) - 1).T), new.shape)
-        if not windows.relation.is_box:
-            fits &= windows.admissible(np.arange(len(flat)), flat)
-        result = np.where(fits, flat + number * new.n_points, result)
-    return result.astype(np.int32)

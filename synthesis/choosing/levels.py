@@ -23,14 +23,13 @@ from ..cells import RelationRefused, deviations_of, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
     Abstraction,
-    AffineChoices,
     BoxChoices,
     Choices,
+    CornerChoices,
     InputMenu,
     Policies,
     Settings,
     TargetWindows,
-    WrittenChoices,
     abstraction_of,
     reaches_every_mean,
 )
@@ -346,7 +345,7 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
             size = size / places[axis] * points[axis]
             smoothing += size * stored / points[axis]
         reading = model.grid.n_cells * (1.0 + rank / TERMS_OF_A_READING)
-        if isinstance(model.choices, WrittenChoices):
+        if isinstance(model.choices, CornerChoices):
             # Agents that are alike have equal factors as a rule, which are smoothed once.
             lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
             # In teams with one undecided state they are read once, too; that does not change what pairs get.
@@ -354,7 +353,6 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
                 total += rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
             seen[id(model)] += 1
             continue
-        smoothing *= LINEAR_TABLES if isinstance(model.choices, AffineChoices) else 1
         if isinstance(model.choices, BoxChoices):
             total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND
         total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / _cells_per_second(model.choices)
@@ -370,4 +368,4 @@ def _cells_per_second(choices: Choices) -> float:
             return MENUS_PER_SECOND
         case BoxChoices():
             return BOXES_PER_SECOND
-    return CELLS_PER_SECOND if choices.windows else CELLS_PER_SECOND / MENU_READINGS
+    return CELLS_PER_SECOND

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, Grid, cell_finder, shape_text
-from ..relations import BoxRelation, CoupledRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CoupledRelation, LinearRelation, MapRelation, Relation
 from .abstract_state import Memory, Tracker, moved_into
-from .steering import AffineSteering, BoxSteering, MenuSteering, PolicyTable, TargetSteering
+from .steering import AffineSteering, BoxSteering, MapSteering, MenuSteering, PolicyTable, TargetSteering
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,9 +110,7 @@ class AgentController:
             return self._menu_steering.inputs(memory, points, q, time)
         points = self.project(states)
         steering, cells = self._target_steering, self._cell_of(points)
-        if not isinstance(steering, AffineSteering):
-            return steering.inputs(cells, points, q, time, beside), None
-        return steering.inputs(cells, points, q, time), None
+        return steering.inputs(cells, points, q, time, beside), None
 
     def project(self, states: FloatArray) -> FloatArray:
         """Return the grid coordinates of states, moved into the grid if they are outside; NaN goes to the low edge."""
@@ -123,7 +121,9 @@ class AgentController:
         return PolicyTable(self.policy if self.policy.ndim == 4 else self.policy[None])
 
     @cached_property
-    def _target_steering(self) -> TargetSteering | AffineSteering | BoxSteering:
+    def _target_steering(self) -> TargetSteering | AffineSteering | BoxSteering | MapSteering:
+        if isinstance(self.relation, MapRelation):
+            return MapSteering(self._table, self.lattice, self.relation)
         if isinstance(self.relation, LinearRelation):
             return AffineSteering(self._table, self.grid, self.lattice, self.relation)
         if isinstance(self.relation, BoxRelation):

@@ -1,7 +1,8 @@
 """From policies to inputs: the choice of each cell is looked up and turned into an input.
 
 ``TargetSteering``  the choice is a target mean (``exact`` relation): the input puts the mean of the next state on it.
-``AffineSteering``  the choice is an affine map of the state to its mean (``linear``).
+``MapSteering``     the choice is an input, or a target mean (``linear``).
+``AffineSteering``  the choice is an affine map of the state to its mean (``linear`` of 0.1 and 0.2).
 ``BoxSteering``     the choice is an input, and what is fed back of the state inside its cell (``boxes``).
 ``MenuSteering``    the choice is an abstract input uhat (coupled agents): the interface adds ``K e``.
 
@@ -25,6 +26,7 @@ from ..relations import (
     CoupledRelation,
     ExactRelation,
     LinearRelation,
+    MapRelation,
     NetworkMeans,
     Row,
     WrittenMeans,
@@ -129,8 +131,53 @@ class TargetSteering:
 
 
 @dataclass(frozen=True, eq=False)
+class MapSteering:
+    """Inputs of a menu, and those that put the mean of the next state on targets (relation ``linear``).
+
+    Parameters
+    ----------
+    table : PolicyTable
+    lattice : tuple of (Z_k,) arrays
+        Means per axis, in grid coordinates.
+    relation : MapRelation
+    """
+
+    table: PolicyTable
+    lattice: tuple[FloatArray, ...]
+    relation: MapRelation
+
+    def inputs(
+        self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None
+    ) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M).
+
+        ``beside`` (l, n, M) are the states of others that the dynamics name, if there are any.
+        """
+        choices, n_inputs = self.table.choices(self.table.places(cells, q, time)), len(self.relation.menu)
+        # The last column of the table is for cells without a choice: the mean of all inputs.
+        columns = np.where(choices < 0, n_inputs, np.minimum(choices, n_inputs - 1))
+        inputs = looked_up(self._menu, columns.astype(np.intp))
+        network, aims = network_of(self.relation), self.relation.aims
+        if network is not None:
+            return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
+        aimed = choices >= n_inputs
+        if aims is None or not aimed.any():
+            return inputs
+        targets = aims.aims(lattice_means(self.lattice, np.where(aimed, choices - n_inputs, 0)))
+        targets[0, ~aimed] = np.nan
+        wanted = aims.inputs(list(targets), points, *([beside] if isinstance(aims, WrittenTargets) else []))
+        return np.where(aimed, wanted, inputs)
+
+    @cached_property
+    def _menu(self) -> FloatArray:
+        """Inputs (m, A + 1)."""
+        menu = self.relation.menu
+        return np.ascontiguousarray(np.concatenate([menu, menu.mean(axis=0, keepdims=True)]).T)
+
+
+@dataclass(frozen=True, eq=False)
 class AffineSteering:
-    """Inputs under which the mean of the next state is the affine map that policies say (relation ``linear``).
+    """Inputs under which the mean of the next state is the affine map that policies say (``linear`` of 0.1 and 0.2).
 
     Parameters
     ----------
@@ -146,16 +193,14 @@ class AffineSteering:
     lattice: tuple[FloatArray, ...]
     relation: LinearRelation
 
-    def inputs(self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
-        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M)."""
+    def inputs(
+        self, cells: NDArray[Any], points: FloatArray, q: NDArray[Any], time: int, beside: FloatArray | None = None
+    ) -> FloatArray:
+        """Return inputs (m, n, M) at points (d, n, M) of the grid, which lie in cells (n, M); nobody is beside."""
         choices = self.table.choices(self.table.places(cells, q, time))
         if not self.relation.steers:
             # The last column of the table is for cells without a choice: the mean of all inputs.
-            inputs = looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
-            network = network_of(self.relation)
-            if network is None:
-                return inputs
-            return network.replaced(choices, self.relation.coordinates, points, (q, time), inputs)
+            return looked_up(self._menu, np.where(choices < 0, len(self.relation.menu), choices).astype(np.intp))
         gains, targets = np.divmod(np.maximum(choices, 0), self._n_points)
         steer = self.relation.steers[0]
         aims = steer.aims(lattice_means(self.lattice, targets))

@@ -14,7 +14,6 @@ from .abstraction import (
     models_of,
     relations_of,
 )
-from .affine_choices import AffineChoices, Choices
 from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
@@ -22,31 +21,29 @@ from .box_kernel import BoxKernel
 from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .common_choices import CommonGroup, common_inputs_of, with_number
+from .corner_choices import Choices, CornerChoices
 from .joint import JointModel, join, spread_start, start_of
 from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, Kernel
-from .linear_kernel import HatKernel, LinearKernel, hat_table
+from .linear_kernel import hat_table
 from .network_model import NetworkChoices, network_abstraction, network_tables
-from .written_choices import WrittenChoices
 
 __all__ = [
     "Abstraction",
-    "AffineChoices",
     "AgentModel",
     "BAND_BYTES",
     "Bends",
     "BoxChoices",
     "BoxKernel",
     "Choices",
+    "CornerChoices",
     "CommonGroup",
     "INPUT_LEVELS",
-    "HatKernel",
     "InputMenu",
     "KINDS_WITH",
     "RELATIONS",
     "JointModel",
     "Kernel",
     "LATTICE_BLOCK",
-    "LinearKernel",
     "NetworkChoices",
     "Policies",
     "REACH_DEVIATIONS",
@@ -55,7 +52,6 @@ __all__ = [
     "Settings",
     "StepPolicy",
     "TargetWindows",
-    "WrittenChoices",
     "abstract",
     "abstraction_of",
     "check_names",

@@ -45,9 +45,8 @@ from ..cells import (
     spread,
     start_share,
 )
-from ..relations import BoxRelation, CommonInputs, CoupledRelation, LinearRelation, Relation
+from ..relations import BoxRelation, CommonInputs, CoupledRelation, MapRelation, Relation
 from ..values import Residents
-from .affine_choices import Choices
 from .agent_models import (
     STRANDED_CELLS,
     SharedModel,
@@ -61,9 +60,9 @@ from .agent_models import (
 )
 from .box_model import box_model
 from .common_choices import common_inputs_of, common_relation
+from .corner_choices import Choices
+from .corner_model import corner_model
 from .kernel import Kernel
-from .linear_model import linear_model
-from .written_model import written_model
 
 Relations = str | Mapping[str, str]
 """Relation of all agents, or of each by its name."""
@@ -126,7 +125,7 @@ class AgentModel:
     @property
     def is_linear(self) -> bool:
         """Whether factors are multilinear in every cell, with values at its corners."""
-        return isinstance(self.relation, LinearRelation)
+        return isinstance(self.relation, MapRelation)
 
     @property
     def is_additive(self) -> bool:
@@ -135,7 +134,7 @@ class AgentModel:
         Where it takes least values (``boxes``) or what bends (``linear``), a sum is worth more than its terms: these
         are lower bounds one by one, for nonnegative factors alone.
         """
-        return not isinstance(self.relation, BoxRelation | LinearRelation)
+        return not isinstance(self.relation, BoxRelation | MapRelation)
 
     def spread(self, numbers: NDArray[Any]) -> NDArray[Any]:
         """Return numbers of cells (.., S) at all places of factors."""
@@ -391,13 +390,11 @@ def _shared_model(
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
         return _shared_model(agent, kind, grid, coordinates, room, settings)
-    if kind == "linear" and isinstance(agent, Agent):
-        return written_model(agent, grid, coordinates, settings.targets_per_cell)
+    if kind == "linear":
+        return corner_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
     agent = linear_agent(agent, kind)
-    if kind == "linear":
-        return linear_model(agent, grid, coordinates, settings.targets_per_cell)
     if kind == "tube":
         return tube_model(agent, grid, coordinates, room)
     if kind == "ellipsoid":

@@ -25,8 +25,8 @@ from ..relations import (
     tube_relation,
     written_targets,
 )
-from .affine_choices import Choices
 from .choices import InputMenu, target_windows, written_windows
+from .corner_choices import Choices
 from .ellipsoid_search import find_ellipsoid
 from .kernel import Kernel, gaussian_table, law_table
 

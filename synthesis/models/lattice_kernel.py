@@ -21,21 +21,23 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from ..cells import FloatArray
-from .linear_kernel import HatKernel
+from .kernel import Kernel
 from .uniform_ends import UniformEnds
 
 BLOCKS = 3
 """Blocks within reach to either side: more of them see less that is beyond reach, and take longer."""
+
+NUMBERS_AT_ONCE = 200_000
+"""Numbers of tables whose differences are formed at once: they fit into the cache of a core."""
 
 NOTHING = 1e-40
 """Values below this are set to 0: a lower bound still, and no denormal numbers, which are slow, some steps later."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LatticeKernel(HatKernel):
+class LatticeKernel(Kernel):
     """Kernel whose smoothed factors (n, ..) have Z values, largest differences, and what is lost everywhere.
 
     The differences have as many columns as there are blocks: second ones of each axis; mixed ones of each pair of axes;
@@ -58,6 +60,11 @@ class LatticeKernel(HatKernel):
     ends: UniformEnds | None = field(kw_only=True, default=None)
 
     @property
+    def n_points(self) -> int:
+        """Number of lattice points Z."""
+        return math.prod(self.lattice_shape)
+
+    @property
     def n_columns(self) -> int:
         """Number of columns of smoothed factors."""
         d = len(self.reach)
@@ -77,44 +84,66 @@ class LatticeKernel(HatKernel):
             first = [which.index(k) for k in range(len(number))]
             return self.smooth(factors[first])[which]
         values = self._values(factors)
-        result = np.zeros((len(values), self.n_columns))
+        result = np.empty((len(values), self.n_columns))
         result[:, : self.n_points] = values
         result[:, -1] = self.slack * factors.max(axis=1, initial=0.0)
-        added = [None] * len(values) if self.ends is None else self.ends.charges(self.tables, factors)
-        for row, own, at_ends in zip(result, values, added, strict=True):
-            tables = differences(own.reshape(self.lattice_shape)) + ([] if at_ends is None else [at_ends])
-            row[self.n_points : -1] = np.concatenate([self._largest(table).ravel() for table in tables])
+        added = None if self.ends is None else np.stack([*self.ends.charges(self.tables, factors)])
+        rows_at_once = max(1, NUMBERS_AT_ONCE // self.n_points)
+        for first in range(0, len(values), rows_at_once):
+            rows = slice(first, first + rows_at_once)
+            tables = differences(values[rows].reshape(-1, *self.lattice_shape)) + (
+                [] if added is None else [added[rows]]
+            )
+            for number, table in enumerate(tables):
+                start = self.n_points + number * self.n_blocks
+                result[rows, start : start + self.n_blocks] = largest_of_blocks(table, self.reach)
         return result
-
-    def rough(self, factors: NDArray) -> NDArray:
-        """Return values with nothing beside them: about right, for choosing policies and for nothing else."""
-        return self.alone(self._values(factors))
 
     def _values(self, factors: NDArray) -> NDArray:
         """Return values at lattice points (n, Z), from below."""
-        values = super(HatKernel, self).smooth(factors)
+        values = super().smooth(factors)
         values[values < NOTHING] = 0.0
         return values
 
-    def _largest(self, table: FloatArray) -> FloatArray:
-        """Return the largest numbers within reach of every block, of numbers (Z_1, ..) of lattice points."""
-        for axis, reach in enumerate(self.reach):
-            block = block_of(reach)
-            table = _block_largest(table, axis, block)
-            table = maximum_filter1d(table, 2 * math.ceil(reach / block) + 1, axis=axis, mode="nearest")
-        return table
+
+def largest_of_blocks(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
+    """Return the largest numbers (n, blocks) within reach of every block, of numbers (n, Z_1, ..) of lattice points."""
+    # Blocks along all axes first: what is left is small.
+    for axis, length in enumerate(reach, start=1):
+        tables = _block_largest(tables, axis, block_of(length))
+    for axis, length in enumerate(reach, start=1):
+        tables = _largest_within(tables, axis, math.ceil(length / block_of(length)))
+    return tables.reshape(len(tables), -1)
 
 
-def _block_largest(table: FloatArray, axis: int, block: int) -> FloatArray:
-    """Return the largest of every ``block`` nonnegative numbers along an axis."""
+def _block_largest(tables: FloatArray, axis: int, block: int) -> FloatArray:
+    """Return the largest of every ``block`` numbers along an axis."""
     if block == 1:
-        return table
-    result = table[_cut(table.ndim, {axis: slice(0, None, block)})].copy()
+        return tables
+    result = _part(tables, axis, slice(0, None, block)).copy()
     for first in range(1, block):
-        others = table[_cut(table.ndim, {axis: slice(first, None, block)})]
-        into = result[_cut(table.ndim, {axis: slice(0, others.shape[axis])})]
+        others = _part(tables, axis, slice(first, None, block))
+        into = _part(result, axis, slice(0, others.shape[axis]))
         np.maximum(into, others, out=into)
     return result
+
+
+def _largest_within(tables: FloatArray, axis: int, reach: int) -> FloatArray:
+    """Return the largest number within ``reach`` places to either side along an axis.
+
+    Windows grow by doubling: each pass takes the larger of two windows side by side.
+    """
+    shape = list(tables.shape)
+    shape[axis] += 2 * reach
+    wide = np.full(shape, -np.inf)
+    _part(wide, axis, slice(reach, reach + tables.shape[axis]))[...] = tables
+    width = 1
+    while width < 2 * reach + 1:
+        step = min(width, 2 * reach + 1 - width)
+        ends = wide.shape[axis] - step
+        wide = np.maximum(_part(wide, axis, slice(0, ends)), _part(wide, axis, slice(step, step + ends)))
+        width += step
+    return wide
 
 
 def block_of(reach: int) -> int:
@@ -128,29 +157,35 @@ def blocks_of(shape: tuple[int, ...], reach: tuple[int, ...]) -> tuple[int, ...]
 
 
 def differences(values: FloatArray) -> list[FloatArray]:
-    """Return second, mixed and first differences of numbers (Z_1, ..), each (Z_1, ..), nonnegative.
+    """Return second, mixed and first differences of numbers (n, Z_1, ..), each (n, Z_1, ..), nonnegative.
 
     Mixed and first ones stand at the lower one of their points; where a point is missing they are 0.
     """
-    d, result = values.ndim, []
-    for k in range(d):
+    axes, result = range(1, values.ndim), []
+    lower, upper, inner = slice(None, -1), slice(1, None), slice(1, -1)
+    slopes = {k: _part(values, k, upper) - _part(values, k, lower) for k in axes}
+    for k in axes:
         second = np.zeros_like(values)
-        np.maximum(np.diff(values, 2, axis=k), 0.0, out=second[_cut(d, {k: slice(1, -1)})])
+        into = _part(second, k, inner)
+        np.subtract(_part(slopes[k], k, upper), _part(slopes[k], k, lower), out=into)
+        np.maximum(into, 0.0, out=into)
         result.append(second)
-    for i, j in combinations(range(d), 2):
+    for i, j in combinations(axes, 2):
         mixed = np.zeros_like(values)
-        lower = slice(None, -1)
-        np.abs(np.diff(np.diff(values, axis=i), axis=j), out=mixed[_cut(d, {i: lower, j: lower})])
+        into = _part(_part(mixed, i, lower), j, lower)
+        np.subtract(_part(slopes[i], j, upper), _part(slopes[i], j, lower), out=into)
+        np.abs(into, out=into)
         result.append(mixed)
-    for k in range(d):
+    for k in axes:
         first = np.zeros_like(values)
-        np.abs(np.diff(values, axis=k), out=first[_cut(d, {k: slice(None, -1)})])
+        np.abs(slopes[k], out=_part(first, k, lower))
         result.append(first)
     return result
 
 
-def _cut(d: int, cuts: dict[int, slice]) -> tuple[slice, ...]:
-    return tuple(cuts.get(k, slice(None)) for k in range(d))
+def _part(tables: FloatArray, axis: int, where: slice) -> FloatArray:
+    """Return a part of tables along one axis, as a view."""
+    return tables[(slice(None),) * axis + (where,)]
 
 
 def bend_of(steps: FloatArray) -> FloatArray:

@@ -1,26 +1,20 @@
-"""Expected values of factors that are multilinear in every cell, from below, and how much they bend.
+"""Expected values of factors that are multilinear in every cell, from below.
 
 The kernel maps the numbers of a factor at the corners of cells to ``g(z) = E l(z + w)`` at every lattice point z. It
 is a product over axes as before: the table of an axis holds, for each cell, the masses of its two hats, ``E (b - y) /
 (b - a)`` and ``E (y - a) / (b - a)`` over the cell [a, b).
-
-Beside each value stands a *bend*: an upper bound, at this lattice point, on how far g may be below its interpolation
-between neighbouring points that are read (see ``bends``).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ..cells import FloatArray
 from ..values import UNIT
-from .bends import Bends
-from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, AxisTable, Kernel, gaussian_masses
+from .kernel import LATTICE_BLOCK, REACH_DEVIATIONS, AxisTable, gaussian_masses
 
 HAT_SLACK = 64.0
 """Units in the last place by which a density may be off near the mean, several times over."""
@@ -76,62 +70,3 @@ def hat_table(means: FloatArray, edges: FloatArray, std: float) -> tuple[AxisTab
         blocks.append((z0, z0 + len(block_means), 2 * s0, 2 * s1, masses))
         loss = max(loss, missing)
     return AxisTable((len(means), 2 * (len(edges) - 1)), tuple(blocks)), loss + BEYOND_REACH
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class HatKernel(Kernel):
-    """Kernel from lattice points to corners of cells; ``smooth`` gives values, and more columns beside them."""
-
-    @property
-    def n_points(self) -> int:
-        """Number of lattice points Z."""
-        return math.prod(self.lattice_shape)
-
-    @property
-    def n_columns(self) -> int:
-        """Number of columns of smoothed factors: the values, and what choices need beside them."""
-        raise NotImplementedError
-
-    def rough(self, factors: NDArray) -> NDArray:
-        """Return values with nothing beside them: about right, for choosing policies and for nothing else."""
-        return self.alone(super().smooth(factors))
-
-    def alone(self, values: NDArray) -> NDArray:
-        """Return numbers of lattice points (n, Z) as smoothed factors with nothing beside their values."""
-        return np.concatenate([values, np.zeros((len(values), self.n_columns - self.n_points))], axis=1)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LinearKernel(HatKernel):
-    """Kernel from lattice points to corners of cells; ``smooth`` gives values and, beside them, bends.
-
-    Parameters
-    ----------
-    tables : tuple of AxisTable
-        Hat masses, from below.
-    loss : float
-        Upper bound on the mass that one application loses to rounding, per row.
-    bends : Bends
-        What is below interpolations of values.
-    """
-
-    bends: Bends = field(kw_only=True)
-
-    @property
-    def n_columns(self) -> int:
-        """Number of columns of smoothed factors: values and bends."""
-        return 2 * self.n_points
-
-    def smooth(self, factors: NDArray) -> NDArray:
-        """Return values and bends (n, 2 Z) at every lattice point of factors (n, 2^d S), nonnegative."""
-        values = super().smooth(factors)
-        result = np.concatenate([values, np.empty_like(values)], axis=1)
-        self.bends.add_to(result[:, values.shape[1] :], values, factors)
-        return result
-
-
-def uniform_axis(low: float, high: float, cells: int, per_cell: int, first: float, last: float) -> FloatArray:
-    """Return lattice points ``low + (i + 1/2) pitch`` from about ``first`` to ``last``, ``per_cell`` to a mean cell."""
-    pitch = (high - low) / (cells * per_cell)
-    below, above = math.floor((first - low) / pitch), math.ceil((last - low) / pitch)
-    return np.asarray(low + (np.arange(below, above) + 0.5) * pitch)

@@ -29,7 +29,7 @@ from .abstraction import Abstraction, AgentModel
 from .box_choices import BoxChoices
 from .box_model import MOST_CUTS, PARTS, box_model, relation_of
 from .choices import Policies, StepPolicy
-from .written_model import lattice_model
+from .corner_model import lattice_model
 
 DEFAULT_CELLS = {1: 1000, 2: 100}
 """Cells per axis by dimension: more than elsewhere, since networks bend within cells and are cheap to enclose."""

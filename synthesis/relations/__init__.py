@@ -1,11 +1,12 @@
 """What ties a continuous agent to its cells, and how surely it holds."""
 
-from .affine_means import AffineBoxes, AffineMeans, WrittenRelation, written_relation
+from .affine_means import AffineBoxes, AffineMeans, MapRelation, MatrixMaps, map_relation
+from .aims import aimed_relation
 from .boxes import BoxRelation, Enclosing, LinearMeans, MeanBoxes, NetworkMeans, box_relation
 from .commands import Command, commands_of
 from .common_means import CommonInputs, CommonMeans
 from .coupled import CoupledRelation, couple, coupling_failure, joint_delta
-from .description import Relation, aimed_relation, check_description, describe_relation, relation_from
+from .description import Relation, check_description, describe_relation, relation_from
 from .ellipsoid import Ellipsoid, ellipsoid_relation
 from .ellipsoid_facts import ellipsoid_factor, ellipsoid_failure, ellipsoid_is_invariant, ellipsoid_support
 from .exact import ExactRelation, exact_relation
@@ -43,6 +44,8 @@ __all__ = [
     "ExactRelation",
     "LinearMeans",
     "LinearRelation",
+    "MapRelation",
+    "MatrixMaps",
     "MeanBoxes",
     "Network",
     "NetworkMaps",
@@ -53,7 +56,6 @@ __all__ = [
     "Row",
     "Turn",
     "WrittenMeans",
-    "WrittenRelation",
     "WrittenTargets",
     "aimed_relation",
     "best_feedback",
@@ -73,6 +75,7 @@ __all__ = [
     "inputs_of",
     "joint_delta",
     "linear_relation",
+    "map_relation",
     "mean_loss",
     "network_linear_relation",
     "network_of",
@@ -86,6 +89,5 @@ __all__ = [
     "tube_generators",
     "tube_relation",
     "write_task",
-    "written_relation",
     "written_targets",
 ]

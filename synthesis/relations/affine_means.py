@@ -33,9 +33,12 @@ from ...envs.expressions import (
     names_in,
     split_at,
 )
-from ..cells import FloatArray, RelationRefused
-from .linear import LinearRelation
+from ..cells import FloatArray, RelationRefused, linear_agent
+from .aims import aimed_relation
+from .boxes import LinearMeans, linear_means
+from .exact import ExactRelation
 from .rounding import missed_cells, reading_of
+from .solved_means import WrittenTargets
 from .written_means import ROTATED
 
 COMPUTED = 1e-13
@@ -201,62 +204,135 @@ class AffineMeans:
         return (*texts, np.array([self.cuts]))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class WrittenRelation(LinearRelation):
-    """The relation ``linear`` of agents with expressions, or networks: choices, and affine maps with what they leave.
+@dataclass(frozen=True, eq=False)
+class MatrixMaps:
+    """The maps of a linear agent, in grid coordinates: one slope for all cells, and nothing but rounding is left.
 
     Parameters
     ----------
-    means : AffineMeans or NetworkMaps
-        What makes the maps; ``A``, ``B`` and ``offset`` stand for nothing.
-    reach : tuple of int
-        Lattice steps along each axis around the mean of a centre within which the lattice is looked at.
+    linear : LinearMeans
+    cuts : int
+        Stands for nothing: there is nothing to enclose.
     """
 
-    means: AffineMaps | None = None
+    linear: LinearMeans
+    cuts: int = 1
+
+    def around(self, low: FloatArray, high: FloatArray, menu: FloatArray) -> AffineBoxes:
+        """Return the maps of the closed cells ``[low, high]``, (n, d) each, under inputs (A, m)."""
+        moves, middle = self.linear, 0.5 * (low + high)
+        centre = (middle @ moves.A.T + moves.offset)[:, None] + menu @ moves.B.T
+        gain = np.broadcast_to(moves.A, (len(low), 1, *moves.A.shape))
+        return AffineBoxes(centre, gain, np.broadcast_to(moves.rounding, (len(low), 1, len(moves.rounding))))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All that maps depend on, for comparing relations."""
+        return self.linear.arrays
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapRelation:
+    """The relation ``linear``: constant inputs, whose means are affine maps in a cell, and targets beside them.
+
+    Choices below the number of inputs are inputs; ``number of inputs + z`` puts the mean on lattice point z from all
+    of the cell.
+
+    Parameters
+    ----------
+    means : AffineMaps
+        What makes the maps of inputs.
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    menu : (A, m) array
+        Inputs to choose from; for networks they stand for nothing, and the choices are their modes.
+    parts : int
+        Parts of each side of a cell at whose ends the value on its image is read, to see how it bends.
+    reach : tuple of int
+        Lattice steps along each axis around the mean of a centre within which the lattice is looked at.
+    aims : ExactRelation or WrittenTargets, optional
+        What puts means on targets; None for agents whose inputs do not reach all means, and for networks.
+    """
+
+    means: AffineMaps
+    coordinates: FloatArray
+    menu: FloatArray
+    parts: int = 1
     reach: tuple[int, ...] = ()
+    aims: ExactRelation | WrittenTargets | None = None
+
+    kind = "linear"
+    delta = 0.0
+
+    def __repr__(self) -> str:
+        d, m = len(self.coordinates), self.menu.shape[1]
+        aims = "" if self.aims is None else ", and targets"
+        return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
+
+    def to_grid(self, states: FloatArray) -> FloatArray:
+        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
+        if self.has_state_coordinates:
+            return np.array(states, dtype=float)
+        return np.tensordot(np.linalg.inv(self.coordinates), states, axes=(1, 0))
+
+    @cached_property
+    def has_state_coordinates(self) -> bool:
+        """Whether grid coordinates are the state itself."""
+        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
         """All numbers, for comparing relations."""
-        assert self.means is not None
-        return (*self.means.arrays, self.coordinates, self.menu, np.array([self.parts, *self.reach]))
+        of_aims = () if self.aims is None else (np.ones(1), *self.aims.arrays)
+        numbers = np.array([self.parts, *self.reach])
+        return (*self.means.arrays, self.coordinates, self.menu, numbers, *of_aims)
 
     def execution_loss(self, agent: AnyAgent, edges: Sequence[FloatArray]) -> float:
         """Return an upper bound on what carrying the relation out in floating point costs per step, a probability.
 
-        What means are off by is in what is left of them; there remain cells that are misread.
+        What means under inputs are off by is in what is left of them; there remain cells that are misread, and what
+        means miss targets by.
         """
         reading = reading_of(agent, self.coordinates)
-        return missed_cells(reading, reading.read, edges)
-
-    def __repr__(self) -> str:
-        d, m = self.B.shape
-        return f"WrittenRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')})"
+        misread = missed_cells(reading, reading.read, edges)
+        return misread if self.aims is None else max(misread, self.aims.execution_loss(agent, edges))
 
 
-def written_relation(
-    agent: Agent, coordinates: FloatArray, menu: FloatArray, parts: int, cuts: int, reach: Sequence[int]
-) -> WrittenRelation:
-    """Return the relation ``linear`` of an agent with expressions.
+def map_relation(
+    agent: AnyAgent,
+    coordinates: FloatArray,
+    menu: FloatArray,
+    numbers: tuple[int, int, Sequence[int]] | None = None,
+    with_aims: bool = False,
+) -> MapRelation:
+    """Return the relation ``linear`` of an agent in the given grid coordinates.
 
     Parameters
     ----------
-    agent : Agent
+    agent : AnyAgent
     coordinates : (d, d) array
     menu : (A, m) array
         Inputs to choose from.
-    parts, cuts, reach
-        See ``LinearRelation``, ``AffineMeans`` and ``WrittenRelation``.
+    numbers : parts, cuts and reach, optional
+        See ``MapRelation`` and ``AffineMeans``.
+    with_aims : bool
+        Whether targets are offered beside the inputs, which inputs must reach all means for.
 
     Raises
     ------
     ValueError
-        If an input is outside its box.
+        If an input is outside its box, or targets are asked for and not all means can be reached.
     """
-    box, d, m = agent.input_box, agent.n_states, agent.n_inputs
+    box, d = agent.input_box, agent.n_states
     if not len(menu) or not np.all((box.low <= menu) & (menu <= box.high)):
         raise RelationRefused(f"agent `{agent.name}`: the linear relation needs inputs inside their box")
-    means = AffineMeans(agent, coordinates, cuts)
-    none = np.zeros((d, d)), np.zeros((d, m)), np.zeros(d)
-    return WrittenRelation(*none, coordinates, (), menu, parts, means, tuple(int(n) for n in reach))
+    parts, cuts, reach = numbers or (1, 1, (0,) * d)
+    means: AffineMaps
+    if not isinstance(agent, Agent):
+        means = MatrixMaps(
+            linear_means(linear_agent(agent, "linear"), coordinates, np.zeros((1, agent.n_inputs, d))), cuts
+        )
+    else:
+        means = AffineMeans(agent, coordinates, cuts)
+    aims = aimed_relation(agent, coordinates) if with_aims else None
+    return MapRelation(means, coordinates, menu, parts, tuple(int(n) for n in reach), aims)

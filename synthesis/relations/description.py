@@ -2,8 +2,9 @@
 
 ``{"kind": "exact"}``, ``{"kind": "boxes", "menu", "gains"}`` (with ``"parts"`` and ``"steer"`` where dynamics are
 expressions, and ``"common"`` where inputs are chosen in common; with ``"parts"`` and ``"network"`` where networks move
-agents), ``{"kind": "linear", "menu", "parts"}``
-(with ``"cuts"`` and ``"reach"`` where dynamics are expressions, and ``"network"`` besides where networks move agents),
+agents), ``{"kind": "linear", "menu", "parts", "cuts", "reach"}``
+(with ``"aims"`` where targets are offered beside the menu, and ``"network"`` where networks move agents; files of 0.1
+and 0.2 have neither cuts nor reach for matrices),
 ``{"kind": "paper", "epsilon", "feedback", "inputs", "delta"}``, ``{"kind":
 "tube", "feedback", "inputs", "snap"}`` and ``{"kind": "ellipsoid", "shape", "epsilon", "feedback", "coupling",
 "inputs", "snap", "delta"}``; matrices are nested lists in grid coordinates. They come from files, and nothing in them
@@ -18,21 +19,22 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ..cells import FloatArray, Grid, linear_agent
-from .affine_means import WrittenRelation, written_relation
+from .affine_means import MapRelation, map_relation
+from .aims import aimed_relation
 from .boxes import BoxRelation, NetworkMeans, box_relation
 from .common_means import CommonMeans
 from .coupled import CoupledRelation
 from .ellipsoid import Ellipsoid, ellipsoid_relation
-from .exact import ExactRelation, exact_relation
+from .exact import ExactRelation
 from .linear import LinearRelation, linear_relation
 from .network_maps import network_linear_relation, network_of
 from .networks import check_network, network_policy
 from .scalar import paper_relation
-from .solved_means import WrittenTargets, written_targets
+from .solved_means import WrittenTargets
 from .tube import tube_relation
 from .written_means import WrittenMeans
 
-Relation = BoxRelation | ExactRelation | LinearRelation | CoupledRelation | WrittenTargets
+Relation = BoxRelation | ExactRelation | MapRelation | LinearRelation | CoupledRelation | WrittenTargets
 """What ties one agent to its cells."""
 
 NUMBER_ENTRIES = {
@@ -83,11 +85,11 @@ def describe_relation(relation: Relation) -> dict[str, Any]:
         if relation.common is not None:
             written["common"] = relation.common.description
         return {"kind": "boxes", "menu": relation.menu.tolist(), "gains": relation.gains.tolist(), **written}
-    if isinstance(relation, WrittenRelation):
-        assert relation.means is not None
+    if isinstance(relation, MapRelation):
         written = {"parts": relation.parts, "cuts": relation.means.cuts, "reach": [*relation.reach]}
         network = network_of(relation)
         written |= {} if network is None else {"network": network.description}
+        written |= {} if relation.aims is None else {"aims": True}
         return {"kind": "linear", "menu": relation.menu.tolist(), **written}
     if isinstance(relation, LinearRelation):
         return {"kind": "linear", "menu": relation.menu.tolist(), "parts": relation.parts}
@@ -119,10 +121,10 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
             name: description[name] for name in ("parts", "steer", "network", "common") if name in description
         }
         return box_relation(agent, coordinates, menu, gains, written)
-    if kind == "linear" and isinstance(agent, Agent):
+    if kind == "linear" and "reach" in description and "network" not in description:
         menu = np.array(description["menu"], dtype=float)
         numbers = (int(description["parts"]), int(description["cuts"]), description["reach"])
-        return written_relation(agent, coordinates, menu, *numbers)
+        return map_relation(agent, coordinates, menu, numbers, "aims" in description)
     if kind == "exact":
         return aimed_relation(agent, coordinates)
     agent = linear_agent(agent, kind)
@@ -145,13 +147,6 @@ def relation_from(description: dict[str, Any], agent: AnyAgent, grid: Grid, coor
     )
 
 
-def aimed_relation(agent: AnyAgent, coordinates: FloatArray) -> ExactRelation | WrittenTargets:
-    """Return the exact relation of an agent, or refuse it in words."""
-    if isinstance(agent, Agent):
-        return written_targets(agent, coordinates)
-    return exact_relation(linear_agent(agent, "exact"), coordinates)
-
-
 def check_description(description: Any, agent: AnyAgent) -> None:
     """Raise ValueError unless a value describes a relation of ``agent``.
 
@@ -169,8 +164,9 @@ def check_description(description: Any, agent: AnyAgent) -> None:
     has_network = description["kind"] in ("boxes", "linear") and "network" in description
     known = {"boxes": ("parts", "steer"), "linear": ("parts", "cuts", "reach"), "exact": () if is_written else None}
     named = known.get(description["kind"])
-    if has_network and not is_written:
-        # Networks move linear agents; as linear cells they have maps all the same.
+    # Maps are for matrices, too; files of 0.1 and 0.2 have none for them.
+    has_maps = description["kind"] == "linear" and "reach" in description
+    if (has_network or has_maps) and not is_written:
         named = None
     if is_written != (named is not None and all(name in description for name in named)):
         raise ValueError("it has a relation that is not for the dynamics of its agent")
@@ -189,7 +185,7 @@ def check_description(description: Any, agent: AnyAgent) -> None:
         and description["parts"] ** agent.n_states > MOST_BOXES_OF_A_CELL
     ):
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
-    if (is_written or has_network) and description["kind"] == "linear":
+    if description["kind"] == "linear" and (is_written or has_network or has_maps):
         _check_maps(description, agent)
         _check_modes(description)
     elif is_written and description["kind"] == "boxes":
@@ -242,6 +238,8 @@ def _check_modes(description: dict[str, Any]) -> None:
 def _check_maps(description: dict[str, Any], agent: AnyAgent) -> None:
     """Raise ValueError unless a relation of affine maps says into what cells are cut, and how far differences reach."""
     cuts, reach = description["cuts"], description["reach"]
+    if description.get("aims", True) is not True or ("aims" in description and "network" in description):
+        raise ValueError("a relation offers targets to a network, or does not say that it offers them")
     if type(cuts) is not int or not 1 <= cuts**agent.n_states <= MOST_BOXES_OF_A_CELL:
         raise ValueError(f"a relation cuts cells into more than {MOST_BOXES_OF_A_CELL} parts")
     if not isinstance(reach, list) or len(reach) != agent.n_states:

@@ -20,7 +20,7 @@ import numpy as np
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from .affine_means import AffineBoxes, WrittenRelation
+from .affine_means import AffineBoxes, MapRelation
 from .boxes import LinearMeans, linear_means
 from .network_bounds import CELLS_AT_ONCE, OUTWARD, Form, mean_form, widening
 from .networks import NetworkPolicy
@@ -111,7 +111,7 @@ def _half(low: FloatArray, high: FloatArray) -> FloatArray:
 
 def network_of(relation: object) -> NetworkPolicy | None:
     """Return the network whose modes are the choices of a relation of affine maps; None for all other relations."""
-    if isinstance(relation, WrittenRelation) and isinstance(relation.means, NetworkMaps):
+    if isinstance(relation, MapRelation) and isinstance(relation.means, NetworkMaps):
         return relation.means.policy
     return None
 
@@ -122,7 +122,7 @@ def network_linear_relation(
     policy: NetworkPolicy,
     numbers: tuple[int, int, Sequence[int]],
     idle: Sequence[int] = (),
-) -> WrittenRelation:
+) -> MapRelation:
     """Return the relation ``linear`` of an agent that a network moves: affine maps in all modes.
 
     Parameters
@@ -131,7 +131,7 @@ def network_linear_relation(
     coordinates : (d, d) array
     policy : NetworkPolicy
     numbers : parts, cuts and reach
-        See ``LinearRelation``, ``NetworkMaps`` and ``WrittenRelation``.
+        See ``MapRelation`` and ``NetworkMaps``.
     idle : sequence of int
         See ``NetworkMaps``.
     """
@@ -142,4 +142,4 @@ def network_linear_relation(
     # The inputs of modes stand for nothing.
     menu = np.tile(0.5 * box.low + 0.5 * box.high, (policy.n_modes, 1))
     reach = tuple(int(n) for n in reach)
-    return WrittenRelation(linear.A, linear.B, linear.offset, coordinates, (), menu, parts, maps, reach)
+    return MapRelation(maps, coordinates, menu, parts, reach)

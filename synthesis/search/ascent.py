@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import tree_text
 from ..cells import FloatArray, alike_text
-from ..models import AffineChoices, BoxChoices, Choices, CommonGroup, JointModel, Policies, StepPolicy, with_number
+from ..models import BoxChoices, Choices, CommonGroup, CornerChoices, JointModel, Policies, StepPolicy, with_number
 from ..values import IndexArray, Occupancy, Skeleton, Terms, beside, compress, namespace, take, to_host
 from .best_response import TIE, best_choices
 from .inner_products import Others, collected, inner_products
@@ -35,6 +35,12 @@ from .tree import Candidates, Loss, assemble, candidates, read, shared, terminal
 
 MOST_WEIGHTS = 30_000_000
 """Most products of a mass term, a value term and an agent that decisions are weighed with: 240 MB."""
+
+GLANCED = 997
+"""Every so many entries of tables say whether two may be equal."""
+
+Known = dict[object, tuple[NDArray, NDArray]]
+"""Smoothed factors that were read, and what was read, by where they were read and some of their entries."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +150,7 @@ def sweep(
         occupancy = occupancies.pop()
         arrivals = None if climb is None else _arrivals(joint, occupancy, policies, t)
         steps = joint.guards, joint.masks, joint.models, terms
-        options = candidates(*steps, loss, arrivals, climb or 0.0, improve, joint.finds_alike)
+        options = candidates(*steps, loss, arrivals, climb or 0.0, joint.finds_alike)
         parts, kept = [], []
         for q in range(joint.n_states):
             # Where nothing is left to decide the value is 1 or 0.
@@ -220,7 +226,7 @@ class Stage:
             self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
         self.rows = options.index[q].copy()
-        self.smoothed, self.values, known = [], [], dict[object, FloatArray]()
+        self.smoothed, self.values, known = [], [], Known()
         for i, policy in enumerate(self.policies):
             table, self.rows[:, i] = compress(options.smoothed[i], self.rows[:, i])
             self.smoothed.append(table)
@@ -239,15 +245,19 @@ class Stage:
             self.mass = [beside(np.full((1, m.n_cells), 1.0 / m.n_cells), values) for m, values in pairs]
             self.mass_rows = np.zeros((1, len(self.models)), dtype=np.int64)
 
-    def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: dict[object, FloatArray]) -> FloatArray:
+    def _read_once(self, i: int, table: FloatArray, policy: StepPolicy, known: Known) -> FloatArray:
         """Return the factors of an agent under a policy; where reading takes long, equal agents are read once."""
         model = self.models[i]
-        if not isinstance(model.choices, AffineChoices | BoxChoices) or len(self.models) == 1:
+        if not isinstance(model.choices, BoxChoices | CornerChoices) or len(self.models) == 1:
             return read(model.choices, table, policy, self.rough)
-        key = (id(model), to_host(table).tobytes(), policy.tobytes())
-        if key not in known:
-            known[key] = read(model.choices, table, policy, self.rough)
-        return known[key]
+        # Tables are compared in full only where some of their entries are equal.
+        key, table_there = (id(model), table.shape, to_host(table[:, ::GLANCED]).tobytes(), policy.tobytes()), None
+        if key in known:
+            table_there, values = known[key]
+        if table_there is None or not np.array_equal(to_host(table_there), to_host(table)):
+            values = read(model.choices, table, policy, self.rough)
+            known[key] = table, values
+        return values
 
     def improve(self) -> None:
         """Let every agent answer once, in order; before that every group takes the best number of its inputs."""

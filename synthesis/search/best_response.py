@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AffineChoices, BoxChoices, Choices, InputMenu, StepPolicy, TargetWindows
+from ..models import BoxChoices, Choices, CornerChoices, InputMenu, StepPolicy, TargetWindows
 from ..values import beside, namespace, take, to_host
 
 CELLS_PER_BLOCK = 64
@@ -49,7 +49,7 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     incumbent : (S,) int32 array
         Current choices; -1 where a cell has none. They stay where nothing is better, and where nothing weighs.
     """
-    if isinstance(choices, AffineChoices):
+    if isinstance(choices, CornerChoices):
         weights = np.broadcast_to(weights, (weights.shape[0] if len(weights) > 1 else choices.n_places, len(table)))
         return choices.best(to_host(weights), to_host(table), incumbent)
     if isinstance(choices, BoxChoices):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from ..models import AgentModel, HatKernel, InputMenu, JointModel, Policies
+from ..models import AgentModel, InputMenu, JointModel, Policies
 from ..values import Occupancy
 from .best_response import best_choices
 from .tree import read
@@ -219,8 +219,7 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         ramps += [ramp, 3.0 - ramp]
     reached = cells.copy()
     for ramp in ramps:
-        table = model.kernel.alone(ramp[None]) if isinstance(model.kernel, HatKernel) else ramp[None]
-        policy = _best(model, table, model.choices.resting_choice)
+        policy = _best(model, ramp[None], model.choices.resting_choice)
         mass = model.kernel.push(indicator, model.choices.points(policy))[0]
         reached |= mass > REACHED_SHARE * mass.max(initial=0.0)
     return _hull(reached, model.kernel.shape)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import tree_text
 from ...envs.problem import Problem
-from ..models import JointModel, Policies, WrittenChoices, spread_start, start_of
+from ..models import CornerChoices, JointModel, Policies, spread_start, start_of
 from ..values import Occupancy
 from .ascent import Sweep, resting_policies, start_value, sweep
 from .limits import Limits
@@ -145,6 +145,9 @@ def find_policies(
         if search.value == "train":
             raise ValueError(f"`value`: expected 'auto' or 'tree' with the relation `{lossy[0]}`, got 'train'")
         search = replace(search, limits=_coarser(search.limits, LINEAR_LIMITS))
+    corners = all(isinstance(model.choices, CornerChoices) for model in joint.models)
+    if corners and not search.restarts:
+        search = replace(search, good_share=min(search.good_share, LINEAR_SHARE))
     start = start_of(problem, joint)
     relaxations = relax(problem, joint) if relaxations is None else relaxations
     most = upper_bound(joint, start, relaxations)
@@ -153,7 +156,7 @@ def find_policies(
     early = None if keeps else _without_sweeps(joint, start, search, relaxations, most)
     if early is not None:
         return early
-    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+    if corners:
         given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
     # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case. So
     # are relations that lose delta in every step: who looks beside the path gets there later, which costs them more.
@@ -203,7 +206,7 @@ def _without_sweeps(
 
     Sweeps over linear cells of expressions, and over large teams, are long: evaluating these policies is often enough.
     """
-    if all(isinstance(model.choices, WrittenChoices) for model in joint.models):
+    if all(isinstance(model.choices, CornerChoices) for model in joint.models):
         if len(joint.models) == 1:
             return _alone(joint, start, relaxations)
         pays, limits, room = int((~joint.absorbing).sum()) == 1, LINEAR_FINAL, WRITTEN_ROOM
@@ -256,6 +259,9 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
 
 WRITTEN_ROOM = 1e-4
 """Relative distance from the product of the relaxations, which is no bound under linear cells, that ends the search."""
+
+LINEAR_SHARE = 0.5
+"""Share of the upper bound from which linear cells, whose sweeps are long, are searched from one start alone."""
 
 LARGE_TEAM, LARGE_ROOM = 200, 1e-6
 """Agents from which the policies of the relaxations are tried before all others, and what may be left to gain then."""

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ...envs.logic import Automaton, followed
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..models import AgentModel, JointModel, Policies, WrittenChoices
+from ..models import AgentModel, JointModel, Policies
 from ..values import UNIT, Occupancy
 from .best_response import TIE, best_choices
 from .tree import read
@@ -154,9 +154,7 @@ SuccessorsAndCells = list[tuple[NDArray[np.bool_], NDArray[np.int64]]]
 
 def _cells_by_class(model: AgentModel, follows: NDArray[np.bool_]) -> SuccessorsAndCells:
     """Return successors and cells of each class of labels, classes that lead alike taken as one."""
-    sets, number = model.labels.sets, model.labels.number
-    if isinstance(model.choices, WrittenChoices):
-        number = model.spread(number)  # values are those of places
+    sets, number = model.labels.sets, model.spread(model.labels.number)
     _, kind = np.unique(follows.transpose(1, 0, 2).reshape(follows.shape[1], -1), axis=0, return_inverse=True)
     result = []
     for k in range(int(kind.max(initial=-1)) + 1):

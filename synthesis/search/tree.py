@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import AffineChoices, AgentModel, BoxChoices, Choices, HatKernel, StepPolicy
+from ..models import AgentModel, BoxChoices, Choices, CornerChoices, StepPolicy
 from ..values import (
     Guards,
     IndexArray,
@@ -88,7 +88,6 @@ def candidates(
     loss: Loss | None = None,
     arrivals: Arrivals | None = None,
     spent: float = 0.0,
-    rough: bool = False,
     finds_alike: bool = False,
 ) -> Candidates:
     """Return all products of a guard with a term of its target state, masked, united where possible, and smoothed.
@@ -96,9 +95,8 @@ def candidates(
     Nothing is lost, but for the kernel's lower bounds and what ``loss`` takes off: it turns a smoothed factor into a
     lower bound that holds in spite of lost relations (docs/theory/bounds.md, "Robust tree"), and is called with an
     agent's model, the masked factors (n, S) and the smoothed ones (n, Z). With ``arrivals``, terms are also united from
-    below, which may lose a share ``spent`` (``ladders``). With ``rough`` the bends of linear agents are left out: what
-    comes out is no lower bound, but right enough for choosing policies. With ``finds_alike`` terms are united whose
-    factors are equal without being the same.
+    below, which may lose a share ``spent`` (``ladders``). With ``finds_alike`` terms are united whose factors are equal
+    without being the same.
     """
     # Every guard with every term of its target: row r is the pair (guard[r], child[r]).
     n_states, n_agents = len(value.index), len(models)
@@ -131,7 +129,7 @@ def candidates(
         merges = merges.followed_by(ladders(factors, rows, remaining, guards.source[guard], arrivals, spent))
     for i in range(n_agents):
         factors[i], rows[remaining, i] = compress(factors[i], rows[remaining, i])
-    smoothed = _smooth(models, factors, rough)
+    smoothed = _smooth(models, factors)
     if loss is not None:
         smoothed = tuple(
             beside(loss(m, to_host(before), to_host(after)), after)
@@ -199,14 +197,13 @@ def _per_state(smoothed: tuple[NDArray, ...], n_states: int, source: IndexArray,
     return Candidates(smoothed, tuple(index), tuple(origin), tuple(united), tuple(row))
 
 
-def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray], rough: bool) -> tuple[NDArray, ...]:
+def _smooth(models: Sequence[AgentModel], factors: Sequence[NDArray]) -> tuple[NDArray, ...]:
     """Smooth the factors of all agents, those of agents with one kernel in common products."""
     smoothed: list[NDArray | None] = [None] * len(models)
     for kernel in {id(m.kernel): m.kernel for m in models}.values():
         users = [i for i, m in enumerate(models) if m.kernel is kernel]
         for batch in _batches(users, factors):
-            smooth = kernel.rough if rough and isinstance(kernel, HatKernel) else kernel.smooth
-            stacked = smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
+            stacked = kernel.smooth(concatenate([factors[i] for i in batch]) if len(batch) > 1 else factors[batch[0]])
             first = 0
             for i in batch:
                 smoothed[i] = stacked[first : first + len(factors[i])]
@@ -240,7 +237,7 @@ def read(choices: Choices, smoothed: NDArray, policy: StepPolicy, rough: bool = 
 
     They are lower bounds, unless factors of linear agents are read in few points only (``rough``).
     """
-    if isinstance(choices, AffineChoices):
+    if isinstance(choices, CornerChoices):
         return beside(choices.read(to_host(smoothed), policy, rough), smoothed)
     if isinstance(choices, BoxChoices):
         return choices.read(to_host(smoothed), policy)

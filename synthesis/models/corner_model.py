@@ -1,23 +1,25 @@
-"""Relation, lattice, kernel and choices of an agent with expressions under the relation ``linear``."""
+"""Relation, lattice, kernel and choices of an agent under the relation ``linear``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, Gaussian, Law, Uniform
+from ...envs.agents import AnyAgent, Gaussian, Law, Uniform
 from ..cells import FloatArray, Grid, RelationRefused, grid_laws
-from ..relations import AffineBoxes, WrittenRelation, written_relation
+from ..relations import AffineBoxes, MapRelation, map_relation
+from .agent_models import reaches_every_mean
 from .bends import SECOND
 from .box_kernel import box_lattice, rounding_of, slack_of
-from .box_model import with_rest
+from .box_model import evenly_with_rest, with_rest
+from .corner_choices import BESIDE, CornerChoices, windows_of
 from .lattice_kernel import LatticeKernel
 from .linear_kernel import hat_table
 from .uniform_ends import UniformEnds, uniform_hats
-from .written_choices import BESIDE, WrittenChoices
 
 POINTS_PER_DEVIATION = {1: 12.0, 2: 8.0}
 """Lattice points per deviation of normal noise, at least, by dimension: the slack is then 1e-5 per axis and step."""
@@ -27,6 +29,10 @@ FEWER_PER_DEVIATION = 4.0
 
 POINTS_PER_CELL = {1: 8, 2: 4, 3: 2}
 """Lattice points per cell and axis, at least, by dimension (2 beyond)."""
+
+TARGETS_PER_CELL = {1: (32, 16), 2: (8, 4), 3: (4, 2)}
+"""Lattice points per cell and axis where targets are chosen, by dimension (2 beyond): for cells that are wider than a
+deviation of the noise, and for others."""
 
 MOST_PER_CELL = {1: 64, 2: 16, 3: 4}
 """The same, at most."""
@@ -47,6 +53,9 @@ CUTS = {1: 4, 2: 2, 3: 2}
 """Parts into which cells are cut along each axis to enclose what maps leave, by dimension (1 beyond): with two, slopes
 of what is left have a sign in each part as a rule, and enclosures are next to exact."""
 
+LEVELS_BESIDE_TARGETS = {1: 9, 2: 5, 3: 3}
+"""Levels of each input beside targets, by the number of inputs; 2 beyond."""
+
 MOST_REACH = 1000.0
 """Most lattice steps from the middle of an image to its ends: wider ones are worth nothing."""
 
@@ -54,34 +63,51 @@ CELLS_AT_ONCE = 4096
 """Cells whose maps are made at once."""
 
 
-def written_model(
-    agent: Agent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
-) -> tuple[WrittenRelation, tuple[FloatArray, ...], LatticeKernel, WrittenChoices]:
-    """Return relation, lattice, kernel and choices of an agent with expressions under the relation ``linear``.
+def corner_model(
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+) -> tuple[MapRelation, tuple[FloatArray, ...], LatticeKernel, CornerChoices]:
+    """Return relation, lattice, kernel and choices of an agent under the relation ``linear``.
+
+    Agents whose inputs reach every mean choose among targets and a few inputs; all others among more inputs.
 
     Raises
     ------
     RelationRefused
         If its noise has laws for which nothing is known between lattice points, or there are too many maps or points.
     """
-    menu, d = with_rest(agent.input_box), agent.n_states
-    relation = written_relation(agent, coordinates, menu, 1, CUTS.get(d, 1), (0,) * d)
+    numbers = 1, CUTS.get(agent.n_states, 1), (0,) * agent.n_states
+    if reaches_every_mean(agent):
+        relation = map_relation(agent, coordinates, _few_inputs(agent), numbers, with_aims=True)
+    else:
+        relation = map_relation(agent, coordinates, with_rest(agent.input_box), numbers)
     return lattice_model(agent, grid, relation, per_cell)
 
 
+def _few_inputs(agent: AnyAgent) -> FloatArray:
+    """Return inputs (A, m) to choose from beside targets: corners and faces of the input box, and 0."""
+    box = agent.input_box
+    levels = LEVELS_BESIDE_TARGETS.get(box.dimension, 2)
+    axes = [evenly_with_rest(*ends, levels) for ends in zip(box.low.tolist(), box.high.tolist(), strict=True)]
+    return np.clip(np.array(list(product(*axes))), box.low, box.high)
+
+
 def lattice_model(
-    agent: AnyAgent, grid: Grid, relation: WrittenRelation, per_cell: int | None
-) -> tuple[WrittenRelation, tuple[FloatArray, ...], LatticeKernel, WrittenChoices]:
+    agent: AnyAgent, grid: Grid, relation: MapRelation, per_cell: int | None
+) -> tuple[MapRelation, tuple[FloatArray, ...], LatticeKernel, CornerChoices]:
     """Return a relation of affine maps with the parts and the reach that suit its maps, and what goes with it.
 
     Raises
     ------
     RelationRefused
-        As for ``written_model``.
+        As for ``corner_model``.
     """
     laws, d = grid_laws(agent, relation.coordinates), agent.n_states
     _refuse_laws(agent, laws)
-    points, n_maps = _points_per_cell(grid, laws, per_cell), grid.n_cells * len(relation.menu)
+    if relation.aims is not None and per_cell is None:
+        points = _points_beside_targets(grid, laws)
+    else:
+        points = _points_per_cell(grid, laws, per_cell)
+    n_maps = grid.n_cells * len(relation.menu)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if n_maps > MOST_MAPS or count > MOST_LATTICE:
         raise RelationRefused(
@@ -100,7 +126,8 @@ def lattice_model(
     kernel = _kernel(grid, lattice, laws, reach)
     charged = tuple(0.125 if isinstance(law, Gaussian) else 0.0 for law in laws)
     has_ends = kernel.ends is not None
-    choices = WrittenChoices(grid, lattice, relation, max(points), maps=maps, charged=charged, has_ends=has_ends)
+    windows = windows_of(relation, grid, lattice)
+    choices = CornerChoices(grid, lattice, relation, max(points), maps, windows, charged, has_ends)
     return relation, lattice, kernel, choices
 
 
@@ -122,9 +149,8 @@ def _most_of(numbers: FloatArray, share: float) -> FloatArray:
     return np.asarray(np.minimum(np.quantile(known, share, axis=0), MOST_REACH))
 
 
-def _maps(relation: WrittenRelation, grid: Grid) -> AffineBoxes:
+def _maps(relation: MapRelation, grid: Grid) -> AffineBoxes:
     """Return the maps of all cells."""
-    assert relation.means is not None
     blocks = [
         relation.means.around(
             grid.low[first : first + CELLS_AT_ONCE], grid.high[first : first + CELLS_AT_ONCE], relation.menu
@@ -154,6 +180,13 @@ def _points_per_cell(grid: Grid, laws: Sequence[Law], per_cell: int | None) -> t
         fewest = per_cell or POINTS_PER_CELL.get(d, 2)
         points.append(max(fewest, math.ceil(min(wanted, max(fewest, MOST_PER_CELL.get(d, 2))))))
     return tuple(points)
+
+
+def _points_beside_targets(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
+    """Return fewer points where most cells choose targets, which lose nothing between lattice points."""
+    widths = (float(edges[-1] - edges[0]) / n for edges, n in zip(grid.edges, grid.shape, strict=True))
+    wide, narrow = TARGETS_PER_CELL.get(len(grid.shape), (2, 2))
+    return tuple(wide if width > law.std else narrow for width, law in zip(widths, laws, strict=True))
 
 
 def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]) -> LatticeKernel:

@@ -1,0 +1,531 @@
+"""Choices under the relation ``linear``: constant inputs and targets, their values at corners of cells, and the best.
+
+Under a constant input the mean from x in a cell with centre c is ``m(x) + r``, ``m(x) = z + G (x - c)``,
+``|r_k| <= rho_k``. With I the multilinear interpolant of g on the lattice, steps n_ki of the points that are read
+(along side k of the cell, in lattice steps of axis i), and the largest differences around the image, everywhere in the
+cell
+
+    g(m(x) + r)  >=  interpolation of I(m(x_k))  -  sum_i rho_i slope_i  -  sum_ki bend(n_ki) second_i
+                     -  sum_k sum_ij n_ki n_kj / 4 mixed_ij  -  what g may be below I .
+
+With f at the points of a sub-lattice of the image, c the values at its corners, I their interpolant and ``bend`` what f
+may be below the interpolation between the points of the sub-lattice, each of these is a lower bound that is multilinear
+again:
+
+    c - E,        E = max (I - f)^+ + bend,        if no corner becomes negative;
+    theta c,      theta = min (f - bend)^+ / I;
+    the constant  min (f - bend)^+ .
+
+Setting single negative corners to 0 would be wrong. The best of the three, by its mean, is taken for every cell and
+factor (docs/theory/linear.md, "The loss").
+
+A target puts the mean on one lattice point from the whole cell: its value is that of the point, and nothing is lost. It
+keeps input in reserve for all of the cell; constant inputs, which keep none, are better near the limits of the inputs
+and in wide cells. Choices are compared as they are certified, whatever they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cells import FloatArray, Grid, corner_sides, of_cells, shape_text, to_places
+from ..relations import AffineBoxes, MapRelation, WrittenTargets
+from .box_choices import BoxChoices
+from .choices import InputMenu, StepPolicy, TargetWindows, target_windows, written_windows
+from .lattice_kernel import bend_of, block_of, blocks_of
+
+LOOK = 0.37
+"""Share of a lattice step that is added before a position is rounded down to the point where differences are read.
+
+A half would make rounding decide, as positions on half steps are common; search and check have to read alike."""
+
+BESIDE = 1.63
+"""Lattice steps that the point where differences are read may be off the position, and one to the next point."""
+
+NUMBERS_AT_ONCE = 4_000_000
+"""Numbers of factors at points that are formed at once: 32 MB."""
+
+ROUGH_PARTS = 2
+"""Parts of each side of an image at which it is read to choose a policy."""
+
+FINALISTS = 2
+"""Inputs of a menu whose loss is computed before one is chosen."""
+
+LEAST_SHARE = 1e-12
+"""Share of the largest weight below which a cell is not worth a decision: it keeps what it has."""
+
+DRAW = 1.0 - 1e-6
+"""Share of the mean of another lower bound from which the earlier form is taken."""
+
+PREFERENCE = 1e-9
+"""Relative improvement below which the incumbent stays."""
+
+
+@dataclass(frozen=True, eq=False)
+class SubLattice:
+    """Points inside a cell at whose images values are read.
+
+    Parameters
+    ----------
+    points : (K, d) array
+        From -1 to 1 along each axis, in C order.
+    corners : (2^d,) int array
+        Which of them are the corners of the cell.
+    interpolation : (2^d, K) array
+        Weights of the corners at the points.
+    """
+
+    points: FloatArray
+    corners: NDArray[np.int64]
+    interpolation: FloatArray
+
+    @classmethod
+    def of(cls, d: int, parts: int) -> SubLattice:
+        """Return the points that cut each side of a cell into equal parts."""
+        points = np.array(list(product(np.linspace(-1.0, 1.0, parts + 1), repeat=d)))
+        sides = corner_sides(d)
+        corners = np.ravel_multi_index(tuple((sides * parts).T), (parts + 1,) * d)
+        share = 0.5 * (points + 1.0)
+        weights = np.prod(np.where(sides[:, None, :], share[None], 1.0 - share[None]), axis=2)
+        return cls(points, corners, weights)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CornerChoices:
+    """What can be chosen in each cell: inputs of a menu, by their numbers, and lattice points beyond these.
+
+    Parameters
+    ----------
+    grid : Grid
+    lattice : tuple of (Z_k,) arrays
+        Evenly spaced lattice axes.
+    relation : MapRelation
+    per_cell : int
+        Lattice points per cell and axis, at most.
+    maps : AffineBoxes
+        Means of all cells and inputs, (S, A, ..).
+    windows : TargetWindows or None
+        The lattice points that each cell can choose, if there are targets.
+    charged : tuple of float
+        What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
+    has_ends : bool
+        Whether smoothed factors have columns for what uniform noise adds between lattice points.
+    """
+
+    grid: Grid
+    lattice: tuple[FloatArray, ...]
+    relation: MapRelation
+    per_cell: int
+    maps: AffineBoxes
+    windows: TargetWindows | None
+    charged: tuple[float, ...]
+    has_ends: bool = False
+    memory: dict[str, object] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        aims = "" if self.windows is None else " and targets"
+        of_each = f"{self.n_inputs} inputs{aims}"
+        return f"CornerChoices({self.grid.n_cells} cells, {of_each}, {shape_text(self.shape)} lattice points)"
+
+    @property
+    def n_places(self) -> int:
+        """Number of places 2^d S."""
+        return self.grid.n_cells * 2 ** len(self.lattice)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lattice points per axis."""
+        return tuple(len(axis) for axis in self.lattice)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs A."""
+        return len(self.relation.menu)
+
+    @cached_property
+    def n_points(self) -> int:
+        """Number of lattice points Z."""
+        return int(np.prod(self.shape))
+
+    @cached_property
+    def origin(self) -> FloatArray:
+        """First point (d,) of the lattice."""
+        return np.array([axis[0] for axis in self.lattice])
+
+    @cached_property
+    def pitch(self) -> FloatArray:
+        """Lattice steps (d,)."""
+        return np.array(
+            [(axis[-1] - axis[0]) / max(1, len(axis) - 1) if len(axis) > 1 else 1.0 for axis in self.lattice]
+        )
+
+    @cached_property
+    def _sub_lattices(self) -> tuple[SubLattice, SubLattice]:
+        """Where images are read: for lower bounds, and to choose by."""
+        d = len(self.lattice)
+        return SubLattice.of(d, self.relation.parts), SubLattice.of(d, 1 if d > 2 else ROUGH_PARTS)
+
+    @property
+    def reach(self) -> tuple[int, ...]:
+        """Lattice steps along each axis within which largest differences are taken."""
+        return self.relation.reach
+
+    @cached_property
+    def _admissible(self) -> NDArray[np.bool_]:
+        """(S, A) whether the image of the cell is known and lies inside the lattice, what is left of it included."""
+        known: NDArray[np.bool_] = np.all(np.isfinite(self.maps.centre), axis=2)
+        position = (np.where(known[..., None], self.maps.centre, 0.0) - self.origin) / self.pitch
+        return known & self._inside(position, self._extent)
+
+    @cached_property
+    def _extent(self) -> FloatArray:
+        """(S, 1 or A, d) lattice steps from the middle of an image to its ends, what is left of means included."""
+        half = np.einsum("sakj,sj->sak", np.abs(self.maps.gain), self.grid.half_widths)
+        return (half + self.maps.rest) / self.pitch
+
+    def _inside(self, position: FloatArray, extent: FloatArray) -> NDArray[np.bool_]:
+        """Return which images lie inside: second differences are not known at the border of the lattice."""
+        last = np.array(self.shape) - 1
+        inside = (position - extent >= 1.0) & (position + extent <= last - 1.0)
+        inside &= extent + BESIDE <= np.array(self.reach)
+        return np.asarray(np.all(inside, axis=-1))
+
+    def _own(self, numbers: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
+        """Return what maps hold of cells (C,) under choices (C,)."""
+        return np.asarray(numbers[cells, choices if numbers.shape[1] > 1 else 0])
+
+    def targets(self, choices: NDArray) -> NDArray[np.bool_]:
+        """Return which choices put the mean on one lattice point for the whole cell."""
+        return np.asarray(choices >= self.n_inputs)
+
+    def centres(self, cells: NDArray[np.int64], policy: StepPolicy) -> FloatArray:
+        """Return the means (C, d) of the centres of cells under choices (C,); far away where they are not known."""
+        index = np.unravel_index(np.clip(policy - self.n_inputs, 0, self.n_points - 1), self.shape)
+        points = np.stack([axis[k] for axis, k in zip(self.lattice, index, strict=True)], axis=1)
+        inputs = self.maps.centre[cells, np.minimum(policy, self.n_inputs - 1)]
+        means = np.nan_to_num(inputs, nan=np.finfo(float).max ** 0.25)
+        return np.where(self.targets(policy)[:, None], points, means)
+
+    def points(self, policy: StepPolicy) -> NDArray[np.int64]:
+        """Return the lattice point nearest to the mean of each place (2^d S,); -1 where there is no choice.
+
+        Masses are pushed to them: a heuristic where means lie between lattice points.
+        """
+        cells, chosen = np.arange(self.grid.n_cells), np.clip(policy, 0, self.n_inputs - 1)
+        flat = self._corners_of(cells, chosen).astype(np.int64)
+        known = (policy >= 0) & self._admissible[cells, chosen]
+        flat = np.where(known[:, None], flat, -1)
+        return to_places(
+            np.where(self.targets(policy)[:, None], policy[:, None] - self.n_inputs, flat), self.grid.shape
+        )
+
+    def _corners_of(self, cells: NDArray[np.int64], choices: NDArray) -> NDArray[np.int32]:
+        """Return the lattice points (C, 2^d) nearest to the images of the corners of cells, moved into the lattice."""
+        sides = 2.0 * corner_sides(len(self.shape)) - 1.0
+        reach = np.einsum("sij,sj,cj->sci", self._own(self.maps.gain, cells, choices), self._half[cells], sides)
+        position = (self._input_centres(cells, choices)[:, None] + reach - self.origin) / self.pitch
+        index = np.clip(np.nan_to_num(position), 0, np.array(self.shape) - 1)
+        index = np.rint(index).astype(np.int64)
+        return np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape).astype(np.int32)
+
+    def _input_centres(self, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
+        """Return ``centres`` of inputs alone."""
+        return np.nan_to_num(self.maps.centre[cells, choices], nan=np.finfo(float).max ** 0.25)
+
+    @cached_property
+    def _half(self) -> FloatArray:
+        return np.asarray(self.grid.half_widths)
+
+    def read(self, table: FloatArray, policy: StepPolicy, rough: bool = False) -> FloatArray:
+        """Return lower bounds (n, 2^d S) at all places under a policy, from values and bends (n, 2 Z).
+
+        Images are read at few points if ``rough``: about right, and no bounds.
+        """
+        cells = np.flatnonzero(policy >= 0)
+        values = np.zeros((len(table), self.grid.n_cells, 2 ** len(self.lattice)))
+        values[:, cells] = self.at(table, cells, policy[cells], rough)
+        return to_places(values, self.grid.shape)
+
+    def at(self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, rough: bool = False) -> FloatArray:
+        """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,); about right if ``rough``."""
+        sub_lattice = self._sub_lattices[rough]
+        values = np.empty((len(table), len(cells), 2 ** len(self.lattice)))
+        fixed = self.targets(choices)
+        values[:, fixed] = table[:, choices[fixed] - self.n_inputs][..., None]
+        for rows in self._chunks(np.flatnonzero(~fixed), len(table) * len(sub_lattice.points)):
+            values[:, rows] = self._of_images(table, cells[rows], choices[rows], sub_lattice)
+        return values
+
+    def _chunks(self, rows: NDArray[np.int64], numbers: int) -> Iterator[NDArray[np.int64]]:
+        """Return rows in parts that form few numbers at once."""
+        if len(rows):
+            yield from np.array_split(rows, len(rows) * numbers // NUMBERS_AT_ONCE + 1)
+
+    def _of_images(
+        self, table: FloatArray, cells: NDArray[np.int64], choices: NDArray, sub_lattice: SubLattice
+    ) -> FloatArray:
+        """Return lower bounds (n, C, 2^d) at the corners of cells (C,) under choices (C,)."""
+        gains = self._own(self.maps.gain, cells, choices)
+        rest = self._own(self.maps.rest, cells, choices) / self.pitch
+        middle = (self._input_centres(cells, choices) - self.origin) / self.pitch
+        inside = self._admissible[cells, choices]
+        middle = np.where(inside[:, None], middle, 1.0)
+        moved = gains * self._half[cells][:, None, :] / self.pitch[:, None]  # (C, i, k) in lattice steps
+        moved = np.where(inside[:, None, None], moved, 0.0)
+        values = self._interpolant(
+            table, [middle[:, i, None] + moved[:, i] @ sub_lattice.points.T for i in range(len(self.shape))]
+        )
+        parts = round(len(sub_lattice.points) ** (1.0 / len(self.shape))) - 1
+        lacking = self._lacking(table, middle, 2.0 * np.abs(moved) / parts, rest)
+        lower = best_below(values, values[:, :, sub_lattice.corners], lacking, sub_lattice.interpolation)
+        return lower * inside[:, None]
+
+    def _interpolant(self, table: FloatArray, position: list[FloatArray]) -> FloatArray:
+        """Return the interpolant (n, C, K) of values; positions, one (C, K) per axis, are in lattice steps."""
+        base = [np.clip(np.floor(x), 0.0, n - 2.0) for x, n in zip(position, self.shape, strict=True)]
+        share = [x - low for x, low in zip(position, base, strict=True)]
+        strides = [int(np.prod(self.shape[k + 1 :])) for k in range(len(self.shape))]
+        first = sum(low.astype(np.int64) * stride for low, stride in zip(base, strides, strict=True))
+        total = np.zeros((len(table), *position[0].shape))
+        for corner in product((0, 1), repeat=len(self.shape)):
+            factors = [right if side else 1.0 - right for right, side in zip(share, corner, strict=True)]
+            weight = math.prod(factors[1:], start=factors[0])
+            places = first + int(np.dot(corner, strides))
+            for row, own in zip(total, table, strict=True):
+                row += weight * own.take(places)
+        return total
+
+    def _lacking(self, table: FloatArray, middle: FloatArray, steps: FloatArray, rest: FloatArray) -> FloatArray:
+        """Return how far the value may be below interpolations of what is read (n, C).
+
+        Parameters
+        ----------
+        middle : (C, d) array
+            Images of centres, in lattice steps.
+        steps : (C, d, d) array
+            Lattice steps along each axis (second index) between points that are read along each side (last index).
+        rest : (C, d) array
+            What is left of means, in lattice steps.
+        """
+        d, reach = len(self.shape), self.reach
+        index = np.clip(np.floor(middle + LOOK).astype(np.int64), 0, np.array(self.shape) - 1)
+        blocks = blocks_of(self.shape, reach)
+        flat = np.ravel_multi_index(tuple(index[:, k] // block_of(n) for k, n in enumerate(reach)), blocks)
+        weights = [bend_of(steps[:, i]).sum(axis=1) + self.charged[i] for i in range(d)]
+        weights += [0.25 * (steps[:, i] * steps[:, j]).sum(axis=1) for i, j in combinations(range(d), 2)]
+        weights += [rest[:, i] for i in range(d)]
+        weights += [np.ones(len(middle))] if self.has_ends else []
+        lacking = np.zeros((len(table), len(middle)))
+        if table.shape[1] == self.n_points:  # about right is enough
+            return lacking
+        for row, own in zip(lacking, table, strict=True):
+            row[:] = own[-1]
+            for number, weight in enumerate(weights):
+                row += weight * own.take(self.n_points + number * math.prod(blocks) + flat)
+        return lacking
+
+    def best(self, weights: FloatArray, table: FloatArray, incumbent: StepPolicy) -> StepPolicy:
+        """Return the choices (S,) of the largest weighted value, losses taken off; the incumbent stays among equals.
+
+        Parameters
+        ----------
+        weights : (2^d S, n) array
+            Weights of the objectives at all places.
+        table : (n, 2 Z) array
+            Values and bends of every lattice point under each objective.
+        incumbent : (S,) int32 array
+        """
+        at_corners = of_cells(weights.T, self.grid.shape)  # (n, S, 2^d)
+        heavy = at_corners.sum(axis=(0, 2))
+        cells = np.flatnonzero((heavy > LEAST_SHARE * heavy.max(initial=0.0)) | (incumbent < 0))
+        result = incumbent.copy()
+        if not len(cells) or not heavy.any():
+            return result
+        here = np.ascontiguousarray(at_corners[:, cells])
+        finalists = self._inputs(here, table, cells)
+        if self.windows is not None:
+            finalists.append(self._best_targets(self.windows, here, table, cells, incumbent))
+        current = incumbent[cells]
+        best, score = current.copy(), self._score(here, table, cells, current) * (1.0 + PREFERENCE)
+        for candidate in finalists:
+            value = self._score(here, table, cells, candidate)
+            better = (candidate >= 0) & ((best < 0) | (value > score))
+            best, score = np.where(better, candidate, best), np.where(better, value, score)
+        result[cells] = best
+        return result
+
+    def _score(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64], choices: NDArray) -> FloatArray:
+        """Return weighted values (C,) of choices with their losses; minus infinity where there is no choice."""
+        score = np.full(len(cells), -np.inf)
+        for rows in self._chunks(np.flatnonzero(choices >= 0), len(table) * len(self._sub_lattices[True].points)):
+            values = self.at(table, cells[rows], choices[rows], rough=True)
+            score[rows] = np.einsum("nsc,nsc->s", weights[:, rows], values)
+        return score
+
+    def _best_targets(
+        self,
+        windows: TargetWindows,
+        weights: FloatArray,
+        table: FloatArray,
+        cells: NDArray[np.int64],
+        incumbent: StepPolicy,
+    ) -> NDArray[np.int64]:
+        """Return the best target (C,) of cells with weights (n, C, 2^d), as choices: coarse first, then fine."""
+        total = np.ascontiguousarray(weights.sum(axis=2).T)
+        points = self._coarse(total, table, cells)
+        # Resting choices stand in where no coarse point is admissible, and where the window is narrow.
+        points = np.where(points < 0, windows.resting_choice[cells], points)
+        current = incumbent[cells] - self.n_inputs
+        points = np.where((points < 0) & (current >= 0), current, points)
+        step = max(1, self.per_cell // 2)
+        while True:
+            points = self._refined(windows, total, table, cells, points, step)
+            if step == 1:
+                return np.where(points >= 0, points + self.n_inputs, -1)
+            step = max(1, step // 2)
+
+    def _coarse(self, total: FloatArray, table: FloatArray, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the best point of each cell (C,) on every ``per_cell``-th lattice point; -1 where there is none."""
+        windows, fine = self._coarse_windows
+        values = np.ascontiguousarray(table[:, : self.n_points][:, fine])
+        weights = np.zeros((self.grid.n_cells, len(table)))
+        weights[cells] = total
+        wanted = np.zeros(self.grid.n_cells, dtype=bool)
+        wanted[cells] = True
+        best = np.full(self.grid.n_cells, -1, dtype=np.int64)
+        for block in windows.blocks(64):
+            if not wanted[block].any():
+                continue
+            flat, allowed = windows.band(block)
+            if len(flat):
+                scores = np.where(allowed, weights[block] @ values[:, flat], -np.inf)
+                first = scores.argmax(axis=1)
+                best[block] = np.where(allowed[np.arange(len(block)), first], fine[flat[first]], -1)
+        return best[cells]
+
+    @cached_property
+    def _coarse_windows(self) -> tuple[TargetWindows, NDArray[np.int64]]:
+        """The windows on every ``per_cell``-th lattice point, and which lattice points these are."""
+        first = self.per_cell // 2
+        index = [np.arange(first, n, self.per_cell) if n > first else np.arange(1) for n in self.shape]
+        lattice = tuple(axis[k] for axis, k in zip(self.lattice, index, strict=True))
+        fine = np.ravel_multi_index(np.meshgrid(*index, indexing="ij"), self.shape).ravel()
+        windows = windows_of(self.relation, self.grid, lattice)
+        assert windows is not None
+        return windows, fine
+
+    def _refined(
+        self,
+        windows: TargetWindows,
+        total: FloatArray,
+        table: FloatArray,
+        cells: NDArray[np.int64],
+        points: NDArray[np.int64],
+        step: int,
+    ) -> NDArray[np.int64]:
+        """Return the best of each point and its neighbours ``step`` away that its cell can choose."""
+        shape = np.array(self.shape)
+        index = np.stack(np.unravel_index(np.maximum(points, 0), self.shape), axis=1)
+        low, high = windows.low[cells], windows.high[cells] - 1
+        best, score = points.copy(), np.full(len(cells), -np.inf)
+        for move in sorted(product((-step, 0, step), repeat=len(shape)), key=lambda move: sum(map(abs, move))):
+            moved = np.clip(index + np.array(move), low, np.maximum(high, low))
+            flat = np.ravel_multi_index(tuple(np.clip(moved, 0, shape - 1).T), self.shape)
+            allowed = (points >= 0) & np.all((low <= moved) & (moved <= high), axis=1)
+            if not windows.relation.is_box:
+                allowed &= windows.admissible(cells, flat)
+            value = np.einsum("sn,ns->s", total, table[:, flat])
+            better = allowed & (value > score)
+            best, score = np.where(better, flat, best), np.where(better, value, score)
+        return best
+
+    def _inputs(self, weights: FloatArray, table: FloatArray, cells: NDArray[np.int64]) -> list[NDArray]:
+        """Return the inputs (C,) of the largest weighted values at the corners' images, losses aside, best first."""
+        names = np.full((FINALISTS, len(cells)), -1)
+        scores = np.full((FINALISTS, len(cells)), -np.inf)
+        for a in range(self.n_inputs):
+            corners, value = self._corner_table[a][cells], np.zeros(len(cells))
+            for own, weight in zip(table, weights, strict=True):
+                value += (weight * own.take(corners)).sum(axis=1)
+            name, value = np.full(len(cells), a), np.where(self._admissible[cells, a], value, -np.inf)
+            # Into the list of the best, which stays in order.
+            for k in range(FINALISTS):
+                better = value > scores[k]
+                names[k], name = np.where(better, name, names[k]), np.where(better, names[k], name)
+                scores[k], value = np.where(better, value, scores[k]), np.where(better, scores[k], value)
+        return list(names)
+
+    @cached_property
+    def _corner_table(self) -> list[NDArray[np.int32]]:
+        """Lattice points (S, 2^d) nearest to the images of corners, for every input."""
+        cells = np.arange(self.grid.n_cells)
+        return [self._corners_of(cells, np.full(len(cells), a)) for a in range(self.n_inputs)]
+
+    @cached_property
+    def resting_choice(self) -> StepPolicy:
+        """(S,) choice whose mean stays nearest to the cell, targets first; -1 where there is none."""
+        best, nearest = np.full(self.grid.n_cells, -1, dtype=np.int32), np.full(self.grid.n_cells, np.inf)
+        cells = np.arange(self.grid.n_cells)
+        for a in range(self.n_inputs):
+            away = (self._input_centres(cells, np.full(len(cells), a)) - self.grid.centres) / self.pitch
+            distance = np.where(self._admissible[:, a], np.sum(away**2, axis=1), np.inf)
+            closer = distance < nearest
+            nearest, best = np.where(closer, distance, nearest), np.where(closer, a, best).astype(np.int32)
+        if self.windows is None:
+            return best
+        fixed = self.windows.resting_choice
+        return np.where(fixed >= 0, fixed + self.n_inputs, best).astype(np.int32)
+
+
+def windows_of(relation: MapRelation, grid: Grid, lattice: tuple[FloatArray, ...]) -> TargetWindows | None:
+    """Return the lattice points that each cell can choose; None if the relation offers no targets."""
+    aims = relation.aims
+    if aims is None:
+        return None
+    return (
+        written_windows(aims, grid, lattice)
+        if isinstance(aims, WrittenTargets)
+        else target_windows(aims, grid, lattice)
+    )
+
+
+Choices = TargetWindows | InputMenu | CornerChoices | BoxChoices
+"""What can be chosen in each cell."""
+
+
+def best_below(values: FloatArray, corners: FloatArray, bend: FloatArray, interpolation: FloatArray) -> FloatArray:
+    """Return lower bounds (n, C, 2^d) at the corners of cells, of which the interpolants are below f everywhere.
+
+    Parameters
+    ----------
+    values : (n, C, K) array
+        f at the points of the sub-lattice.
+    corners : (n, C, 2^d) array
+        f at the corners.
+    bend : (n, C) array
+        How far f may be below the interpolation between neighbouring points of the sub-lattice.
+    interpolation : (2^d, K) array
+    """
+    between = corners @ interpolation
+    least = np.maximum(values - bend[..., None], 0.0)
+    constant = least.min(axis=2)
+    # Additive: admissible only if all corners stay nonnegative.
+    shift = np.maximum(between - values, 0.0).max(axis=2) + bend
+    additive = corners - shift[..., None]
+    fits = np.all(additive >= 0.0, axis=2)
+    # Multiplicative: the smallest ratio; where nothing is there to be scaled it does not matter.
+    ratio = np.divide(least, between, out=np.ones_like(between), where=between > 0.0)
+    theta = np.minimum(ratio.min(axis=2), 1.0) * (1.0 - 1e-15)
+    mean = corners.mean(axis=2)
+    by_shift = np.where(fits, mean - shift, -1.0)
+    by_theta = theta * mean
+    # Where the worst point is the centre, two forms have the same mean: rounding must not decide between them.
+    best = np.where((by_theta >= DRAW * constant)[..., None], theta[..., None] * corners, constant[..., None])
+    return np.where((by_shift >= DRAW * np.maximum(by_theta, constant))[..., None], additive, best)
