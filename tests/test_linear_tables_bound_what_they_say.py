@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -14,9 +15,11 @@ from certigym.synthesis.cells import Grid
 from certigym.synthesis.checking import linear_tables
 from certigym.synthesis.models import bends
 from certigym.synthesis.models.bends import _fourth
-from certigym.synthesis.models.linear_kernel import LinearKernel, hat_masses, hat_table, uniform_axis
-from certigym.synthesis.models.linear_model import linear_model
+from certigym.synthesis.models.kernel import Kernel
+from certigym.synthesis.models.linear_kernel import hat_masses, hat_table
 from problems import linear
+
+DATA = Path(__file__).parent / "data"
 
 mpmath.mp.dps = 50
 
@@ -28,6 +31,20 @@ def true_hats(mean: float, low: float, high: float, std: float) -> tuple[mpmath.
     mass = mpmath.ncdf(y) - mpmath.ncdf(x) if y < 0 else mpmath.ncdf(-x) - mpmath.ncdf(-y)
     rising = (mpmath.npdf(x) - mpmath.npdf(y) - x * mass) * s / (b - a)
     return mass - rising, rising
+
+
+def uniform_axis(low: float, high: float, cells: int, per_cell: int, first: float, last: float) -> NDArray:
+    """Lattice points ``low + (i + 1/2) pitch`` from about ``first`` to ``last``, ``per_cell`` to a mean cell."""
+    pitch = (high - low) / (cells * per_cell)
+    return np.asarray(low + (np.arange(np.floor((first - low) / pitch), np.ceil((last - low) / pitch)) + 0.5) * pitch)
+
+
+def smoothed(kernel: Kernel, bends_of: bends.Bends, factors: NDArray) -> tuple[NDArray, NDArray]:
+    """Values of factors on the lattice, and their bends."""
+    values = kernel.smooth(factors)
+    bent = np.empty_like(values)
+    bends_of.add_to(bent, values, factors)
+    return values, bent
 
 
 def hats_of(code: str, means: NDArray, edges: NDArray, std: float) -> NDArray:
@@ -105,10 +122,10 @@ def test_bends_are_at_least_the_gaps_of_random_factors(d: int, width: float, ske
     tables, losses = zip(*(hat_table(a, e, float(s)) for a, e, s in zip(lattice, edges, deviations)), strict=True)
     bends_of = bends.Bends(moves * pitch, lattice, edges, deviations, sum(losses))
     assert bends_of.is_aligned == (d == 1 or not skew)
-    kernel = LinearKernel(tables, sum(losses), bends=bends_of)
+    kernel = Kernel(tables, sum(losses))
     # Some factors are 0 in most places: these bend most.
     factors = rng.random((6, (2 * n) ** d)) * (rng.random((6, (2 * n) ** d)) < [[0.1], [0.2], [0.5], [1], [1], [0.05]])
-    values, bent = np.split(kernel.smooth(factors), 2, axis=1)
+    values, bent = smoothed(kernel, bends_of, factors)
     shape, worst = np.array(kernel.lattice_shape), 0.0
     for _ in range(300):
         base = rng.integers(0, shape - moves.sum(axis=0), size=d)
@@ -144,17 +161,23 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
     problem = cg.make_problem("car-park-planar-v0")
     agent = problem.agents[0]
     grid = Grid(tuple(np.linspace(a, b, 13) for a, b in zip(agent.state_low, agent.state_high, strict=True)))
-    relation, lattice, kernel, _ = linear_model(linear(agent), grid, np.eye(2), 4)
+    deviations = np.sqrt(np.diag(agent.noise_covariance))
+    lattice = tuple(uniform_axis(e[0], e[-1], 12, 4, e[0] - s, e[-1] + s) for e, s in zip(grid.edges, deviations))
+    axes = zip(lattice, grid.edges, deviations.tolist(), strict=True)
+    tables, losses = zip(*(hat_table(*axis) for axis in axes), strict=True)
+    widths = np.array([edges[1] - edges[0] for edges in grid.edges])
+    steps = np.concatenate([(linear(agent).A * widths).T / 4, np.diag([axis[1] - axis[0] for axis in lattice])])
+    bends_of, kernel = bends.Bends(steps, lattice, grid.edges, deviations, sum(losses)), Kernel(tables, sum(losses))
     factors = rng.random((4, grid.n_cells * 4)) * (rng.random((4, grid.n_cells * 4)) < 0.3)
-    bent = kernel.smooth(factors)[:, kernel.n_points :]
+    _, bent = smoothed(kernel, bends_of, factors)
     # The second derivatives themselves, in closed form.
     masses = [table.toarray() for table in kernel.tables]
     each = []
     for axis in range(2):
-        deviation = float(kernel.bends.deviations[axis])
+        deviation = float(deviations[axis])
         hats = true_second_derivatives(lattice[axis], grid.edges[axis], deviation)
         chosen = [hats if k == axis else masses[k] for k in range(2)]
-        square = float(np.sum(kernel.bends.steps[:, axis] ** 2))
+        square = float(np.sum(steps[:, axis] ** 2))
         second = np.einsum("nab,ya,zb->nyz", factors.reshape(4, *(len(e) * 2 - 2 for e in grid.edges)), *chosen)
         each.append(0.125 * square * np.maximum(second, 0.0).reshape(4, -1))
     for factor in range(4):
@@ -164,15 +187,14 @@ def test_bends_cover_directions_that_bend_most_at_different_points(seed: int) ->
             seen = bent[factor].reshape(kernel.lattice_shape)[window].max()
             suprema = sum(s[factor].reshape(kernel.lattice_shape)[window].max() for s in each)
             assert seen >= suprema
-    assert relation.kind == "linear" and len(lattice) == 2
 
 
 def test_shares_of_directions_sum_to_one_in_the_check() -> None:
     """Whatever the shares are, the largest s_k / share_k is at least the sum of the largest s_k if they sum to 1."""
-    for name, cells in (("car-park-planar-v0", 12), ("integrator-chain-v0", 30)):
-        problem = cg.make_problem(name, horizon=1)
-        part = cg.synthesize(problem, cells, relation="linear").certificate.agents[0]
-        shares = linear_tables.linear_tables(linear(problem.agents[0]), part).shares
+    for name in ("targets", "menu", "correlated"):
+        certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
+        agent = linear(certificate.problem.agents[0])
+        shares = linear_tables.linear_tables(agent, certificate.agents[0]).shares
         assert np.all(shares >= 0.0) and shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 
@@ -188,10 +210,10 @@ def test_bends_hold_for_factors_that_bend_most_between_lattice_points(pitch: flo
         lattice = lattice[np.abs(lattice) <= 12.0]
         table, loss = hat_table(lattice, edges, 1.0)
         bends_of = bends.Bends(np.array([[step * pitch]]), (lattice,), (edges,), np.ones(1), loss)
-        kernel = LinearKernel((table,), loss, bends=bends_of)
+        kernel = Kernel((table,), loss)
         signs = [np.polynomial.hermite_e.hermeval(centres, [0] * n + [1]) > 0 for n in (2, 4, 6)]
         factors = np.array([*signs, *(~sign for sign in signs)], dtype=float)
-        values, bent = np.split(kernel.smooth(factors), 2, axis=1)
+        values, bent = smoothed(kernel, bends_of, factors)
         for first in range(3, len(lattice) - step - 3):
             last = first + step
             points = lattice[first] + shares * step * pitch

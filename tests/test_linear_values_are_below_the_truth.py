@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,11 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.checking import linear_check, regrow
-from certigym.synthesis.models.affine_choices import SubLattice, best_below
+from certigym.synthesis.models.corner_choices import SubLattice, best_below
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, linear, scalar_agent
+
+DATA = Path(__file__).parent / "data"
 
 
 def random_case(rng: np.random.Generator, d: int, parts: int, rough: float = 0.5) -> tuple[Any, ...]:
@@ -162,7 +166,25 @@ def expected(certificate: cg.Certificate, terms: Terms | None, q: int, mean: NDA
 def test_values_at_interior_points_are_below_quadrature(name: str) -> None:
     """One step at a time: the value at a random point is at most the mean of the next one under its controller."""
     problem, cells = PROBLEMS[name]
-    certificate = cg.synthesize(problem, cells, relation="linear").certificate
+    below_quadrature(cg.synthesize(problem, cells, relation="linear").certificate)
+
+
+@pytest.mark.parametrize("name", ["targets", "menu", "correlated"])
+def test_so_are_those_of_files_of_0_2(name: str) -> None:
+    """Linear cells had targets with two gains then, or a menu, and bends of their own."""
+    certificate = cg.load_certificate(DATA / f"linear_0_2_{name}.npz")
+    assert "reach" not in certificate.agents[0].relation
+    below_quadrature(certificate)
+    assert not cg.validate(certificate, 20_000, seed=1, confidence=1 - 1e-6 / 3).refuted
+    # Sabotage: other choices.
+    part = certificate.agents[0]
+    forged = replace(part, policy=np.where(part.policy >= 0, np.roll(part.policy, 3, axis=2), -1))
+    assert not cg.check(replace(certificate, agents=(forged,)))
+
+
+def below_quadrature(certificate: cg.Certificate) -> None:
+    """Check a certificate, and compare its values at random points with the means of the next ones."""
+    problem = certificate.problem
     assert cg.check(certificate) and certificate.lower_bound > 0.1
     values: dict[int, Terms] = {}
     regrow(certificate, values.__setitem__)

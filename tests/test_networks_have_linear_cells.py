@@ -15,7 +15,7 @@ from certigym.envs.agents import LinearAgent
 from certigym.synthesis.checking.network_spans import network_maps
 from certigym.synthesis.models.network_model import network_abstraction
 from certigym.synthesis.raw_networks import certify_network, differences
-from certigym.synthesis.relations import AffineBoxes, NetworkMaps, NetworkPolicy, WrittenRelation, check_description
+from certigym.synthesis.relations import AffineBoxes, MapRelation, NetworkMaps, NetworkPolicy, check_description
 from certigym.synthesis.relations.boxes import linear_means
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
@@ -58,7 +58,7 @@ def test_no_point_of_a_cell_leaves_its_map(
     part = certify_network(problem, actor, 12 if d == 1 else 6, relation="linear").certificate.agents[0]
     part = dataclasses.replace(part, relation={**part.relation, "cuts": cuts})
     relation = part.relation_of(agent)
-    assert isinstance(relation, WrittenRelation) and relation.means is not None
+    assert isinstance(relation, MapRelation) and relation.means is not None
     low, high = part.grid.low, part.grid.high
     maps = relation.means.around(low, high, relation.menu)
     corners = np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T

@@ -15,9 +15,9 @@ import certigym as cg
 from certigym import Agent, Problem, Proposition, Specification
 from certigym.synthesis.cells import Grid, hats
 from certigym.synthesis.checking.written_linear import map_spans
-from certigym.synthesis.models import WrittenChoices
+from certigym.synthesis.models import CornerChoices
+from certigym.synthesis.models.corner_model import corner_model
 from certigym.synthesis.models.lattice_kernel import bend_of
-from certigym.synthesis.models.written_model import written_model
 from certigym.synthesis.relations import AffineBoxes, AffineMeans
 from written_problems import oscillator, oscillator_reach
 
@@ -127,7 +127,7 @@ def test_a_step_is_below_the_truth(name: str, noise: str) -> None:
     """Random factors, random choices, random points of cells, random disturbances: a step is never above."""
     agent, rng = mover(name, noise), np.random.default_rng(2)
     grid = Grid((np.linspace(-1.5, 1.5, 13), np.linspace(-2.0, 2.0, 17)))
-    _, _, kernel, choices = written_model(agent, grid, np.eye(2))
+    _, _, kernel, choices = corner_model(agent, grid, np.eye(2))
     x, y = (np.repeat(edges, 2)[1:-1] for edges in grid.edges)
     ramp = np.exp(-2.0 * ((x[:, None] - 0.3) ** 2 + (y[None] + 0.5) ** 2)).ravel()
     near = 1.0
@@ -207,7 +207,7 @@ def test_other_laws_are_refused_in_words() -> None:
 
 def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     """Break the search in one of several ways; the check has code of its own."""
-    around, lacking = AffineMeans.around, WrittenChoices._lacking
+    around, lacking = AffineMeans.around, CornerChoices._lacking
 
     def smaller(self: AffineMeans, *args: Any) -> AffineBoxes:
         maps = around(self, *args)
@@ -221,16 +221,16 @@ def sabotaged(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
         maps = around(self, *args)
         return replace(maps, gain=np.roll(maps.gain, 7, axis=0))
 
-    def without_slopes(self: WrittenChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_slopes(self: CornerChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, steps, np.zeros_like(rest))
 
-    def without_bends(self: WrittenChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
+    def without_bends(self: CornerChoices, table: Any, middle: Any, steps: Any, rest: Any) -> Any:
         return lacking(self, table, middle, np.zeros_like(steps), rest)
 
     if how == "slopes left out":
-        monkeypatch.setattr(WrittenChoices, "_lacking", without_slopes)
+        monkeypatch.setattr(CornerChoices, "_lacking", without_slopes)
     elif how == "bends left out":
-        monkeypatch.setattr(WrittenChoices, "_lacking", without_bends)
+        monkeypatch.setattr(CornerChoices, "_lacking", without_bends)
     else:
         changed = {"what is left 1 % too small": smaller, "a disturbance left out": calm}
         monkeypatch.setattr(AffineMeans, "around", changed.get(how, of_another_cell))

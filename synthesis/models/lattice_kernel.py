@@ -81,8 +81,8 @@ class LatticeKernel(Kernel):
         number: dict[bytes, int] = {}
         which = [number.setdefault(row.tobytes(), len(number)) for row in factors]
         if len(number) < len(factors):
-            first = [which.index(k) for k in range(len(number))]
-            return self.smooth(factors[first])[which]
+            firsts = [which.index(k) for k in range(len(number))]
+            return self.smooth(factors[firsts])[which]
         values = self._values(factors)
         result = np.empty((len(values), self.n_columns))
         result[:, : self.n_points] = values
@@ -91,11 +91,10 @@ class LatticeKernel(Kernel):
         rows_at_once = max(1, NUMBERS_AT_ONCE // self.n_points)
         for first in range(0, len(values), rows_at_once):
             rows = slice(first, first + rows_at_once)
-            tables = differences(values[rows].reshape(-1, *self.lattice_shape)) + (
-                [] if added is None else [added[rows]]
-            )
-            for number, table in enumerate(tables):
-                start = self.n_points + number * self.n_blocks
+            tables = differences(values[rows].reshape(-1, *self.lattice_shape))
+            tables += [] if added is None else [added[rows]]
+            for k, table in enumerate(tables):
+                start = self.n_points + k * self.n_blocks
                 result[rows, start : start + self.n_blocks] = largest_of_blocks(table, self.reach)
         return result
 
