@@ -156,8 +156,6 @@ def find_policies(
     early = None if keeps else _without_sweeps(joint, start, search, relaxations, most)
     if early is not None:
         return early
-    if corners:
-        given = given or {"relaxed start": relaxed_policies(relaxations)}  # sweeps are long
     # Linear agents are spared this: their sweeps are long, and cells that no mass meets are weighed in any case. So
     # are relations that lose delta in every step: who looks beside the path gets there later, which costs them more.
     loses = lossy or any(np.any(model.delta > 0.0) for model in joint.models)
@@ -260,8 +258,8 @@ def _frozen(joint: JointModel, policies: Policies, start: Occupancy) -> tuple[Sw
 WRITTEN_ROOM = 1e-4
 """Relative distance from the product of the relaxations, which is no bound under linear cells, that ends the search."""
 
-LINEAR_SHARE = 0.5
-"""Share of the upper bound from which linear cells, whose sweeps are long, are searched from one start alone."""
+LINEAR_SHARE = 0.9
+"""Share of the upper bound from which linear cells, whose sweeps are long, are searched from the naive start alone."""
 
 LARGE_TEAM, LARGE_ROOM = 200, 1e-6
 """Agents from which the policies of the relaxations are tried before all others, and what may be left to gain then."""
@@ -317,7 +315,7 @@ class _TreeAscent:
         # Two different starts that come to the same value: further ones are not worth their time.
         if before is not None and abs(relaxed.value - before.value) <= SAME_VALUE_SHARE * before.value:
             return
-        if self.is_solved:
+        if self.is_solved or self.is_long:
             self.run("relaxed start", relaxed.policies, self.how.max_sweeps - 1, relaxed.value)
             return
         tried = {"relaxed start": relaxed}
@@ -353,6 +351,11 @@ class _TreeAscent:
     def is_solved(self) -> bool:
         """Whether the best is so near the upper bound that no further start is tried."""
         return self.best is not None and self.best.value >= self.how.good_share * self.most
+
+    @property
+    def is_long(self) -> bool:
+        """Whether sweeps are so long that the likeliest ways through the task are not tried one by one."""
+        return all(isinstance(model.choices, CornerChoices) for model in self.joint.models)
 
     def run(self, name: str, policies: Policies, sweeps: int, last: float = -1.0) -> Sweep:
         """Sweep from ``policies``, whose value is ``last`` if known, until nothing improves; return the last sweep."""
