@@ -224,8 +224,18 @@ MUTANTS = [
     ),
     *_in(
         "synthesis/cells/agent_grids.py",
-        ("if one < other < one + least:", "if False:"),
+        ("LOWER = 1e-6", "LOWER = 0.0"),
         ("for edges in (first, *tried):", "for edges in (first,):"),
+    ),
+    *_in(
+        "synthesis/checking/written_linear.py",
+        ('targets = choices >= len(part.relation["menu"])', "targets = choices >= 0"),
+        ("np.broadcast_to(2.0 * self.off, (len(cells), d))", "np.zeros((len(cells), d))"),
+        ("asked = (part.policy >= 0) & (part.policy < len(menu))", "asked = part.policy >= 0"),
+    ),
+    *_in(
+        "synthesis/controllers/steering.py",
+        ("aimed = choices >= n_inputs", "aimed = choices > n_inputs"),
     ),
     *_in(
         "synthesis/checking/start_check.py",

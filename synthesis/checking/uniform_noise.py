@@ -2,7 +2,7 @@
 
 With noise uniform on [a, b), g changes its slope from a lattice point to the next by what the factor, smoothed along
 all other axes, changes at both ends of the noise, over b - a; where that makes g bend upward, the interpolant is above
-g by at most a quarter of a lattice step times it (docs/theory/linear.md, "Agents written as expressions").
+g by at most a quarter of a lattice step times it (docs/theory/linear.md, "One reading for all").
 """
 
 from __future__ import annotations

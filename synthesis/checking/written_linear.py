@@ -1,11 +1,11 @@
-"""The relation ``linear`` of agents with expressions, and of networks, once more, by code of the check's own.
+"""The relation ``linear``, once more, by code of the check's own: of matrices, of expressions, and of networks.
 
 In a cell with centre c, under the input of a choice, the mean from x is ``z + G (x - c) + r`` with ``|r_k| <= rho_k``;
 what is left of it is enclosed with the spans of ``own_intervals``, under every disturbance. On the lattice the
 interpolant I of the values is known, so that its slopes and bends are differences of neighbouring numbers; the largest
 ones around an image are taken, as far around as the certificate says, after it was seen that the image reaches no
-farther. How far expected values are below I depends on the noise (docs/theory/linear.md, "Agents written as
-expressions").
+farther. How far expected values are below I depends on the noise (docs/theory/linear.md, "One reading for all").
+A target is one lattice point for all of a cell: its value is read, and nothing is lost.
 """
 
 from __future__ import annotations

@@ -64,6 +64,11 @@ LEAST_SHARE = 1e-12
 DRAW = 1.0 - 1e-6
 """Share of the mean of another lower bound from which the earlier form is taken."""
 
+HANDICAP = 0.002
+"""Share of its value by which a target has to be better than an input.
+
+Cells with one value each make steps at their faces, which cost all that is read across them one step earlier."""
+
 PREFERENCE = 1e-9
 """Relative improvement below which the incumbent stays."""
 
@@ -354,8 +359,10 @@ class CornerChoices:
             finalists.append(self._best_targets(self.windows, here, table, cells, incumbent))
         current = incumbent[cells]
         best, score = current.copy(), self._score(here, table, cells, current) * (1.0 + PREFERENCE)
+        score = np.where(self.targets(current), score * (1.0 - HANDICAP), score)
         for candidate in finalists:
             value = self._score(here, table, cells, candidate)
+            value = np.where(self.targets(candidate), value * (1.0 - HANDICAP), value)
             better = (candidate >= 0) & ((best < 0) | (value > score))
             best, score = np.where(better, candidate, best), np.where(better, value, score)
         result[cells] = best

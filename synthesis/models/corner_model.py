@@ -31,8 +31,10 @@ POINTS_PER_CELL = {1: 8, 2: 4, 3: 2}
 """Lattice points per cell and axis, at least, by dimension (2 beyond)."""
 
 TARGETS_PER_CELL = {1: (32, 16), 2: (8, 4), 3: (4, 2)}
-"""Lattice points per cell and axis where targets are chosen, by dimension (2 beyond): for cells that are wider than a
-deviation of the noise, and for others."""
+"""Lattice points per cell and axis where targets are chosen, by dimension (2 beyond): of wide cells, and of others."""
+
+WIDE = 1.25
+"""Deviations of the noise from which cells are wide."""
 
 MOST_PER_CELL = {1: 64, 2: 16, 3: 4}
 """The same, at most."""
@@ -186,7 +188,7 @@ def _points_beside_targets(grid: Grid, laws: Sequence[Law]) -> tuple[int, ...]:
     """Return fewer points where most cells choose targets, which lose nothing between lattice points."""
     widths = (float(edges[-1] - edges[0]) / n for edges, n in zip(grid.edges, grid.shape, strict=True))
     wide, narrow = TARGETS_PER_CELL.get(len(grid.shape), (2, 2))
-    return tuple(wide if width > law.std else narrow for width, law in zip(widths, laws, strict=True))
+    return tuple(wide if width > WIDE * law.std else narrow for width, law in zip(widths, laws, strict=True))
 
 
 def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], reach: tuple[int, ...]) -> LatticeKernel:

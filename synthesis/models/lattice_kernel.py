@@ -10,7 +10,7 @@ lattice points, the largest of these around it (``reach`` lattice steps along ea
 
 How far g itself may be below I is a matter of the noise: for normal noise an eighth of the second differences, and a
 slack (``box_kernel``); for uniform noise what the factor varies at the two ends of the noise (docs/theory/linear.md,
-"Agents written as expressions").
+"One reading for all").
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ In a cell with centre c, under an input of the menu, the mean from x is
 
 with G the Jacobian at the centre. It is the *residual* ``f(x, u, v) - G (x - c) - z`` that is enclosed, over the closed
 cell and all disturbances, by the intervals of ``expressions.enclosed``: it is of second order in the cell, and of first
-order in the disturbances only (docs/theory/linear.md, "Agents written as expressions"). Any G would do, so that its
+order in the disturbances only (docs/theory/linear.md, "One reading for all"). Any G would do, so that its
 rounding does not matter.
 """
 
