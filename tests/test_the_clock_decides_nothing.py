@@ -56,7 +56,7 @@ def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **opti
     ("problem", "options"),
     [
         (lambda: robots(2), {"effort": 0.8}),
-        (lambda: robots(3), {"cells": 12}),
+        (lambda: robots(2), {"cells": 12}),
         (lambda: cart_reach(cart(), horizon=4), {"cells": 24}),
     ],
 )

@@ -73,7 +73,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     ended_by: str | None = None
     work = {way.name: way.work for way in ways}
     # Where two ways take the same, the first of the table comes first.
-    for way in sorted(ways, key=lambda way: max(way.work, work.get(way.after, way.work))):
+    for way in sorted(ways, key=lambda way: (max(way.work, work.get(way.after, way.work)), way.after in work)):
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
