@@ -98,7 +98,8 @@ def measured(name: str) -> dict[str, Any]:
         "relation": "/".join(dict.fromkeys(kind for part in parts for kind in _kinds(part))),
         "cells": ", ".join(
             dict.fromkeys(" x ".join(map(str, agent.grid.shape)) for part in parts for agent in _on_grids(part))
-        ),
+        )
+        or "-",
         "rank": max(part.rank for part in parts),
         "seconds": round(seconds),
         "check": "valid" if cg.check(certificate) else "NOT valid",
