@@ -59,9 +59,9 @@ def each_horizon(
 
 
 def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
-    """Synthesize from the policies of the last horizon, unless cells or relation are to be chosen anew."""
+    """Synthesize from the policies of the last horizon, unless there are none, or cells and relation are open."""
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
-    if last is None or problem.groups or problem.labeling.pairs or chosen_anew:
+    if last is None or problem.groups or problem.labeling.pairs or chosen_anew or not last.certificate.has_cells:
         return synthesize(problem, cells, **settings)
     # A shorter horizon may have needed fewer states of the automaton: its policies know nothing of the others.
     if last.certificate.problem.automaton.n_states != problem.automaton.n_states:

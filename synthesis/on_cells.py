@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from ..envs.problem import Problem
 from .cells import CellCounts
@@ -13,9 +12,11 @@ from .certificates import Certificate, Synthesis
 from .certification import against_losses, certified
 from .choosing import (
     Budget,
+    Effort,
     Tries,
     groups_of,
     policies_from,
+    with_settings,
 )
 from .models import (
     Abstraction,
@@ -43,11 +44,19 @@ class Plan:
         How policies are searched for.
     budget : Budget or None
         If there is one, cells are made finer until it is used up.
+    effort : Effort
+        What the task may still take.
     """
 
     settings: Settings
     search: Search
     budget: Budget | None
+    effort: Effort
+
+    def anew(self) -> Plan:
+        """Return the plan of another task: with as much effort, whose clock its search heeds."""
+        effort = self.effort.anew()
+        return replace(self, effort=effort, search=replace(self.search, progress=effort.heeding(self.search.progress)))
 
 
 def plain(
@@ -79,20 +88,9 @@ def compared(
 
     best, tried = tries.best(run, quick_result, every="best" in kinds)
     stats = {**best.stats, "seconds": seconds_of_work((began, abstracted))}
-    certificate = best.certificate
-    if len(tried) > 1:
-        stats["tried"] = tried
-        certificate = replace(certificate, settings={**certificate.settings, "relations_tried": tried})
-    return Synthesis(certificate, certificate.controller, stats)
-
-
-def with_record(result: Synthesis, more: Mapping[str, Any], began: float) -> Synthesis:
-    """Return a synthesis whose certificate records how it was chosen."""
-    certificate = replace(result.certificate, settings={**result.certificate.settings, **more})
-    stats = {**result.stats, "seconds": {"abstract": 0.0, "synthesize": time.perf_counter() - began}}
-    if "relations_tried" in more:
-        stats["tried"] = more["relations_tried"]
-    return Synthesis(certificate, certificate.controller, stats)
+    if len(tried) == 1:
+        return replace(best, stats={**stats, "tried": tried})
+    return with_settings(replace(best, stats={**stats, "tried": tried}), {"relations_tried": tried})
 
 
 def searched(

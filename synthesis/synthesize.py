@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .by_levels import by_levels, finer, has_usual_search, may_be_linear, on_given_cells
-from .cells import CellCounts, RelationRefused
+from .cells import CellCounts
 from .certificates import Certificate, Synthesis, checked_certificate
-from .choosing import (
-    GOOD,
-    Budget,
-    refine,
-    settings_of,
-)
-from .in_common import either_way, names_inputs
+from .choosing import Budget, Effort, best_of, settings_of
 from .models import (
     RELATIONS,
     Relations,
@@ -29,17 +20,15 @@ from .models import (
     relations_of,
 )
 from .nominal_paths import path_certificate
-from .on_cells import Plan, compared, plain
+from .on_cells import Plan, plain
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
-from .together import synthesize_together
+from .task_ways import names_inputs, ways_of, ways_of_named_inputs, ways_within
+from .together import ways_together
 from .values import HOST, device_put
 
-MOST_GRID_STATES = 3
-"""States of an agent up to which it has a grid by default; certificates along a path need none."""
 
-
-# Thirteen parameters, because this is the door of the package: its options are flat, as users and the command line have
+# Fifteen parameters, because this is the door of the package: its options are flat, as users and the command line have
 # them, and become records (`Plan`) at once.
 def synthesize(
     problem: Any,
@@ -52,6 +41,8 @@ def synthesize(
     progress: Callable[[str, float], None] | bool | None = None,
     memory: float | None = None,
     accuracy: float | None = None,
+    effort: float | None = None,
+    seconds: float | None = None,
     device: str = HOST,
     restarts: int = 0,
     start: Certificate | None = None,
@@ -89,6 +80,14 @@ def synthesize(
         A budget instead of ``cells``: the memory in bytes that may be used, and the gain of the bound that is not worth
         finer cells. Cells are made finer until the first of the two is reached; ``stats["cells"]`` says how they were
         chosen (see ``refine``).
+    effort : float, optional
+        Work that may be spent, in units of about a second on one core (default: 80, of each independent task). It is
+        estimated before anything is computed, and not taken from a clock: the same problem and effort give the same
+        certificate on every machine. Ways to certify the task are tried as long as it lasts, the cheapest first (see
+        ``best_of``); ``stats["tried"]`` says what each gave, and what was left out.
+    seconds : float, optional
+        Seconds of the clock after which the best certificate so far is returned, or the first one, if that takes
+        longer. It depends on the machine what they are enough for. Work is then limited only by ``effort``, if given.
     device : str
         Where sweeps over the value tree are computed: ``"numpy"``, or a library and its device, such as
         ``"torch:cuda"`` (extra ``device``; see ``devices``). Results agree up to rounding, for which every bound has a
@@ -117,6 +116,7 @@ def synthesize(
     """
     pruning = Limits() if limits is None else limits
     told = sweep_bar() if progress is True else progress or None
+    spending = Effort(effort, seconds)
     search = Search(max_sweeps, pruning, value, restarts, told, stationary, device)
     check_settings(settings)
     device_put(device)  # refuses a device that does not exist before any work is done
@@ -125,52 +125,45 @@ def synthesize(
     _refuse_outside(problem)
     if start is not None and not problem.groups and not problem.labeling.pairs:
         settings = {**_settings_of_start(problem, relation, start), **settings}
-    plan = Plan(Settings(**settings), search, budget)
+    plan = Plan(Settings(**settings), search, budget, spending)
     if problem.groups and not problem.labeling.pairs:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)
-        return synthesize_parts(problem, cells, relation, lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan))
-    return _of_task(problem, cells, relation, plan, start)
+
+        def of_part(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
+            return _of_task(task, sizes, kinds, plan.anew())
+
+        return synthesize_parts(problem, cells, relation, of_part)
+    return _of_task(problem, cells, relation, plan.anew(), start)
 
 
 def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
-    """Synthesize one task, by the procedure that relations, budget and start ask for."""
+    """Synthesize one task, in the ways that relations, budget and start leave open."""
     if problem.labeling.pairs:
         _refuse_for_pairs(plan, start)
-        return synthesize_together(
-            problem,
-            cells,
-            relation,
-            plan.search,
-            plan.settings,
-            lambda task, sizes, kinds: _of_task(task, sizes, kinds, plan),
-        )
+
+        def without_pairs(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
+            return _of_task(task, sizes, kinds, plan.anew())
+
+        return best_of(ways_together(problem, cells, relation, plan, without_pairs), plan.effort)
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
         return path_certificate(problem)
-    is_open = relation == "auto" and cells is None and plan.budget is None and start is None
-    if not is_open:
-        return _on_grids(problem, cells, relation, plan, start)
-    # Where a grid does not reach, or no relation applies on it, a path may.
-    ways = [lambda: _on_grids(problem, None, relation, plan, None), lambda: path_certificate(problem)]
-    first, second = reversed(ways) if _beyond_grids(problem) else ways
-    try:
-        found = first()
-    except RelationRefused as refusal:
-        try:
-            return second()
-        except RelationRefused:
-            raise refusal from None
-    if not any(np.any(agent.still_axes) for agent in problem.agents) or found.certificate.lower_bound >= GOOD:
-        return found
-    # Without noise in some states neither way is better as a rule.
-    try:
-        return max(found, second(), key=lambda each: each.certificate.lower_bound)
-    except RelationRefused:
-        return found
+    if plan.settings.common is None and start is None and names_inputs(problem):
+        ways = ways_of_named_inputs(problem, plan, lambda chosen: _of_task(problem, cells, relation, chosen))
+        return best_of(ways, plan.effort)
+    kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
+    if start is not None:
+        _refuse_beside(start, relation, plan)
+        return _continued(problem, cells, kinds, plan, start)
+    if plan.budget is None:
+        return best_of(ways_of(problem, cells, kinds, plan), plan.effort)
+    if cells is not None:
+        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
+    return best_of(ways_within(problem, kinds, plan), plan.effort)
 
 
 def _refuse_outside(problem: Problem) -> None:
@@ -192,40 +185,6 @@ def _refuse_for_pairs(plan: Plan, start: Certificate | None) -> None:
             "`problem`: expected no budget, no `stationary` and no tensor trains with propositions about pairs of "
             "agents; leave them out"
         )
-
-
-def _on_grids(
-    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
-) -> Synthesis:
-    """Synthesize one task on grids."""
-    if plan.settings.common is None and start is None and names_inputs(problem):
-        return either_way(plan, lambda chosen: _on_grids(problem, cells, relation, chosen, None))
-    kinds = ["best"] * problem.n_agents if relation == "best" else relations_of(problem, relation)
-    if plan.budget is not None:
-        _refuse_start(start, "a budget")
-        if cells is not None:
-            raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
-        return _within(problem, kinds, plan, plan.budget)
-    if start is not None:
-        if relation == "best":
-            _refuse_start(start, "several relations")
-        return _continued(problem, cells, kinds, plan, start)
-    if cells is None and may_be_linear(problem, kinds, plan):
-        return by_levels(problem, kinds, plan)
-    if cells is None and {*kinds} == {"auto"} and has_usual_search(plan):
-        return finer(problem, kinds, plan)
-    if {"auto", "best"} & {*kinds}:
-        return on_given_cells(problem, cells, kinds, plan)
-    return plain(problem, cells, kinds, plan)
-
-
-def _beyond_grids(problem: Problem) -> bool:
-    """Return whether an agent has more states than a grid has room for, or states whose noise is that of others."""
-    for agent in problem.agents:
-        noisy = int(np.sum(~agent.still_axes))
-        if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < noisy:
-            return True
-    return False
 
 
 def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:
@@ -252,45 +211,12 @@ def _settings_of_start(problem: Problem, relation: Relations, start: Certificate
     return settings_of(start, kinds)
 
 
-def _within(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
-    """Return the best synthesis within a budget; the settings of its certificate record how the cells were chosen.
-
-    Linear cells come first where they are worth trying. Other relations are compared on the last cells only, which are
-    chosen under the relations of the quick choice.
-    """
-    linear = None
-    if may_be_linear(problem, kinds, plan):
-        try:
-            linear = _refined(problem, ["linear"] * problem.n_agents, plan, budget)
-        except RelationRefused:
-            if "auto" not in kinds:
-                raise
-        if linear is not None and ("auto" not in kinds or linear.certificate.lower_bound >= GOOD):
-            return linear
-    quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
-    best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)), budget)
-    record = best.stats["cells"]
-    if quick != kinds:
-        parts = zip(problem.agent_names, best.certificate.agents, strict=True)
-        cells = {name: part.grid.shape for name, part in parts}
-        best = _recorded(compared(problem, cells, kinds, plan, best), record)
-    if linear is not None and linear.certificate.lower_bound > best.certificate.lower_bound:
-        return linear
-    return best
-
-
-def _refined(problem: Problem, kinds: Sequence[str], plan: Plan, budget: Budget) -> Synthesis:
-    """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
-    best, record = refine(problem, lambda cells: plain(problem, cells, kinds, plan), kinds, budget)
-    return _recorded(best, record)
-
-
-def _recorded(result: Synthesis, record: Any) -> Synthesis:
-    """Return a synthesis whose certificate records how its cells were chosen."""
-    certificate = result.certificate
-    if isinstance(certificate, Certificate):
-        certificate = replace(certificate, settings={**certificate.settings, "cells_chosen": record})
-    return Synthesis(certificate, certificate.controller, {**result.stats, "cells": record})
+def _refuse_beside(start: Certificate, relation: Relations, plan: Plan) -> None:
+    """Refuse a certificate to start from beside a budget, or several relations."""
+    if plan.budget is not None:
+        _refuse_start(start, "a budget")
+    if relation == "best":
+        _refuse_start(start, "several relations")
 
 
 def _refuse_start(start: Certificate | None, what: str) -> None:

@@ -18,7 +18,9 @@ from ..envs.problem import Problem
 from .cells import CellCounts, RelationRefused
 from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
+from .choosing import Results, Way
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
+from .on_cells import Plan
 from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, Sweep, find_policies, sweep
 
@@ -47,16 +49,10 @@ SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
 """Synthesis of a task without pairs, given its cells and relations."""
 
 
-def synthesize_together(
-    problem: Problem, cells: CellCounts, relation: Relations, search: Search, settings: Settings, task: SynthesizeTask
-) -> Synthesis:
-    """Return the best certificate of a problem with pairs; ``stats["tried"]`` says what each way gave, or why not.
-
-    Raises
-    ------
-    RelationRefused
-        If no way applies.
-    """
+def ways_together(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, task: SynthesizeTask
+) -> list[Way]:
+    """Return the ways to certify a problem with pairs."""
     if problem.groups:
         raise ValueError(
             "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
@@ -65,26 +61,16 @@ def synthesize_together(
     if not isinstance(relation, str) or relation not in WAYS:
         raise ValueError(f"`relation`: expected one of {', '.join(WAYS)} for a task about pairs, got {relation!r}")
     check_names("cells", cells, problem)
-    ways: dict[str, Callable[[], Synthesis]] = {
-        "exact": lambda: by_subtraction(problem, cells, search, settings),
-        "joint": lambda: as_one_agent(problem, cells, task),
-    }
-    asked = [relation] if relation != "auto" else list(ways)
-    results, tried = list[Synthesis](), dict[str, Any]()
-    for name in asked:
-        if any(result.certificate.lower_bound >= ENOUGH for result in results):
-            tried[name] = f"not tried: the bound was {ENOUGH:g} or more already"
-            continue
-        try:
-            results.append(ways[name]())
-        except RelationRefused as refusal:
-            tried[name] = str(refusal)
-        else:
-            tried[name] = results[-1].certificate.lower_bound
-    if not results:
-        raise RelationRefused("; ".join(f"{name}: {text}" for name, text in tried.items()))
-    best = max(results, key=lambda result: result.certificate.lower_bound)
-    return Synthesis(best.certificate, best.controller, {**best.stats, "tried": tried})
+
+    def subtraction(results: Results) -> Synthesis:
+        return by_subtraction(problem, cells, plan.search, plan.settings)
+
+    def joint(results: Results) -> Synthesis:
+        found = as_one_agent(problem, cells, task)
+        return replace(found, stats={name: value for name, value in found.stats.items() if name != "tried"})
+
+    ways = [Way("exact", subtraction, 0.0, ENOUGH, ENOUGH), Way("joint", joint, 1.0, ENOUGH, ENOUGH)]
+    return [way for way in ways if relation in ("auto", way.name)]
 
 
 def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:

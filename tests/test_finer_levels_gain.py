@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis import task_ways
+from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
 from certigym.synthesis.choosing.cell_budget import axis_weights
@@ -67,9 +69,14 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
 
 def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
-    monkeypatch.setattr(levels_of_cells, "MOST_SECONDS", levels_of_cells.COMPARED_SECONDS + 1.0)
+
+    def refused(problem: cg.Problem) -> cg.Synthesis:
+        raise RelationRefused("no path for this test")
+
+    monkeypatch.setattr(task_ways, "path_certificate", refused)
+    monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
     problem = crossing(3, horizon=4)
-    synthesis = cg.synthesize(problem)
+    synthesis = cg.synthesize(problem, effort=task_ways.COMPARED + 4.0)
     levels = synthesis.certificate.settings["levels"]
     bounds = [level["lower_bound"] for level in levels]
     assert len(levels) > 1 and max(bounds) == synthesis.certificate.lower_bound > bounds[0] + 0.01

@@ -14,9 +14,9 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.problem import groups as independent
-from certigym.synthesis import by_levels
+from certigym.synthesis import task_ways
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
-from certigym.synthesis.choosing import levels, relation_choice
+from certigym.synthesis.choosing import relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
 from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.models.abstraction import Settings, abstract
@@ -28,6 +28,8 @@ from problems import cart, cart_reach, scalar_agent, two_agents
 pytestmark = pytest.mark.slow
 
 NEEDS_SOLVER = "cvxpy"
+
+MAY_BE_LINEAR = task_ways.may_be_linear
 
 
 def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str = "co-safe") -> cg.Problem:
@@ -47,7 +49,7 @@ def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str =
 @pytest.fixture(autouse=True)
 def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare the relations with one target per cell alone, unless a test asks for more."""
-    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 0.0)
+    monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
 
 
 @pytest.fixture(autouse=True)
@@ -82,15 +84,14 @@ def test_nothing_else_is_tried_where_exact_leaves_the_inputs_to_the_policy(monke
 
 
 def test_linear_cells_are_tried_on_given_cells_where_much_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 60.0)
+    monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
     found = cg.synthesize("car-park-v0", 60)
     tried = tried_of(found)
     assert {"exact", "linear"} <= set(tried) and kinds_of(found.certificate) == ["linear"]
     assert tried["linear"] == found.certificate.lower_bound > float(tried["exact"]) + 0.05
     assert cg.check(found.certificate)
-    monkeypatch.setattr(by_levels, "MOST_SECONDS_GIVEN", 0.0)
-    again = cg.synthesize("car-park-v0", 60)
-    assert kinds_of(again.certificate) == ["exact"] and "not computed: ask for it by" in str(tried_of(again)["linear"])
+    again = cg.synthesize("car-park-v0", 60, effort=1e-3)
+    assert kinds_of(again.certificate) == ["exact"] and "ask for more `effort`" in str(tried_of(again)["linear"])
 
 
 def test_a_tube_is_kept_where_it_certifies_more_than_exact() -> None:
@@ -279,9 +280,10 @@ def test_default_cells_are_doubled_where_no_relation_applies() -> None:
 
 
 def test_agents_that_nothing_fits_are_refused_with_the_first_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(levels, "MOST_SECONDS", 1.0)
     runaway = cart(A=[[1.3, 0.0], [0.0, 0.5]], B=[[0.0], [1.0]], initial_state=[0.0, 0.0])
     with pytest.raises(ValueError, match="no feedback stabilises"):
         cg.synthesize(cart_reach(runaway, horizon=2), 80)
-    # Linear cells, which are tried where cells are left out, need no feedback.
-    assert kinds_of(cg.synthesize(cart_reach(runaway, horizon=2)).certificate) == ["linear"]
+    # Linear cells and paths, which are tried where cells are left out, need no feedback.
+    monkeypatch.setattr(task_ways, "may_be_linear", MAY_BE_LINEAR)
+    tried = tried_of(cg.synthesize(cart_reach(runaway, horizon=2), effort=1.4))
+    assert {"linear", "path"} <= {name for name, outcome in tried.items() if isinstance(outcome, float)}

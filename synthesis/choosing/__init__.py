@@ -1,26 +1,32 @@
-"""Which relation, which cells, and from which policies to start."""
+"""Which ways to certify a task are tried: relations, cells, and from which policies to start."""
 
 from .cell_choice import Budget, refine
+from .effort import Effort
 from .given_start import policies_from, settings_of
-from .levels import GOOD, GUESSED_RANK, SOLVED, Run, finer_levels, first_cells, linear_levels, seconds_of
-from .relation_choice import MOST_LINEAR_AGENTS, Tries, groups_of, has_linear_cells, least_above
+from .levels import Run, finer_levels, first_cells, linear_levels, linear_work, work_of
+from .relation_choice import Tries, groups_of, has_linear_cells
+from .ways import GOOD, SOLVED, Results, Way, best_of, leading, with_settings
 
 __all__ = [
     "Budget",
+    "Effort",
     "GOOD",
-    "GUESSED_RANK",
-    "MOST_LINEAR_AGENTS",
+    "Results",
     "Run",
     "SOLVED",
     "Tries",
+    "Way",
+    "best_of",
     "finer_levels",
     "first_cells",
     "groups_of",
     "has_linear_cells",
-    "least_above",
+    "leading",
     "linear_levels",
+    "linear_work",
     "policies_from",
-    "settings_of",
     "refine",
-    "seconds_of",
+    "settings_of",
+    "with_settings",
+    "work_of",
 ]

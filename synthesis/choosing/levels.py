@@ -2,9 +2,9 @@
 
 Under the relation ``linear`` the first cells are some standard deviations of the noise wide: a rough search is quick
 there. Under other relations the first level is a synthesis on default cells, among whose relations the best was taken.
-Each level halves the cells, as long as an estimate of its time allows for that; then they are made finer once more by
-as much as it does. Policies are carried over, so that a fine level needs one or two sweeps instead of a search. The
-estimate is counted from sizes, not taken from a clock: the same problem gives the same certificate on every machine.
+Each level halves the cells, as long as an estimate of its work allows for that; then they are made finer once more by
+as much as it does. Policies are carried over, so that a fine level needs one or two sweeps instead of a search. Work is
+counted from sizes, not taken from a clock: the same problem gives the same certificate on every machine.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ from ..models import (
 )
 from .carrying import carried_over
 from .cell_budget import axis_weights, cells_at
+from .effort import Effort, OutOfTime
+from .ways import SOLVED
 
 FIRST_WIDTH = 2.5
 """Width of the first cells, in standard deviations of the noise."""
@@ -86,16 +88,10 @@ PAIR = 2
 """Agents that are alike for which reading is counted one by one: pairs may have to stay together, or apart."""
 
 SURELY = 0.7
-"""Share of the seconds, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
+"""Share of the work, scaled from coarser cells, that a level takes at least: cells are rounded to fit regions."""
 
-MOST_SECONDS = 60.0
-"""Estimate up to which levels are begun, all of them together: they then take about a minute."""
-
-COMPARED_SECONDS = 20.0
-"""What the synthesis that other relations begin with counts for: it compares them."""
-
-CHEAP_SECONDS = 0.5
-"""Estimate below which a level is begun whatever the last one gained."""
+CHEAP = 0.5
+"""Work below which a level is begun whatever the last one gained."""
 
 GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_WRITTEN = 10, 20, 2
 """Terms that the first level of two agents is expected to have, and further ones at most: sweeps have few. The last is
@@ -104,9 +100,6 @@ for linear cells of agents with expressions, of which the first level takes next
 LEAST_SHARE, SOLVED_WRITTEN = 0.2, 0.9999
 """That gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
 agents with expressions."""
-
-SOLVED, GOOD = 0.9995, 0.9
-"""Bounds from which no finer level is worth its time, and from which no other relation is tried."""
 
 Run = Callable[[Abstraction, Policies | None], Synthesis]
 """Synthesis on finite models, from given policies or from the usual starts."""
@@ -118,14 +111,38 @@ Record = list[dict[str, Any]]
 """Cells and bound of every level."""
 
 
-def linear_levels(problem: Problem, settings: Settings, run: Run) -> tuple[Synthesis | None, Record]:
-    """Return the best synthesis on linear cells and the bound of every level; None if the first takes too long."""
-    levels = _Levels(problem, settings, ["linear"] * problem.n_agents, lambda width: level_cells(problem, width), run)
+def linear_levels(problem: Problem, settings: Settings, run: Run, effort: Effort) -> tuple[Synthesis, Record]:
+    """Return the best synthesis on linear cells, and the bound of every level; the first is made in any case.
+
+    Raises
+    ------
+    RelationRefused
+        If an agent has no linear cells.
+    """
+    levels = _linear(problem, settings, run, effort)
     levels.climb(FIRST_WIDTH)
+    assert levels.best is not None
     return levels.best, levels.record
 
 
-def finer_levels(problem: Problem, settings: Settings, first: Synthesis, run: Run) -> tuple[Synthesis, Record]:
+def linear_work(problem: Problem, settings: Settings, run: Run) -> float:
+    """Return the work of the first level of linear cells; 0 where there are none, which is refused at once."""
+    levels = _linear(problem, settings, run, Effort())
+    try:
+        return levels.work(levels.models(FIRST_WIDTH))
+    except RelationRefused:
+        return 0.0
+
+
+def _linear(problem: Problem, settings: Settings, run: Run, effort: Effort) -> _Levels:
+    """Return levels of linear cells."""
+    kinds = ["linear"] * problem.n_agents
+    return _Levels(problem, settings, kinds, lambda width: level_cells(problem, width), run, effort)
+
+
+def finer_levels(
+    problem: Problem, settings: Settings, first: Synthesis, run: Run, effort: Effort
+) -> tuple[Synthesis, Record]:
     """Return the best of a synthesis and of those on finer cells under its relations, and the bound of every level."""
     parts = first.certificate.agents
     kinds = [part.relation["kind"] for part in parts]
@@ -134,13 +151,12 @@ def finer_levels(problem: Problem, settings: Settings, first: Synthesis, run: Ru
     def cells_of(width: float) -> dict[str, tuple[int, ...]]:
         return {name: agent_cells.shape for name, agent_cells in cells_at(problem, 1.0 / width, kinds).items()}
 
-    levels = _Levels(problem, settings, kinds, cells_of, run)
+    levels = _Levels(problem, settings, kinds, cells_of, run, effort)
     try:
         before = abstraction_of(problem, shapes, kinds, settings)
     except RelationRefused:  # relations with delta > 0 depend on more than their kinds
         return first, []
     levels.begin(before, first)
-    levels.spent = COMPARED_SECONDS
     levels.climb(_widest(problem, shapes))
     assert levels.best is not None
     return levels.best, levels.record
@@ -171,14 +187,20 @@ class _Levels:
     """Levels of cells under given relations, the best of them, and what the next one begins with."""
 
     def __init__(
-        self, problem: Problem, settings: Settings, kinds: Sequence[str], cells_of: CellsOfWidth, run: Run
+        self,
+        problem: Problem,
+        settings: Settings,
+        kinds: Sequence[str],
+        cells_of: CellsOfWidth,
+        run: Run,
+        effort: Effort,
     ) -> None:
         self.problem, self.settings, self.kinds, self.cells_of, self.run = problem, settings, kinds, cells_of, run
+        self.effort = effort
         self.best: Synthesis | None = None
         self.record: Record = []
         self.before: tuple[Abstraction, Policies] | None = None
         self.rank = 1 if problem.n_agents == 1 else GUESSED_WRITTEN if self.is_written else GUESSED_RANK
-        self.spent = 0.0
         self.undecided = int((~problem.automaton.absorbing).sum())
 
     def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
@@ -192,6 +214,7 @@ class _Levels:
             }
         )
         self.before = abstraction, tuple(part.policy for part in certificate.agents)
+        self.effort.has_result = True
         if self.best is None or certificate.lower_bound > self.best.certificate.lower_bound:
             self.best = result
 
@@ -206,22 +229,28 @@ class _Levels:
         return math.ceil(sum(len(rows) for rows in terms.index) / max(1, self.undecided))
 
     def climb(self, width: float) -> None:
-        """Make levels from cells of this width on, until they gain little, or take too long."""
-        is_flat = False
+        """Make levels from cells of this width on, until they gain little, or take too much work."""
+        is_flat, most = False, self.effort.for_levels
         for _ in range(MOST_LEVELS):
-            found = self.within_time(width)
+            found = self.next(width, most)
             if found is None:
                 return
-            abstraction, finer, seconds = found
+            abstraction, finer, work = found
             if self.has_cells_of(abstraction):
                 width /= finer  # boundaries of regions, or the fewest cells, ask for as many as there are
                 continue
-            if is_flat and seconds > CHEAP_SECONDS:
+            if is_flat and work > CHEAP:
                 return
             is_first, bound = self.before is None, self.bound
             carried = None if self.before is None else carried_over(self.before[0], abstraction, self.before[1])
-            self.spent += seconds
-            result = self.run(abstraction, carried)
+            most -= work
+            self.effort.spent += work
+            try:
+                result = self.run(abstraction, carried)
+            except OutOfTime:
+                if self.best is None:
+                    raise
+                return
             self.begin(abstraction, result)
             # Where a level gained little, further ones are made only if they cost next to nothing.
             is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < self.least_gain
@@ -257,32 +286,39 @@ class _Levels:
         """The largest bound so far."""
         return 0.0 if self.best is None else float(self.best.certificate.lower_bound)
 
-    def within_time(self, width: float) -> tuple[Abstraction, float, float] | None:
-        """Return finite models twice as fine, or as fine as time allows for, by how much, and their seconds."""
-        # Time grows with the cells at least, so that most levels that take too long need not be built to know it.
+    def next(self, width: float, most: float) -> tuple[Abstraction, float, float] | None:
+        """Return finite models twice as fine, or as fine as the effort allows for, by how much, and their work."""
+        if self.before is None:
+            abstraction = self.models(width)
+            return abstraction, 1.0, self.work(abstraction)
+        most = min(most, self.effort.left)
+        # Work grows with the cells at least, so that most levels that take too much need not be built to know it.
         d = min(agent.n_states for agent in self.problem.agents)
-        least = 0.0 if self.before is None else SURELY * self.seconds(self.before[0])
-        most = MOST_SECONDS - self.spent
-        factors: tuple[float, ...] = (1.0,)
-        if self.before is not None:
-            # Where there is time for two more levels, one of them now; else the finest cells that time allows for.
-            goes_on = least * (FINER[0] ** d + FINER[0] ** (2 * d)) <= most
-            factors = FINER if goes_on or self.is_written else LAST
-        for finer in factors:
+        least = SURELY * self.work(self.before[0])
+        # Where there is room for two more levels, one of them now; else the finest cells that there is room for.
+        goes_on = least * (FINER[0] ** d + FINER[0] ** (2 * d)) <= most
+        work = least * FINER[-1] ** d
+        for finer in FINER if goes_on or self.is_written else LAST:
             if least * finer**d > most:
                 continue
             try:
-                abstraction = abstraction_of(self.problem, self.cells_of(width / finer), self.kinds, self.settings)
+                abstraction = self.models(width / finer)
             except RelationRefused:
                 return None
-            seconds = self.seconds(abstraction)
-            if seconds <= most:
-                return abstraction, finer, seconds
+            work = self.work(abstraction)
+            if work <= most:
+                return abstraction, finer, work
+        kinds = "/".join(dict.fromkeys(self.kinds))
+        self.effort.left_out[f"{kinds}, finer cells"] = self.effort.too_much(work, most)
         return None
 
-    def seconds(self, abstraction: Abstraction) -> float:
-        """Return an estimate of the seconds of a level."""
-        return seconds_of(abstraction, self.problem.horizon, self.undecided, self.rank)
+    def models(self, width: float) -> Abstraction:
+        """Return finite models with cells of about this width."""
+        return abstraction_of(self.problem, self.cells_of(width), self.kinds, self.settings)
+
+    def work(self, abstraction: Abstraction) -> float:
+        """Return an estimate of the work of a level."""
+        return work_of(abstraction, self.problem, self.rank)
 
 
 def _widest(problem: Problem, shapes: dict[str, tuple[int, ...]]) -> float:
@@ -330,11 +366,15 @@ def _equal_parts(low: float, high: float, inside: list[float]) -> int | None:
     return parts
 
 
-def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int) -> float:
-    """Return an estimate of the seconds of a level on a core of 2024: two sweeps, and an evaluation.
+def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None) -> float:
+    """Return an estimate of the work of a level: two sweeps, and an evaluation, in units of ``Effort``.
 
-    It is counted from sizes alone, so that it is the same on every machine.
+    It is counted from sizes alone, so that it is the same on every machine. ``rank`` is the number of terms of the
+    value function; left out, what two agents are expected to have.
     """
+    if rank is None:
+        rank = 1 if problem.n_agents == 1 else GUESSED_RANK
+    n_states = int((~problem.automaton.absorbing).sum())
     total, seen = 0.0, Counter[int]()
     for model in abstraction.models:
         places, points = model.kernel.shape, model.kernel.lattice_shape
@@ -356,7 +396,7 @@ def seconds_of(abstraction: Abstraction, horizon: int, n_states: int, rank: int)
         if isinstance(model.choices, BoxChoices):
             total += READINGS * rank * math.prod(points) / LATTICE_PER_SECOND
         total += rank * smoothing / MULTIPLICATIONS_PER_SECOND + READINGS * reading / _cells_per_second(model.choices)
-    return horizon * n_states * total
+    return problem.horizon * n_states * total
 
 
 def _cells_per_second(choices: Choices) -> float:

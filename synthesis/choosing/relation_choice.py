@@ -356,10 +356,3 @@ def _same_model(first: AgentModel, second: AgentModel) -> bool:
     axes = zip(first.lattice, second.lattice, strict=True)
     close = all(np.allclose(x, y, rtol=1e-9, atol=1e-12) for x, y in axes)
     return close and np.array_equal(a.leads_to, b.leads_to)
-
-
-def least_above(first: Synthesis, second: Synthesis) -> dict[str, object]:
-    """Return the smaller of two upper bounds on what any policy attains; finite models bound only themselves."""
-    bounds = [result.stats.get("continuous_upper_bound") for result in (first, second)]
-    known = [bound for bound in bounds if isinstance(bound, float)]
-    return {"continuous_upper_bound": min(known, default=None)}

@@ -89,6 +89,7 @@ def _climb(
     """Unite the terms ``here`` of one automaton state; what is done is added to the history."""
     n_agents = rows.shape[1]
     terms = [factor[rows[here, i]] for i, factor in enumerate(factors)]
+    masses_of = _padded(masses)
     shares = np.stack([term @ mass for term, mass in zip(terms, masses, strict=True)])
     changed = np.zeros((len(here), n_agents), dtype=bool)
     done = np.zeros(len(here), dtype=bool)
@@ -105,11 +106,12 @@ def _climb(
             if not left:
                 break
             # Try the sum in the factor of each agent and take the ladder that gathers most.
-            tried = {i: _joined(terms, masses, i, head, others) for i in sorted(left)}
+            factors_of = _padded([term[[head, *others]] for term in terms])
+            tried = {i: _joined(factors_of, masses_of, i) for i in sorted(left)}
             best = max(tried, key=lambda i: tried[i][0])
             left.remove(best)
             united = False
-            for k in tried[best][1]:
+            for k in (others[member] for member in tried[best][1]):
                 pair = [head, k]
                 before, weight = [term[pair] for term in terms], float(shares[:, pair].prod(axis=0).sum())
                 rest = _unite(terms, masses, best, head, k)
@@ -130,18 +132,29 @@ def _climb(
         factors[i] = np.concatenate([factors[i], terms[i][moved]])
 
 
-def _joined(
-    terms: Sequence[NDArray], masses: Sequence[NDArray], i: int, head: int, others: Sequence[int]
-) -> tuple[float, list[int]]:
-    """Return the weight of the ladder that sums in the factor of agent i, and the terms that join it."""
-    union = [term[head].copy() for term in terms]
-    weight, members = float(np.prod([u @ mass for u, mass in zip(union, masses, strict=True)])), list[int]()
-    for k in others:
-        larger = [u + term[k] if j == i else np.minimum(u, term[k]) for j, (u, term) in enumerate(zip(union, terms))]
-        heavier = float(np.prod([u @ mass for u, mass in zip(larger, masses, strict=True)]))
+def _joined(terms: NDArray, masses: NDArray, i: int) -> tuple[float, list[int]]:
+    """Return the weight of the ladder that sums in the factor of agent i, and the terms that join it.
+
+    ``terms`` (I, K, S) are those of the head, and after it of the others, which are numbered from 0 on.
+    """
+    union = terms[:, 0]
+    weight, members = float(np.einsum("is,is->i", union, masses).prod()), list[int]()
+    for k in range(1, terms.shape[1]):
+        larger = np.minimum(union, terms[:, k])
+        larger[i] = union[i] + terms[i, k]
+        heavier = float(np.einsum("is,is->i", larger, masses).prod())
         if heavier > weight:
-            union, weight, members = larger, heavier, [*members, k]
+            union, weight, members = larger, heavier, [*members, k - 1]
     return weight, members
+
+
+def _padded(arrays: Sequence[NDArray]) -> NDArray:
+    """Return arrays (.., S) of several agents as one (I, .., S), with zeros where agents have fewer cells."""
+    size = max(array.shape[-1] for array in arrays)
+    result = np.zeros((len(arrays), *arrays[0].shape[:-1], size))
+    for row, array in zip(result, arrays, strict=True):
+        row[..., : array.shape[-1]] = array
+    return result
 
 
 def _unite(terms: Sequence[NDArray], masses: Sequence[NDArray], i: int, head: int, k: int) -> int:

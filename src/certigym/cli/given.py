@@ -55,8 +55,9 @@ def cells_of(options: Namespace) -> int | list[int] | None:
 
 
 def budget_of(options: Namespace) -> dict[str, Any]:
-    """Return the budget of ``--memory`` and ``--accuracy``, if any, as keyword arguments of ``synthesize``."""
-    budget: dict[str, Any] = {} if options.accuracy is None else {"accuracy": options.accuracy}
+    """Return the budgets of the options, if any, as keyword arguments of ``synthesize``."""
+    given = {name: getattr(options, name) for name in ("accuracy", "effort", "seconds")}
+    budget: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if options.memory is not None:
         size = SIZE.fullmatch(options.memory.strip())
         if size is None:

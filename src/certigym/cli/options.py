@@ -66,6 +66,15 @@ def add_search(parser: argparse.ArgumentParser) -> None:
         "--accuracy", type=float, metavar="P", help="instead of --cells: finer until the bound changes by less"
     )
     parser.add_argument(
+        "--effort",
+        type=float,
+        metavar="W",
+        help="work for ways to certify the task, counted and not measured, in about seconds on one core (default: 80)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="the best certificate that the clock leaves time for (no default)"
+    )
+    parser.add_argument(
         "--restarts", type=int, default=0, metavar="N", help="further searches from perturbed plans (default: 0)"
     )
     parser.add_argument(

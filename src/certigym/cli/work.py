@@ -34,6 +34,7 @@ def synthesized(options: Namespace) -> Synthesis:
             asked = search_of(options)
             gain = {} if options.accuracy is None else {"tolerance": options.accuracy}
             kept = {name: asked[name] for name in ("restarts", "device")}
+            gain |= {name: value for name, value in budget_of(options).items() if name in ("effort", "seconds")}
             return without_deadline(problem, cells, **relation_of(options), **kept, **gain, progress=report)
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
         result = synthesize(problem, cells, **chosen, progress=report)

@@ -1,0 +1,107 @@
+"""How much may be spent on a task: work, which is counted and the same everywhere, or seconds of the clock.
+
+Work is estimated from sizes before anything is computed, in units of about a second on one core of 2024. No clock
+decides what is tried, unless the caller gives ``seconds``: the same command gives the same certificate on any machine.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+EFFORT = 80.0
+"""Work that a task may take by default: about a minute on one core, of what pays; the rest is for comparisons."""
+
+SHARE_OF_LEVELS = 0.75
+"""Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
+
+
+class OutOfTime(Exception):
+    """The seconds are over, and there is something to return."""
+
+
+@dataclass(eq=False)
+class Effort:
+    """What a task may still take.
+
+    Parameters
+    ----------
+    work : float, optional
+        Work in all (see the module's text). The default is ``EFFORT``, or no limit where ``seconds`` are given.
+    seconds : float, optional
+        Seconds of the clock, from now on. Ways that would take longer are left out, and those that are under way are
+        given up, as soon as there is a certificate.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not a positive number.
+    """
+
+    work: float | None = None
+    seconds: float | None = None
+    spent: float = 0.0
+    has_result: bool = False
+    left_out: dict[str, str] = field(default_factory=dict)
+    """What was not begun for want of effort, by name, and why."""
+
+    def __post_init__(self) -> None:
+        for name, value, what in (("effort", self.work, "of work"), ("seconds", self.seconds, "of the clock")):
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (number and value > 0):
+                raise ValueError(f"`{name}`: expected a positive number ({what}), got {value!r}; leave it out")
+        self.began = time.perf_counter()
+        self.limit = self.work if self.work is not None else EFFORT if self.seconds is None else math.inf
+
+    def anew(self) -> Effort:
+        """Return the effort of another task: as much work, and the seconds that are left."""
+        if self.seconds is None:
+            return Effort(self.work)
+        return Effort(self.work, max(1e-9, self.seconds - self.elapsed))
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of the clock since the beginning; nothing asks unless seconds were given."""
+        return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Work that may still be begun."""
+        left = self.limit - self.spent
+        if self.seconds is None:
+            return left
+        # The pace so far says what the seconds that are left are good for.
+        pace = max(1.0, self.spent) / max(1e-3, self.elapsed)
+        return min(left, (self.seconds - self.elapsed) * pace)
+
+    @property
+    def for_levels(self) -> float:
+        """Work that cells of one kind may take, with all of their levels."""
+        return self.left if math.isinf(self.limit) else min(SHARE_OF_LEVELS * self.limit, self.left)
+
+    def refusal(self, work: float) -> str | None:
+        """Return why work is not begun, in words; None if it may be. The first certificate is always computed."""
+        if not self.has_result or work <= self.left:
+            return None
+        return self.too_much(work, self.left)
+
+    def too_much(self, work: float, left: float) -> str:
+        """Return that work is more than is left, in words."""
+        option = "effort" if self.seconds is None else "seconds"
+        return f"not computed: about {work:.3g} of work, {max(0.0, left):.3g} left; ask for more `{option}`"
+
+    def heeding(self, progress: Callable[[str, float], None] | None) -> Callable[[str, float], None] | None:
+        """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""
+        if self.seconds is None:
+            return progress
+        seconds = self.seconds
+
+        def told(text: str, value: float) -> None:
+            if progress is not None:
+                progress(text, value)
+            if self.has_result and self.elapsed > seconds:
+                raise OutOfTime
+
+        return told

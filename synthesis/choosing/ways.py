@@ -1,0 +1,169 @@
+"""Ways to certify a task, and the one scheduler that tries them: cheapest first, the best kept.
+
+A way says how much work it is, from which bound on it is not worth that, and what it needs to know of the ways before
+it. Ways are tried in the order of their work as long as the effort lasts; every certificate on the way is valid, and
+the one with the largest bound is kept. What each gave, or why it was left out, is recorded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from ..cells import RelationRefused
+from ..certificates import Synthesis
+from .effort import Effort, OutOfTime
+
+SOLVED, GOOD = 0.9995, 0.9
+"""Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
+
+SAME = 1e-6
+"""Bound that a path must have more than a grid to be kept: grids have values, shields and starts everywhere besides."""
+
+Results = Mapping[str, Synthesis]
+"""What the ways so far gave, by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way to certify a task.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in the record of what was tried.
+    run : callable
+        Its synthesis, given the results so far; raises RelationRefused if it does not apply.
+    work : float
+        Estimate of what it takes at least, in units of ``Effort``.
+    enough : float
+        Bound of others from which it is not tried.
+    ends : float
+        Its own bound from which nothing else is tried.
+    why_not : callable, optional
+        Why it is not tried after these results: in words, ``""`` where that need not be told, or None.
+    after : str
+        Name of a way whose result it needs, and after which it is tried.
+    prefix : bool
+        Whether the ways that it compares are recorded with its name.
+    """
+
+    name: str
+    run: Callable[[Results], Synthesis]
+    work: float = 0.0
+    enough: float = SOLVED
+    ends: float = SOLVED
+    why_not: Callable[[Results], str | None] = lambda results: None
+    after: str = ""
+    prefix: bool = False
+
+
+def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
+    """Return the synthesis with the largest bound; ``stats["tried"]`` says what each way gave, or why not.
+
+    Raises
+    ------
+    RelationRefused
+        If no way applies; where one is refused for what others are refused for, too, it is said once.
+    """
+    began, results = time.perf_counter(), dict[str, Synthesis]()
+    tried, refusals = dict[str, Any](), dict[str, str]()
+    ended_by: str | None = None
+    work = {way.name: way.work for way in ways}
+    # Where two ways take the same, the first of the table comes first.
+    for way in sorted(ways, key=lambda way: (max(way.work, work.get(way.after, way.work)), way.after in work)):
+        reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
+        if reason is not None:
+            tried |= {way.name: reason} if reason else {}
+            continue
+        before = effort.spent
+        try:
+            result = way.run(results)
+        except RelationRefused as refusal:
+            refusals[way.name] = tried[way.name] = " ".join(str(refusal).split())
+            continue
+        except OutOfTime:
+            if not effort.has_result:
+                raise  # what gave a certificate is whoever called this
+            tried[way.name] = "given up: the `seconds` were over"
+            continue
+        finally:
+            effort.spent = max(effort.spent, before + way.work)
+        results[way.name], effort.has_result = result, True
+        tried |= _outcomes(way, result)
+        if result.certificate.lower_bound >= way.ends:
+            ended_by = f"{way.name} leaves hardly anything to gain"
+    if not results:
+        raise _refused(ways, refusals)
+    return _recorded(results, tried | effort.left_out, began)
+
+
+def leading(results: Results) -> Synthesis | None:
+    """Return the result with the largest bound; a grid, unless a path certifies more by ``SAME``."""
+    if not results:
+        return None
+    best = max(results.values(), key=_bound)
+    if best.certificate.has_cells:
+        return best
+    grids = [one for one in results.values() if one.certificate.has_cells]
+    return max((one for one in grids if _bound(one) >= _bound(best) - SAME), key=_bound, default=best)
+
+
+def with_settings(result: Synthesis, more: Mapping[str, Any]) -> Synthesis:
+    """Return a synthesis whose certificate says more about how it was made, if it says such things."""
+    certificate: Any = result.certificate
+    if not more or "settings" not in {field.name for field in fields(certificate)}:
+        return result
+    certificate = replace(certificate, settings={**certificate.settings, **more})
+    return replace(result, certificate=certificate, controller=certificate.controller)
+
+
+def _bound(result: Synthesis) -> float:
+    """Return the certified bound."""
+    return float(result.certificate.lower_bound)
+
+
+def _left_out(way: Way, results: Results, effort: Effort) -> str | None:
+    """Return why a way is not tried after these results, in words; None if it is."""
+    reason = way.why_not(results)
+    best = leading(results)
+    if reason is not None or best is None:
+        return reason
+    if _bound(best) >= way.enough:
+        return f"not computed: {_bound(best):.4g} was certified already"
+    return effort.refusal(way.work)
+
+
+def _outcomes(way: Way, result: Synthesis) -> dict[str, Any]:
+    """Return the bound of a way, or of each way that it compared, by name."""
+    compared: Any = result.stats.get("tried")
+    if compared:
+        return {f"{name}, {way.name}": outcome for name, outcome in compared.items()} if way.prefix else dict(compared)
+    return {way.name: _bound(result)}
+
+
+def _refused(ways: Sequence[Way], refusals: Mapping[str, str]) -> RelationRefused:
+    """Return why no way applies: each reason once, in the order of the table."""
+    named = {way.name: refusals[way.name] for way in ways if way.name in refusals}
+    reasons = list(dict.fromkeys(named.values()))
+    if len(reasons) == 1:
+        return RelationRefused(reasons[0])
+    return RelationRefused("; ".join(f"{name}: {text}" for name, text in named.items()))
+
+
+def _recorded(results: Results, tried: dict[str, Any], began: float) -> Synthesis:
+    """Return the best result, with what was tried, the least upper bound of all, and the seconds of all."""
+    best = leading(results)
+    assert best is not None
+    above = [result.stats.get("continuous_upper_bound") for result in results.values()]
+    known = [bound for bound in above if isinstance(bound, float)]
+    stats: dict[str, Any] = {name: value for name, value in best.stats.items() if name != "tried"}
+    if len(results) > 1:
+        stats |= {"continuous_upper_bound": min(known, default=None)}
+    stats["seconds"] = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    if len(tried) > 1:
+        stats["tried"] = tried
+        best = with_settings(best, {"relations_tried": tried})
+    return replace(best, stats=stats)

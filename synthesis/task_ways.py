@@ -1,0 +1,332 @@
+"""The table of ways to certify one task: what may be tried, how much work it is, and from which bound it is left out.
+
+What is asked for decides which rows there are: relations by name, cells, a budget of memory or accuracy, or nothing at
+all. ``best_of`` tries the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..envs.agents import Agent
+from ..envs.problem import Problem
+from .cells import CellCounts, RelationRefused, cells_of_agent
+from .certificates import Synthesis
+from .choosing import (
+    GOOD,
+    SOLVED,
+    Results,
+    Run,
+    Way,
+    best_of,
+    finer_levels,
+    first_cells,
+    has_linear_cells,
+    leading,
+    linear_levels,
+    linear_work,
+    refine,
+    with_settings,
+    work_of,
+)
+from .models import Abstraction, Policies, Settings, abstraction_of, join, reaches_every_mean
+from .nominal_paths import path_certificate
+from .on_cells import Plan, compared, plain, searched
+from .search import Limits
+from .values import HOST
+
+MOST_GRID_STATES = 3
+"""States of an agent up to which it has a grid by default; certificates along a path need none."""
+
+PATH = 1.0 / 300.0
+"""Work of a path for each agent, state and input, and for each pair of steps: it is a linear program after another."""
+
+PATH_ENDS = 0.99
+"""Bound of a path from which no grid is tried: grids take minutes for what is left."""
+
+COMPARED = 20.0
+"""Work of comparing relations of agents with several states; those of single states take next to nothing."""
+
+DOUBLED = 20.0
+"""Work of comparing them on twice as many cells per axis."""
+
+MOST_LINEAR_TERMS = 32
+"""Terms of the value trees of teams of single states up to which linear cells, which pay for every term, are tried."""
+
+FEW_AGENTS = 2
+"""Agents up to which linear cells are tried unless others solve the task; in larger teams each pays for all terms."""
+
+GOOD_CARRIED = 0.5
+"""Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
+
+
+def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Plan) -> list[Way]:
+    """Return the ways to certify a task under the relations that are asked for, one for each agent."""
+    asked, usual = {*kinds}, has_usual_search(plan)
+    if not asked & {"auto", "best"}:
+        if asked == {"linear"} and cells is None and usual:
+            return [_linear(problem, plan, few=True)]
+        name = "/".join(dict.fromkeys(kinds))
+        return [Way(name, lambda results: plain(problem, cells, kinds, plan))]
+    if cells is not None or asked != {"auto"} or not usual:
+        first = Way("others", lambda results: compared(problem, cells, kinds, plan))
+        given = cells is not None and len(asked) == 1 and may_be_linear(problem, plan)
+        return [first, _linear_on(problem, cells, plan, every=asked == {"best"})] if given else [first]
+    if is_beyond_grids(problem):
+        # Where a grid does not reach a path may. Without noise in some states neither is better as a rule.
+        ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
+        path = replace(_path(problem), work=0.0, ends=ends)
+        on_grids = Way("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
+        return [path, on_grids]
+    return [*_on_grids(problem, kinds, plan), _path(problem)]
+
+
+def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
+    """Return the ways to certify a task within a budget of memory, or to an accuracy.
+
+    Linear cells come first where they are worth trying. Other relations are compared on the last cells only, which are
+    chosen under the relations of the quick choice.
+    """
+    assert plan.budget is not None
+    budget, usual = plan.budget, has_usual_search(plan)
+    linear = ["linear"] * problem.n_agents
+    first = Way("linear", lambda results: _refined(problem, linear, plan), ends=GOOD)
+    if {*kinds} == {"linear"} and usual:
+        return [first]
+    quick = ["quick" if kind in ("auto", "best") else kind for kind in kinds]
+
+    def others(results: Results) -> Synthesis:
+        best = _refined(problem, quick, replace(plan, settings=plan.settings.of_kinds(quick)))
+        if quick == kinds:
+            return best
+        parts = zip(problem.agent_names, best.certificate.agents, strict=True)
+        shapes = {name: part.grid.shape for name, part in parts}
+        return _with_cells(compared(problem, shapes, kinds, plan, best), best.stats["cells"])
+
+    rest = Way("others", others, enough=1.0)
+    few = problem.n_agents <= FEW_AGENTS or is_scalar(problem)
+    may = {*kinds} == {"auto"} and usual and few and may_be_linear(problem, plan)
+    return [rest, replace(first, work=-1.0)] if may and budget else [rest]
+
+
+def ways_of_named_inputs(problem: Problem, plan: Plan, run: Callable[[Plan], Synthesis]) -> list[Way]:
+    """Return the ways of teams in which one input moves several agents.
+
+    Chosen in common, such an input depends on the automaton state and the time alone, and all agents that name it know
+    it. As an unknown it may be anything in its box, and its owner may choose it by its own state.
+    """
+
+    def way(words: str, common: bool, work: float) -> Way:
+        chosen = replace(plan.anew(), settings=replace(plan.settings, common=common))
+        return Way(f"inputs of others {words}", lambda results: run(chosen), work, prefix=True)
+
+    # What unknown inputs are refused for says most, so that it is said first.
+    return [way("unknown", False, 1.0), way("in common", True, 0.0)]
+
+
+def names_inputs(problem: Problem) -> bool:
+    """Return whether the expressions of an agent name an input of another one."""
+    return any(isinstance(agent, Agent) and any(agent.neighbour_inputs) for agent in problem.agents)
+
+
+def is_beyond_grids(problem: Problem) -> bool:
+    """Return whether an agent has more states than a grid has room for, or states whose noise is that of others."""
+    for agent in problem.agents:
+        noisy = int(np.sum(~agent.still_axes))
+        if agent.n_states > MOST_GRID_STATES or np.linalg.matrix_rank(agent.noise_covariance) < noisy:
+            return True
+    return False
+
+
+def has_usual_search(plan: Plan) -> bool:
+    """Return whether nothing was said about the search that levels of cells would not heed."""
+    search = plan.search
+    return not (search.stationary or search.value == "train" or search.device != HOST or search.limits != Limits())
+
+
+def may_be_linear(problem: Problem, plan: Plan) -> bool:
+    """Return whether linear cells apply to every agent, and no setting is about other relations."""
+    plain_settings = replace(plan.settings, targets_per_cell=None) == Settings()
+    return plain_settings and has_usual_search(plan) and all(map(has_linear_cells, problem.agents))
+
+
+def is_scalar(problem: Problem) -> bool:
+    """Return whether all agents are linear with a single state."""
+    return all(agent.n_states == 1 and not isinstance(agent, Agent) for agent in problem.agents)
+
+
+def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
+    """Return the ways on grids where nothing but the problem is given."""
+    linear = may_be_linear(problem, plan)
+    ways = [_others(problem, kinds, plan, linear)]
+    if linear:
+        ways += [_linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))]
+    if any(agent.n_states > 1 for agent in problem.agents) and all(map(reaches_every_mean, problem.agents)):
+        ways.append(_exact(problem, plan))
+    if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
+        ways.append(_doubled(problem, kinds, plan))
+    elif not is_scalar(problem) or not linear:
+        ways.append(_finer(problem, plan))
+    return ways
+
+
+def _path(problem: Problem) -> Way:
+    """Return the way along a path: no grid, any number of states."""
+    sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
+    work = PATH * problem.horizon**2 * sizes
+    return Way("path", lambda results: path_certificate(problem), work, enough=GOOD, ends=PATH_ENDS)
+
+
+def _exact(problem: Problem, plan: Plan) -> Way:
+    """Return the way of agents of several states whose inputs reach all means: often nothing is left to gain.
+
+    Linear agents have default cells; those with expressions, whose targets are judged one by one, half as many along
+    each axis.
+    """
+    kinds = ["exact"] * problem.n_agents
+    halves = {
+        agent.name: tuple(-(-n // 2) for n in cells_of_agent(agent, None))
+        for agent in problem.agents
+        if isinstance(agent, Agent)
+    }
+    try:
+        abstraction = abstraction_of(problem, halves or None, kinds, plan.settings)
+    except RelationRefused as error:
+        return _refused("exact", error)
+    return Way("exact", lambda results: _of_models(problem, abstraction, plan), work_of(abstraction, problem))
+
+
+def _linear(problem: Problem, plan: Plan, few: bool) -> Way:
+    """Return the way on linear cells, made finer level by level."""
+    run = _run_of_levels(problem, plan)
+
+    def levels(results: Results) -> Synthesis:
+        best, record = linear_levels(problem, plan.settings, run, plan.effort)
+        return with_settings(best, {"levels": record})
+
+    def why_not(results: Results) -> str | None:
+        first = results.get("others")
+        if problem.n_agents <= FEW_AGENTS or first is None or not is_scalar(problem):
+            return None
+        if first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None:
+            return f"not computed: value trees of {first.certificate.rank} terms cost linear cells too much"
+        return None
+
+    enough = SOLVED if few or any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
+    return Way("linear", levels, linear_work(problem, plan.settings, run), enough=enough, why_not=why_not)
+
+
+def _linear_on(problem: Problem, cells: CellCounts, plan: Plan, every: bool) -> Way:
+    """Return the way on linear cells that are given."""
+    try:
+        abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
+    except RelationRefused as error:
+        return _refused("linear", error)
+
+    def why_not(results: Results) -> str | None:
+        return "" if any("linear" in result.stats.get("tried", {}) for result in results.values()) else None  # type: ignore[operator]
+
+    work = 0.0 if every else work_of(abstraction, problem)
+    enough = np.inf if every else GOOD
+    return Way("linear", lambda results: _of_models(problem, abstraction, plan), work, enough, why_not=why_not)
+
+
+def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) -> Way:
+    """Return the way that compares the other relations, on cells so coarse that they show whether these come near."""
+    written = [isinstance(agent, Agent) for agent in problem.agents]
+    if linear and any(written):
+        kinds = [
+            kind if not isinstance(agent, Agent) else "exact" if reaches_every_mean(agent) else "boxes"
+            for agent, kind in zip(problem.agents, kinds, strict=True)
+        ]
+    scalar = all(agent.n_states == 1 for agent in problem.agents)
+    cells = first_cells(problem)
+
+    def run(results: Results) -> Synthesis:
+        return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
+
+    return Way("others", run, 0.0 if is_scalar(problem) else COMPARED, enough=SOLVED if scalar or not linear else GOOD)
+
+
+def _finer(problem: Problem, plan: Plan) -> Way:
+    """Return the way that makes the cells of the best of other relations finer, level by level."""
+
+    def run(results: Results) -> Synthesis:
+        best, record = finer_levels(
+            problem, plan.settings, results["others"], _run_of_levels(problem, plan), plan.effort
+        )
+        kind = best.certificate.settings["relation"]
+        named = replace(best, stats={**best.stats, "tried": {f"{kind}, finer cells": best.certificate.lower_bound}})
+        return with_settings(named, {"levels": record})
+
+    def why_not(results: Results) -> str | None:
+        first, best = results.get("others"), leading(results)
+        if first is None or best is None or first.certificate.lower_bound < best.certificate.lower_bound:
+            return ""
+        return "" if first.certificate.rounding is not None or plan.settings.delta is not None else None
+
+    # Agents with expressions begin with cells so coarse that finer ones pay, until there is nothing left to gain.
+    enough = SOLVED if any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
+    return Way("finer cells", run, enough=enough, why_not=why_not, after="others")
+
+
+def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan) -> Way:
+    """Return the way that compares other relations on twice as many cells, where trees have too many terms for more."""
+
+    def run(results: Results) -> Synthesis:
+        parts = zip(problem.agent_names, results["others"].certificate.agents, strict=True)
+        found = compared(problem, {name: tuple(2 * n for n in part.grid.shape) for name, part in parts}, kinds, plan)
+        kind = found.certificate.settings["relation"]
+        return replace(found, stats={**found.stats, "tried": {f"{kind}, finer cells": found.certificate.lower_bound}})
+
+    def why_not(results: Results) -> str | None:
+        first = results.get("others")
+        if first is None:
+            return ""
+        many = first.certificate.rank > MOST_LINEAR_TERMS or first.certificate.rounding is not None
+        return None if many else ""
+
+    return Way("finer cells", run, DOUBLED, enough=GOOD, why_not=why_not, after="others")
+
+
+def _refused(name: str, error: RelationRefused) -> Way:
+    """Return a way that is known to be refused."""
+
+    def run(results: Results) -> Synthesis:
+        raise error
+
+    return Way(name, run)
+
+
+def _of_models(problem: Problem, abstraction: Abstraction, plan: Plan) -> Synthesis:
+    """Return the synthesis on finite models."""
+    return searched(problem, abstraction, join(problem, abstraction, plan.search.device), plan.search, {})
+
+
+def _run_of_levels(problem: Problem, plan: Plan) -> Run:
+    """Return the synthesis of one level: with policies carried over two sweeps are enough."""
+
+    def run(abstraction: Abstraction, carried: Policies | None) -> Synthesis:
+        search, starts = plan.search, {}
+        if carried is not None:
+            search = replace(search, max_sweeps=min(search.max_sweeps, 2), restarts=0, good_share=GOOD_CARRIED)
+            starts = {"carried over": carried}
+        return searched(problem, abstraction, join(problem, abstraction, search.device), search, starts)
+
+    return run
+
+
+def _refined(problem: Problem, kinds: Sequence[str], plan: Plan) -> Synthesis:
+    """Return the best synthesis under given relations, on cells that are made finer until the budget is used up."""
+    assert plan.budget is not None
+    best, record = refine(problem, lambda cells: plain(problem, cells, kinds, plan), kinds, plan.budget)
+    return _with_cells(best, record)
+
+
+def _with_cells(result: Synthesis, record: Any) -> Synthesis:
+    """Return a synthesis whose certificate records how its cells were chosen."""
+    return replace(with_settings(result, {"cells_chosen": record}), stats={**result.stats, "cells": record})

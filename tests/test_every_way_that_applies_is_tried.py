@@ -1,0 +1,124 @@
+"""Ways to certify a task are tried with the cheapest first while the effort lasts, and the best one is kept."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import certigym as cg
+from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
+from certigym.synthesis.models import Settings
+from certigym.synthesis.on_cells import Plan
+from certigym.synthesis.search import Search
+from certigym.synthesis.task_ways import ways_of
+from test_the_clock_decides_nothing import robots
+
+
+def result(bound: float, has_cells: bool = True, above: float | None = None) -> cg.Synthesis:
+    """Return what a way gives, as far as the scheduler looks at it."""
+    certificate: Any = SimpleNamespace(lower_bound=bound, has_cells=has_cells)
+    return cg.Synthesis(certificate, certificate, {"continuous_upper_bound": above})
+
+
+class Table:
+    """Ways that note when they are run."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.run: list[str] = []
+        monkeypatch.setattr("certigym.synthesis.choosing.ways.with_settings", lambda found, more: found)
+
+    def way(self, name: str, outcome: float | str, work: float = 0.0, **options: Any) -> Way:
+        """Return a way that certifies a bound, or is refused with a text."""
+
+        def run(results: Results) -> cg.Synthesis:
+            self.run.append(name)
+            if isinstance(outcome, str):
+                raise RelationRefused(outcome)
+            return result(outcome)
+
+        return Way(name, run, work, **options)
+
+
+@pytest.fixture
+def table(monkeypatch: pytest.MonkeyPatch) -> Table:
+    return Table(monkeypatch)
+
+
+def tried_of(found: cg.Synthesis) -> dict[str, Any]:
+    return dict(found.stats["tried"])  # type: ignore[call-overload]
+
+
+def test_the_cheapest_is_first_and_the_best_is_kept(table: Table) -> None:
+    found = best_of(
+        [table.way("long", 0.5, 3.0), table.way("short", 0.6, 1.0), table.way("middle", 0.4, 2.0)], Effort()
+    )
+    assert table.run == ["short", "middle", "long"] and found.certificate.lower_bound == 0.6
+    assert tried_of(found) == {"short": 0.6, "middle": 0.4, "long": 0.5}
+
+
+def test_what_the_effort_does_not_reach_is_left_out_but_the_first_is_computed(table: Table) -> None:
+    ways = [table.way("first", 0.3, 5.0), table.way("second", 0.9, 6.0)]
+    found = best_of(ways, Effort(2.0))
+    assert table.run == ["first"] and "ask for more `effort`" in tried_of(found)["second"]
+    assert best_of(ways, Effort(11.0)).certificate.lower_bound == 0.9
+
+
+def test_a_refusal_is_no_certificate_and_does_not_end_the_search(table: Table) -> None:
+    found = best_of([table.way("one", "it has no grid"), table.way("other", 0.2, 9.0)], Effort(1.0))
+    assert tried_of(found) == {"one": "it has no grid", "other": 0.2}
+    with pytest.raises(RelationRefused, match=r"^one: it has no grid; other: it has no path$"):
+        best_of([table.way("one", "it has no grid", 2.0), table.way("other", "it has no path")], Effort())
+    with pytest.raises(RelationRefused, match=r"^too coarse$"):
+        best_of([table.way("one", "too coarse"), table.way("other", "too coarse")], Effort())
+
+
+def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
+    ways = [table.way("path", 0.99, ends=0.99), table.way("grid", 1.0, 1.0)]
+    assert "path leaves hardly anything to gain" in tried_of(best_of(ways, Effort()))["grid"]
+    ways = [table.way("path", 0.95, ends=0.99), table.way("rare", 1.0, 1.0, enough=0.9), table.way("grid", 0.97, 2.0)]
+    found = best_of(ways, Effort())
+    assert found.certificate.lower_bound == 0.97 and "0.95 was certified already" in tried_of(found)["rare"]
+
+
+def test_what_needs_another_way_comes_after_it(table: Table) -> None:
+    ways = [table.way("finer", 0.7, after="coarse"), table.way("coarse", 0.5, 4.0), table.way("path", 0.1, 2.0)]
+    best_of(ways, Effort())
+    assert table.run == ["path", "coarse", "finer"]
+
+
+def test_a_grid_is_kept_where_a_path_certifies_hardly_more() -> None:
+    path, grid = result(0.95, has_cells=False), result(0.95 - 5e-7)
+    assert leading({"path": path, "grid": grid}) is grid
+    assert leading({"path": path, "grid": result(0.95 - 5e-6)}) is path
+    assert leading({"path": path}) is path and leading({}) is None
+
+
+def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
+    found = cg.synthesize("integrator-chain-v0")
+    assert not found.certificate.has_cells and found.certificate.lower_bound > 0.993
+    assert "path leaves hardly anything to gain" in tried_of(found)["linear"]
+    assert cg.check(found.certificate)
+    first, second = cg.synthesize_horizons("integrator-chain-v0", [4, 5])
+    assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound
+
+
+def test_the_number_of_agents_leaves_no_way_out() -> None:
+    """Robots alone and in teams have the same ways; what they take grows with the team."""
+    plan = Plan(Settings(), Search(), None, Effort())
+    tables = [{way.name: way.work for way in ways_of(robots(n), None, ["auto"] * n, plan)} for n in (1, 2, 4)]
+    assert [*tables[0]] == [*tables[1]] == [*tables[2]] == ["others", "linear", "exact", "finer cells", "path"]
+    for name in ("linear", "exact", "path"):
+        assert tables[0][name] < tables[1][name] < tables[2][name]
+
+
+@pytest.mark.slow
+def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
+    """On coarse cells they certify several times what other relations do."""
+    found = cg.synthesize(robots(3), 12)
+    tried = tried_of(found)
+    assert [part.relation["kind"] for part in found.certificate.agents] == ["linear"] * 3
+    assert tried["linear"] == found.certificate.lower_bound > 2 * tried["exact"] > 0.0
+    assert cg.check(found.certificate)

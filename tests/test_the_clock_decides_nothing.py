@@ -1,0 +1,96 @@
+"""What is tried, and what is certified, does not depend on how fast the machine is: work is counted, not measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from itertools import count
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from problems import cart, cart_reach
+
+
+def robots(n_agents: int) -> cg.Problem:
+    """Robots that turn while they drive, all to be at their goals at once, beside their walls."""
+    team = cg.LinearAgent(
+        name="robot",
+        A=[[0.95, 0.1], [-0.1, 0.95]],
+        B=[[0.5, 0.0], [0.0, 0.5]],
+        noise_covariance=[[0.1, 0.0], [0.0, 0.1]],
+        state_low=[-4.0, -4.0],
+        state_high=[4.0, 4.0],
+        input_low=[-2.0, -2.0],
+        input_high=[2.0, 2.0],
+        initial_state=[-1.5, -1.5],
+    ).copies(n_agents)
+    walls = {f"wall_{i}": cg.Proposition(f"robot_{i}", [-0.5, -0.5], [0.5, 0.5]) for i in range(n_agents)}
+    goals = {f"goal_{i}": cg.Proposition(f"robot_{i}", [1.0, -1.0], [3.0, 2.0]) for i in range(n_agents)}
+    avoid, reach = " & ".join(f"!{name}" for name in walls), " & ".join(goals)
+    return cg.Problem(
+        name="robots",
+        horizon=4,
+        agents=team,
+        propositions={**walls, **goals},
+        specification=cg.Specification(f"({avoid}) U ({reach})", "co-safe"),
+    )
+
+
+def slowed(seconds: float) -> Iterator[float]:
+    """Yield times of a clock that goes on by so many seconds whenever it is read."""
+    return (seconds * k for k in count())
+
+
+def certified(monkeypatch: pytest.MonkeyPatch, look: float, problem: Any, **options: Any) -> cg.Synthesis:
+    """Synthesize under a clock of which each look takes so many seconds."""
+    with monkeypatch.context() as patch:
+        for name in ("perf_counter", "monotonic", "process_time", "time"):
+            patch.setattr(time, name, slowed(look).__next__)
+        return cg.synthesize(problem, **options)
+
+
+@pytest.mark.parametrize(
+    ("problem", "options"),
+    [
+        (lambda: robots(2), {"effort": 0.8}),
+        (lambda: robots(2), {"cells": 12}),
+        (lambda: cart_reach(cart(), horizon=4), {"cells": 24}),
+    ],
+)
+def test_slow_and_fast_machines_certify_the_same(
+    problem: Any, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow, fast = (certified(monkeypatch, look, problem(), **options) for look in (100.0, 1e-6))
+    assert slow.certificate.lower_bound == fast.certificate.lower_bound > 0.0
+    assert slow.stats["tried"] == fast.stats["tried"]
+    for one, other in zip(slow.certificate.agents, fast.certificate.agents, strict=True):
+        np.testing.assert_array_equal(one.policy, other.policy)
+
+
+def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first certificate is returned in any case; what comes after it is left out when the seconds are over."""
+    quick = certified(monkeypatch, 100.0, robots(2), seconds=10.0)
+    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=0.8)
+    usual = cg.synthesize(robots(2), effort=0.8)
+    assert 0.0 < quick.certificate.lower_bound < usual.certificate.lower_bound == patient.certificate.lower_bound
+    tried: Any = quick.stats["tried"]
+    assert any("`seconds`" in str(outcome) for outcome in tried.values())
+    assert cg.check(quick.certificate)
+
+
+def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
+    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 0.8))
+    assert little.certificate.lower_bound < more.certificate.lower_bound
+    tried: Any = little.stats["tried"]
+    assert any("ask for more `effort`" in str(outcome) for outcome in tried.values())
+    assert little.certificate.settings["relations_tried"] == tried
+
+
+@pytest.mark.parametrize("name", ["effort", "seconds"])
+@pytest.mark.parametrize("value", [0.0, -1.0, "much", True])
+def test_budgets_are_positive_numbers(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"`{name}`: expected a positive number"):
+        cg.synthesize(robots(2), **{name: value})
