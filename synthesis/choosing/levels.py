@@ -66,23 +66,21 @@ FEWEST, MOST_PER_AXIS = 8, 2000
 MULTIPLICATIONS_PER_SECOND = 1.5e9
 """Multiplications of smoothing, with what goes with it."""
 
-LINEAR_TABLES = 3
-"""Tables with which factors of linear agents are smoothed."""
-
-CELLS_PER_SECOND = 1e5
-"""Linear cells in which the best choice is found, or a value read, with one term."""
-
 WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
-"""The same for other relations, whose choices are lattice points, inputs that lead to lattice points, and boxes."""
+"""Cells in which the best choice is found, or a value read, with one term, where choices are lattice points, inputs that
+lead to lattice points, and boxes."""
 
 DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
-"""Lattice points whose differences are found, and cells that are read and decided, with affine maps of expressions."""
+"""Lattice points whose differences are found, and cells that are read and decided, of linear cells."""
+
+TEAM_SWEEPS = 3.0
+"""How often linear cells of teams are swept in a level; one agent needs no ascent."""
 
 LATTICE_PER_SECOND = 1.3e7
 """Lattice points whose charge and window minima are found, under boxes."""
 
-READINGS, MENU_READINGS, TERMS_OF_A_READING = 4, 2.5, 30.0
-"""How often cells are read in a level, more often with a menu, and the terms that double the time of a reading."""
+READINGS, TERMS_OF_A_READING = 4, 30.0
+"""How often cells are read in a level, and the terms that double the time of a reading."""
 
 PAIR = 2
 """Agents that are alike for which reading is counted one by one: pairs may have to stay together, or apart."""
@@ -93,11 +91,11 @@ SURELY = 0.7
 CHEAP = 0.5
 """Work below which a level is begun whatever the last one gained."""
 
-GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_WRITTEN = 10, 20, 2
+GUESSED_RANK, MOST_GUESSED_RANK, GUESSED_LINEAR = 10, 20, 2
 """Terms that the first level of two agents is expected to have, and further ones at most: sweeps have few. The last is
-for linear cells of agents with expressions, of which the first level takes next to no time."""
+for linear cells, of which the first level takes next to no time."""
 
-LEAST_SHARE, SOLVED_WRITTEN = 0.2, 0.9999
+LEAST_SHARE, SOLVED_LINEAR = 0.2, 0.9999
 """That gain as a share of what is left, where that is less, and the bound that is enough, for linear cells of
 agents with expressions."""
 
@@ -200,7 +198,7 @@ class _Levels:
         self.best: Synthesis | None = None
         self.record: Record = []
         self.before: tuple[Abstraction, Policies] | None = None
-        self.rank = 1 if problem.n_agents == 1 else GUESSED_WRITTEN if self.is_written else GUESSED_RANK
+        self.rank = 1 if problem.n_agents == 1 else GUESSED_LINEAR if self.is_linear else GUESSED_RANK
         self.undecided = int((~problem.automaton.absorbing).sum())
 
     def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
@@ -259,9 +257,9 @@ class _Levels:
             width /= finer
 
     @property
-    def is_written(self) -> bool:
-        """Whether agents with expressions have linear cells: levels are quick, and lose little of what is left."""
-        return "linear" in self.kinds and any(isinstance(agent, Agent) for agent in self.problem.agents)
+    def is_linear(self) -> bool:
+        """Whether cells are linear: levels are quick, and lose little of what is left."""
+        return "linear" in self.kinds
 
     def has_cells_of(self, abstraction: Abstraction) -> bool:
         """Return whether the last level had as many cells."""
@@ -273,13 +271,13 @@ class _Levels:
     @property
     def solved(self) -> float:
         """The bound from which no finer level is worth its time."""
-        return SOLVED_WRITTEN if self.is_written else SOLVED
+        return SOLVED_LINEAR if self.is_linear else SOLVED
 
     @property
     def least_gain(self) -> float:
         """Gain of a level from which the next one is worth its time."""
         gain = LEAST_GAIN * self.bound
-        return min(gain, LEAST_SHARE * (1.0 - self.bound)) if self.is_written else gain
+        return min(gain, LEAST_SHARE * (1.0 - self.bound)) if self.is_linear else gain
 
     @property
     def bound(self) -> float:
@@ -298,7 +296,7 @@ class _Levels:
         # Where there is room for two more levels, one of them now; else the finest cells that there is room for.
         goes_on = least * (FINER[0] ** d + FINER[0] ** (2 * d)) <= most
         work = least * FINER[-1] ** d
-        for finer in FINER if goes_on or self.is_written else LAST:
+        for finer in FINER if goes_on or self.is_linear else LAST:
             if least * finer**d > most:
                 continue
             try:
@@ -375,6 +373,7 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
     if rank is None:
         rank = 1 if problem.n_agents == 1 else GUESSED_RANK
     n_states = int((~problem.automaton.absorbing).sum())
+    sweeps = 1.0 if problem.n_agents == 1 or n_states == 1 else TEAM_SWEEPS
     total, seen = 0.0, Counter[int]()
     for model in abstraction.models:
         places, points = model.kernel.shape, model.kernel.lattice_shape
@@ -390,7 +389,7 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
             lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
             # In teams with one undecided state they are read once, too; that does not change what pairs get.
             if n_states > 1 or seen[id(model)] < PAIR:
-                total += rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
+                total += sweeps * rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
             seen[id(model)] += 1
             continue
         if isinstance(model.choices, BoxChoices):
@@ -406,6 +405,4 @@ def _cells_per_second(choices: Choices) -> float:
             return WINDOWS_PER_SECOND
         case InputMenu():
             return MENUS_PER_SECOND
-        case BoxChoices():
-            return BOXES_PER_SECOND
-    return CELLS_PER_SECOND
+    return BOXES_PER_SECOND
