@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..envs.agents import Agent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .by_levels import by_levels, finer, has_usual_search, may_be_linear, on_given_cells
@@ -154,16 +155,24 @@ def _of_task(
     is_open = relation == "auto" and cells is None and plan.budget is None and start is None
     if not is_open:
         return _on_grids(problem, cells, relation, plan, start)
+    # Grids of three bent states take minutes: a path is tried before.
+    along = _along_a_path(problem) if _is_quicker_along_a_path(problem) else None
+    if along is not None and along.certificate.lower_bound >= GOOD:
+        return along
     # Where a grid does not reach, or no relation applies on it, a path may.
     ways = [lambda: _on_grids(problem, None, relation, plan, None), lambda: path_certificate(problem)]
     first, second = reversed(ways) if _beyond_grids(problem) else ways
     try:
         found = first()
     except RelationRefused as refusal:
+        if along is not None:
+            return along
         try:
             return second()
         except RelationRefused:
             raise refusal from None
+    if along is not None:
+        return max(found, along, key=lambda each: each.certificate.lower_bound)
     if not any(np.any(agent.still_axes) for agent in problem.agents) or found.certificate.lower_bound >= GOOD:
         return found
     # Without noise in some states neither way is better as a rule.
@@ -217,6 +226,24 @@ def _on_grids(
     if {"auto", "best"} & {*kinds}:
         return on_given_cells(problem, cells, kinds, plan)
     return plain(problem, cells, kinds, plan)
+
+
+def _is_quicker_along_a_path(problem: Problem) -> bool:
+    """Return whether an agent written as expressions has as many states as grids have room for, and starts are points.
+
+    With more states a path comes first anyway.
+    """
+    at_points = all(agent.initial.is_point for agent in problem.agents)
+    bent = any(isinstance(agent, Agent) and agent.n_states == MOST_GRID_STATES for agent in problem.agents)
+    return at_points and bent and not _beyond_grids(problem)
+
+
+def _along_a_path(problem: Problem) -> Synthesis | None:
+    """Return a certificate along a path, or None."""
+    try:
+        return path_certificate(problem)
+    except RelationRefused:
+        return None
 
 
 def _beyond_grids(problem: Problem) -> bool:

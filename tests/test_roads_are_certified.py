@@ -325,6 +325,54 @@ def test_undefined_expressions_have_no_expansion() -> None:
     assert found.off[0] == np.inf
 
 
+def test_roads_are_taken_without_any_options() -> None:
+    """Four states have no grid; the example has five, two obstacles and nothing else."""
+    assert isinstance(cg.synthesize(bend(8)).certificate, PathCertificate)
+    example = Path(__file__).resolve().parents[1] / "examples" / "car_slalom.toml"
+    certificate: Any = cg.synthesize(example).certificate
+    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.99999
+    assert cg.check(certificate)
+
+
+def test_independent_agents_multiply() -> None:
+    """Two carts, one of which has matrices, with one task about both."""
+    second = cg.LinearAgent(
+        name="wagon", A=[[1.0, 0.4], [0.0, 1.0]], B=[[0.0], [0.4]], noise_covariance=1e-3 * np.eye(2),
+        state_low=[-3, -2], state_high=[5, 2], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1]), "stop": cg.Proposition("wagon", [1, -2], [4, 2])}
+    certificate = path_of(problem_of([cart(), second], regions, "F (dock & stop)", 10))
+    assert cg.check(certificate) and certificate.lower_bound > 0.99
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_agents_that_name_each_other_have_paths() -> None:
+    """What another one does is anything in its box, which joins the drift."""
+    pushed = cart(dynamics=["x + 0.4*speed*cos(heading) + 0.01*wagon.place", "y + 0.4*speed*sin(heading)",
+                            "heading + 0.4*turn", "speed + 0.4*push"])  # fmt: skip
+    second = cg.Agent(
+        name="wagon", states=["place"], inputs=["push"], dynamics=["0.9*place + push"], noise_covariance=[[0.01]],
+        state_low=[-1], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1])}
+    certificate = path_of(problem_of([pushed, second], regions, "F dock", 9))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_outputs_may_bend() -> None:
+    """The square of the distance from a mast is kept above 1 on the way past it."""
+    agent = cart(outputs=["x", "(x - 2)**2 + y**2"])
+    regions = {"mast": cg.Proposition("cart", [-1, -1], [7, 1]), "dock": cg.Proposition("cart", [4, 0], [6, 30])}
+    certificate = path_of(problem_of([agent], regions, "(!mast) U dock", 12))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+    assert not cg.check(replace(certificate, failure=0.5 * certificate.failure))
+
+
 def test_what_roads_do_not_do_is_said() -> None:
     law = [{"law": "laplace", "scale": 0.01}] * 4
     with pytest.raises(ValueError, match="Gaussian noise"):

@@ -23,6 +23,9 @@ CELLS = {1: 120, 2: 40, 3: 16}
 MOST_GUESSES = 3
 """Ways that are tried."""
 
+MOST_SHIFTS = 15_000
+"""Moves between cells that are looked at, over all steps."""
+
 NEAR = 2.0
 """Cells from regions within which a way is charged for being near."""
 
@@ -110,7 +113,9 @@ class _Grid:
     def way(self, start: FloatArray, charge: FloatArray) -> FloatArray | None:
         """Return points (S + 1, k) of the cheapest way; None if there is none."""
         steps = len(self.costs) - 1
-        reach = int(np.clip(np.ceil(3.0 * self.count / steps), 2, 8 if len(self.shape) < 3 else 4))
+        reach = min(self.count, max(2, int(np.ceil(3.0 * self.count / steps))))
+        while reach > 2 and (2 * reach + 1) ** len(self.shape) * steps > MOST_SHIFTS:
+            reach -= 1
         shifts = np.array(list(product(range(-reach, reach + 1), repeat=len(self.shape))))
         # Long steps cost more than their share, so that ways are gone evenly.
         lengths = (shifts**2).sum(axis=1) * (steps / self.count) ** 2 * 0.5

@@ -20,7 +20,7 @@ from .road_model import RoadModel
 STEPS = 0.5 ** np.arange(8)
 """Shares of a step that are tried at once."""
 
-STILL = 1e-4
+STILL = 1e-3
 """Improvement, as a share of the cost, from which the iteration ends."""
 
 CALM = 1e-3

@@ -120,10 +120,12 @@ class RoadSearch:
             np.tile(0.05 * self.half, (steps, 1)),
         )  # fmt: skip
         x, y, push = ((each, np.zeros_like(each)) for each in sharp)
-        u = np.tile(self._still(), (steps, 1))
-        for weight in (30.0, 1.0, 0.0):
+        # A little off, so that nothing stays on a line of symmetry.
+        off = 0.05 * self.half * self.rng.standard_normal((steps, len(self.half)))
+        u = np.clip(self._still() + off, agent.input_low, agent.input_high)
+        for weight, rounds in ((30.0, 30), (1.0, 30), (0.0, 60)):
             aim = Aim(limits, x, y, push, guess, np.full(agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
-            states, u, cost = Planner(self.model, aim).improved(u, 60)
+            states, u, cost = Planner(self.model, aim).improved(u, rounds)
             if not np.isfinite(cost):
                 return None
             # Sides are those on which the plan is, as soon as it follows.

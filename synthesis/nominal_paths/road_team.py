@@ -22,8 +22,11 @@ MOST_PLANS = 6
 MOST_MOVES = 6
 """Moves of the times of jumps that are tried after that."""
 
-GOOD = -12.0
-"""Logarithm of the failure from which no further way is looked for."""
+PROMISING = -4.0
+"""Logarithm of the failure after little work from which no further way is looked for."""
+
+GOOD = 1e-4
+"""Failure from which no other times are tried."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a road counts as impossible."""
@@ -68,6 +71,12 @@ class _Team:
         if self.best is None or score < self.best[0]:
             self.best = score, (way, times, steps), letters, found
 
+    def refined(self) -> tuple[tuple[int, ...], NDArray[np.int8], list[Found]]:
+        """Return times, letters and roads of the best plan after more work."""
+        assert self.best is not None
+        _, (_, times, _), letters, found = self.best
+        return times, letters, [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+
     def _own(self, i: int) -> list[int]:
         names, agent = self.problem.automaton.propositions, self.problem.agents[i]
         return [p for p in range(min(len(names), self.problem.labeling.first_pair))
@@ -97,16 +106,21 @@ def road_certificate(problem: Problem, plans: Any) -> Synthesis:
     possible = (plan for plan in plans if letters_of(problem, *plan) is not None)
     for way, times, steps in islice(possible, MOST_PLANS):
         team.of_plan(way, times, steps)
-        if team.best is not None and team.best[0] < GOOD:
+        if team.best is not None and team.best[0] < PROMISING:
             break
-    if team.best is not None and team.best[0] >= GOOD:
-        _with_better_times(team)
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise RelationRefused(f"no nominal path along which the task is satisfied was found{more}")
-    _, (_, times, steps), letters, found = team.best
-    found = [search.full(letters, one) for search, one in zip(team.searches, found, strict=True)]
-    failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found))) * (1.0 + 1e-9)
+    times, letters, found = team.refined()
+    if _failure(found) > GOOD:
+        # Other times of the jumps, each looked at after little work.
+        before = team.best[0]
+        _with_better_times(team)
+        if team.best[0] < before:
+            again = team.refined()
+            if _failure(again[2]) < _failure(found):
+                times, letters, found = again
+    failure = min(1.0, _failure(found) * (1.0 + 1e-9))
     if failure >= HOPELESS:
         worst = max(found, key=lambda one: one.failure)
         raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {worst.weakest}")
@@ -126,6 +140,11 @@ def road_certificate(problem: Problem, plans: Any) -> Synthesis:
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
+def _failure(found: list[Found]) -> float:
+    """Return an upper bound on the probability that an agent fails: they are independent."""
+    return float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
+
+
 def letters_of(problem: Problem, way: Way, times: tuple[int, ...], steps: int) -> NDArray[np.int8] | None:
     """Return the letters (S + 1, P) of a way, less what follows or is not needed; None if they contradict."""
     letters = way.letters(times, steps, len(problem.automaton.propositions))
@@ -136,7 +155,7 @@ def _with_better_times(team: _Team) -> None:
     """Move single jumps, as long as that helps."""
     problem, tried = team.problem, 0
     step = max(1, problem.horizon // 6)
-    while step and tried < MOST_MOVES and team.best is not None and team.best[0] >= GOOD:
+    while step and tried < MOST_MOVES and team.best is not None:
         before = team.best[0]
         _, (way, times, steps), _, _ = team.best
         for k in range(len(times)):
