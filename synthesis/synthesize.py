@@ -156,7 +156,8 @@ def _of_task(
     if not is_open:
         return _on_grids(problem, cells, relation, plan, start)
     # Grids of three bent states take minutes: a path is tried before.
-    along = _along_a_path(problem) if _is_quicker_along_a_path(problem) else None
+    is_usual = has_usual_search(plan) and plan.settings == Settings()
+    along = _along_a_path(problem) if is_usual and _is_quicker_along_a_path(problem) else None
     if along is not None and along.certificate.lower_bound >= GOOD:
         return along
     # Where a grid does not reach, or no relation applies on it, a path may.

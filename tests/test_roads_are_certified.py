@@ -245,6 +245,30 @@ def test_sabotage_of_the_search_is_refused_by_the_check(
     assert not report.valid and forged.failure < 0.99 * found.failure
 
 
+def test_the_nominal_scale_of_noise_alone_is_refused(
+    certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the scale varies on the tube joins the remainder, and slabs on the noise are asked for."""
+    certificate, search = certificates["tank"], RoadSearch(PROBLEMS["tank"], 0)
+    found = search.quick(certificate.letters)
+    assert found is not None
+    honest = replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
+    assert cg.check(honest)
+    scale = search.model.scale
+
+    def nominal(program: Any, *rest: Any) -> Any:
+        return road_candidates_remainders(program, *rest) * (0.0 if program is scale else 1.0)
+
+    monkeypatch.setattr(road_candidates, "remainders", nominal)
+    worth, spreads = found.road.worth(found.feedback)
+    path = replace(found.path, slabs=spreads.slabs)
+    forged = replace(honest, paths=(path,), failure=float(worth.failures()[0]))
+    assert forged.failure < 0.999 * found.failure and not cg.check(forged)
+    slabs = found.path.slabs.copy()  # type: ignore[union-attr]
+    slabs[:, 3:] = np.inf
+    assert not cg.check(replace(honest, paths=(replace(found.path, slabs=slabs),)))
+
+
 def test_drift_and_variance_are_those_of_all_products() -> None:
     """Against sums that are written out, with matrices that do not commute and units of very different size."""
     rng, d, steps = np.random.default_rng(6), 3, 7

@@ -44,12 +44,12 @@ class Plan:
 
 
 def path_certificate(problem: Problem) -> Synthesis:
-    """Return a certificate along a path, with its controllers.
+    """Return a certificate along a path, with its controllers; along roads where an agent is not linear from a point.
 
     Raises
     ------
-    ValueError
-        If an agent is not linear, its noise not Gaussian or its start no point, or if no path was found.
+    RelationRefused
+        If the noise of an agent is not Gaussian, a start is outside its workspace, or no path was found.
     """
     began = time.perf_counter()
     for name in problem.starts_outside:
