@@ -95,6 +95,7 @@ def test_the_search_is_deterministic() -> None:
 @pytest.mark.parametrize("start", [[-0.1, -0.1, -0.05, 0.45], [0.1, 0.1, 0.05, 0.55], [0.1, -0.1, 0.05, 0.45]])
 def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, PathCertificate]) -> None:
     certificate = certificates["box"]
+    assert certificate.start == "mean" and certificates["cart"].start == "point"
     problem = PROBLEMS["box"].replace(initial_state=start)
     done = cg.rollout(problem, certificate.controller, 20_000, seed=3)
     assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3

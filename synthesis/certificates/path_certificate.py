@@ -84,7 +84,6 @@ class PathCertificate:
     failure: float
     settings: dict[str, Any]
 
-    start = "point"
     bound = "path"
     rank = 1
     gap = None
@@ -98,6 +97,11 @@ class PathCertificate:
             ("bound", f"P >= {self.lower_bound:.10g}"),
         ]
         return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
+
+    @property
+    def start(self) -> str:
+        """``"mean"`` where starts are drawn from a box, though the bound holds for each of them; else ``"point"``."""
+        return "point" if all(agent.initial.is_point for agent in self.problem.agents) else "mean"
 
     @property
     def n_steps(self) -> int:
