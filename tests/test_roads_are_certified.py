@@ -167,6 +167,27 @@ def test_forgeries_are_refused(name: str, certificates: dict[str, PathCertificat
     assert not cg.check(FORGERIES[name](certificates["cart"]))
 
 
+@pytest.mark.parametrize(
+    ("value", "gain", "admissible"),
+    [(-1.0, 0.0, True), (1.0, 0.0, True), (1.01, 0.0, False), (-1.01, 0.0, False), (1.0, 0.1, False), (-1.0, 0.1, False),
+     (0.0, 0.1, True)],
+)  # fmt: skip
+def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, admissible: bool) -> None:
+    """A third input moves nothing: what is asked of it is its box alone."""
+    agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
+    problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
+    search = RoadSearch(problem, 0)
+    letters = np.zeros((6, 1), dtype=np.int8)
+    letters[5] = 1
+    found = search.quick(letters)
+    assert found is not None
+    inputs, gains = found.path.inputs.copy(), found.path.gain.copy()
+    inputs[:, 2], gains[:, 2] = value, [gain, 0.0, 0.0, 0.0]
+    path = replace(found.path, inputs=inputs, gain=gains)
+    certificate = PathCertificate(problem, (path,), letters, np.full((6, 1), -1), 0.1, {})
+    assert bool(cg.check(certificate)) == admissible
+
+
 def noisy() -> cg.Problem:
     """The cart with so much noise that failures are not negligible."""
     noise = np.diag([0.05**2, 0.05**2, 0.06**2, 0.04**2])
