@@ -79,6 +79,9 @@ class Followed:
         self.paths, self.agents = paths, spec["agents"]
         self.nominal = []
         for agent, path in zip(spec["agents"], paths):
+            if path.states is not None:
+                self.nominal.append(list(path.states))
+                continue
             x = [np.array(agent["initial_state"], dtype=float)]
             for u in path.inputs:
                 x.append(np.array(agent["A"]) @ x[-1] + np.array(agent["B"]) @ u + np.array(agent["offset"]))
@@ -88,7 +91,7 @@ class Followed:
         inputs = []
         for agent, path, nominal, x in zip(self.agents, self.paths, self.nominal, states):
             k = min(t, len(path.inputs) - 1)
-            wanted = path.inputs[k][:, None] + path.gain @ (x - nominal[k][:, None])
+            wanted = path.inputs[k][:, None] + path.gains[k] @ (x - nominal[k][:, None])
             low, high = (np.array(agent[side])[:, None] for side in ("input_low", "input_high"))
             inputs.append(np.clip(wanted, low, high))
         return inputs

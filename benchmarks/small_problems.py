@@ -296,6 +296,21 @@ def _path(rng: np.random.Generator) -> Spec:
     return _problem(rng, agents, {"relation": "path"}, (1, 2, 3, 4, 6))
 
 
+def _road(rng: np.random.Generator) -> Spec:
+    """Certificates along a path of agents written as expressions: one to three states, winds, scales, start boxes."""
+    d = int(rng.choice([1, 2, 3], p=[0.3, 0.4, 0.3]))
+    agents = [_linear(rng, f"agent_{i}", d, (0.04, 0.15), wide=d == 1 or rng.random() < 0.5)
+              for i in range(1 + int(d == 1 and rng.random() < 0.3))]  # fmt: skip
+    for agent in agents:
+        _in_words(rng, agent, _write)
+        if rng.random() < 0.3:
+            _make_uneven(rng, agent)
+            deviations = rng.uniform(0.04, 0.12, d) * np.array(agent["state_high"])
+            agent["laws"] = [{"law": "gaussian", "std": float(std)} for std in deviations]
+            agent["written"]["noise"] = agent["laws"]
+    return _told_starts(_problem(rng, agents, {"relation": "path"}, (1, 2, 3, 5)))
+
+
 def _hull(rng: np.random.Generator) -> Spec:
     """Convex sets of starts around the start of a certificate along a path."""
     d = int(rng.choice([1, 2, 3], p=[0.3, 0.5, 0.2]))
@@ -364,6 +379,7 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "common": _common,
     "states": _states,
     "paths": _path,
+    "roads": _road,
     "hulls": _hull,
     "menus": _menus,
     "networks": _networks,

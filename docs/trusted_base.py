@@ -61,7 +61,8 @@ TRUSTED = {
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
         "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
-        "synthesis.checking.hull_check "
+        "synthesis.checking.hull_check synthesis.checking.own_bends synthesis.checking.road_chain "
+        "synthesis.checking.road_check synthesis.checking.road_rows synthesis.checking.roundings "
         "synthesis.checking.regrown_tree synthesis.checking.relation_check synthesis.checking.start_check "
         "synthesis.checking.team_check "
         "synthesis.checking.train_check "
@@ -78,7 +79,8 @@ VERIFIED = (
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 
 BESIDE = (
-    "envs.agents.printing envs.agents.saving envs.dynamics.blocks envs.dynamics.diagrams "
+    "envs.agents.printing envs.agents.saving "
+    "envs.dynamics.blocks envs.dynamics.diagrams "
     "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "
     "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "

@@ -97,7 +97,6 @@ MISSING: dict[str, dict[str, str]] = {
     },
     "start box": {
         "exact correlated": "start boxes are read on cells that are boxes of states",
-        "path": "a path starts at a point",
         "subtraction": "pairs are read at points",
     },
     "no deadline": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for stationary policies"),

@@ -235,8 +235,8 @@ def test_random_problems_are_not_refuted() -> None:
 def test_what_paths_do_not_do_is_said() -> None:
     problem = chain(2, 3)
     box = problem.replace(initial_low=[-0.1, -0.1], initial_high=[0.1, 0.1])
-    with pytest.raises(ValueError, match="a start that is a point"):
-        cg.synthesize(box, relation="path")
+    with pytest.raises(ValueError, match="certify others with a start box"):
+        cg.certified_starts(cg.synthesize(box, relation="path"), 0.5)
     with pytest.raises(ValueError, match="which has no grid"):
         cg.synthesize(problem, 40, relation="path")
     far = problem_of(list(problem.agents), {"goal": cg.Proposition("chain", [8, -10], [9, 10])}, "F goal", 3)

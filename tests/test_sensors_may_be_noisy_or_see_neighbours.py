@@ -198,7 +198,7 @@ def test_the_sensors_of_independent_tasks_are_told_for_the_whole(monkeypatch: py
 @pytest.mark.parametrize("kind", ["path", "team", "product"])
 def test_all_controllers_look_for_readings_first(kind: str) -> None:
     problem = cg.make_problem("reach-avoid-v0")
-    names, path = problem.agent_names, [(np.zeros((3, 1)), np.zeros((1, 1)))] * 2
+    names, path = problem.agent_names, [(np.zeros((3, 1)), np.zeros((1, 1)), None)] * 2
     inner: Any = PathController(problem, tuple(path))
     controller: Any = {"path": inner, "team": TeamController(problem, inner)}.get(kind)
     controller = controller or ProductController(problem, (inner,))

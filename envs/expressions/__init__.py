@@ -6,6 +6,7 @@ from .evaluation import computed
 from .expression_tree import Name, Number, Operation, Tree, names_in, operations_in, whole_exponent
 from .intervals import Interval
 from .linear_systems import AffineForm, affine_form, replaced, solved
+from .programs import Program
 from .reading import RESERVED, ExpressionError, checked_variable, read_expression
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Name",
     "Number",
     "Operation",
+    "Program",
     "RESERVED",
     "Tree",
     "affine_form",

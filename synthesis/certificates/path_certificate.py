@@ -1,10 +1,11 @@
 """Certificates along a path: no grid, any number of states, noise that need not reach all of them.
 
-Linear agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
-nominal path under the nominal inputs ubar. Then all deviations are jointly Gaussian with mean 0. At every time the
-certificate says which propositions are to hold and which are not; as long as they do, no agent leaves its workspace and
-no input its box, the automaton reads a word that it accepts. The certified bound is that of these linear inequalities
-(docs/theory/paths.md): everything else is computed from the matrices of the problem.
+Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
+nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
+of others, along a *road*, are so up to a drift. At every time the certificate says which propositions are to hold and
+which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a word that
+it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else is computed
+from the problem.
 """
 
 from __future__ import annotations
@@ -25,18 +26,35 @@ from ..controllers import PathController
 
 @dataclass(frozen=True, eq=False)
 class AgentPath:
-    """Nominal inputs of one agent and its feedback.
+    """Nominal inputs of one agent and its feedback; along a *road* nominal states and slabs, too.
 
     Parameters
     ----------
     inputs : (S, m) array
         Nominal inputs at times 0 to S - 1.
-    gain : (m, d) array
-        Feedback K on the deviation from the nominal path; 0 for none.
+    gain : (m, d) or (S, m, d) array
+        Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
+    states : (S + 1, d) array, optional
+        Nominal states of a road. Without, they are those that the inputs lead a linear agent to.
+    slabs : (S + 1, 2 d + m) array, optional
+        Of a road: what the linear deviation of each state is kept within, that of each input (in the last row they say
+        nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
     """
 
     inputs: FloatArray
     gain: FloatArray
+    states: FloatArray | None = None
+    slabs: FloatArray | None = None
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps S."""
+        return len(self.inputs)
+
+    @property
+    def gains(self) -> FloatArray:
+        """Feedbacks (S, m, d) of all times."""
+        return self.gain if self.gain.ndim == 3 else np.broadcast_to(self.gain, (self.n_steps, *self.gain.shape))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +84,6 @@ class PathCertificate:
     failure: float
     settings: dict[str, Any]
 
-    start = "point"
     bound = "path"
     rank = 1
     gap = None
@@ -80,6 +97,11 @@ class PathCertificate:
             ("bound", f"P >= {self.lower_bound:.10g}"),
         ]
         return tree_text(f"PathCertificate of {self.problem.name!r}", rows)
+
+    @property
+    def start(self) -> str:
+        """``"mean"`` where starts are drawn from a box, though the bound holds for each of them; else ``"point"``."""
+        return "point" if all(agent.initial.is_point for agent in self.problem.agents) else "mean"
 
     @property
     def n_steps(self) -> int:
@@ -117,4 +139,4 @@ class PathCertificate:
     @cached_property
     def controller(self) -> PathController:
         """The controllers the bound belongs to."""
-        return PathController(self.problem, tuple((path.inputs, path.gain) for path in self.paths))
+        return PathController(self.problem, tuple((path.inputs, path.gain, path.states) for path in self.paths))

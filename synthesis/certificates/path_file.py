@@ -22,9 +22,14 @@ def path_header(certificate: PathCertificate, put: Callable[[NDArray[Any]], int]
         "path": {
             "letters": put(certificate.letters),
             "faces": put(certificate.faces),
-            "agents": [[put(path.inputs), put(path.gain)] for path in certificate.paths],
+            "agents": [[put(array) for array in _arrays(path)] for path in certificate.paths],
         },
     }
+
+
+def _arrays(path: AgentPath) -> list[NDArray[Any]]:
+    """Return inputs and gain of a path, and along a road states and slabs."""
+    return [array for array in (path.inputs, path.gain, path.states, path.slabs) if array is not None]
 
 
 def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCertificate:
@@ -44,9 +49,13 @@ def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCert
         raise ValueError("its path does not fit the horizon")
     paths = []
     for agent, numbers in zip(problem.agents, entry["agents"], strict=True):
-        inputs, gain = (np.asarray(arrays[str(int(number))], dtype=float) for number in numbers)
-        shapes = (len(letters) - 1, agent.n_inputs), (agent.n_inputs, agent.n_states)
-        if (inputs.shape, gain.shape) != shapes or not (np.all(np.isfinite(inputs)) and np.all(np.isfinite(gain))):
+        steps, d, m = len(letters) - 1, agent.n_states, agent.n_inputs
+        shapes = [(steps, m), (m, d)] if len(numbers) == 2 else [(steps, m), (steps, m, d)]
+        shapes += [] if len(numbers) == 2 else [(steps + 1, d), (steps + 1, 2 * d + m)]
+        stored = [np.asarray(arrays[str(int(number))], dtype=float) for number in numbers]
+        if [array.shape for array in stored] != shapes or not all(np.all(np.isfinite(array)) for array in stored[:3]):
             raise ValueError(f"the inputs of agent {agent.name!r} do not fit")
-        paths.append(AgentPath(inputs, gain))
+        if len(numbers) == 4 and not np.all(stored[3] >= 0.0):
+            raise ValueError(f"the slabs of agent {agent.name!r} are none")
+        paths.append(AgentPath(*stored))
     return PathCertificate(problem, tuple(paths), letters, faces, float(failure), header["settings"])

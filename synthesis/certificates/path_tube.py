@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..controllers import covariances_of
+from ..controllers import covariances_along
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
 
@@ -82,10 +81,11 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
     covariances = np.zeros((steps + 1, len(rows), len(rows)))
     for i in moved:
         part, k = paths[i]
-        agent, own = problem.agents[i], rows[:, problem.columns[i]]
-        assert isinstance(agent, LinearAgent)
-        middle += part.controller.nominal[k][: steps + 1] @ own.T
-        covariances += np.einsum("kd,tde,le->tkl", own, covariances_of(agent, part.paths[k].gain, steps), own)
+        agent, own, path = problem.agents[i], rows[:, problem.columns[i]], part.paths[k]
+        nominal = part.controller.nominal[k]
+        middle += nominal[: steps + 1] @ own.T
+        deviations = covariances_along(agent, nominal, path.inputs, path.gains)[: steps + 1]
+        covariances += np.einsum("kd,tde,le->tkl", own, deviations, own)
     return Tube(middle, covariances)
 
 

@@ -18,16 +18,9 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
+from .road_check import road_failure, wrong_road
+from .roundings import SMALLEST, TAIL, UNIT
 from .start_check import wrong_start
-
-UNIT = 2.0**-52
-"""Twice the relative rounding of one operation."""
-
-SMALLEST = 1e-300
-"""What is added to tails, because smaller ones come out as 0."""
-
-TAIL = 1.0 + 1e-11
-"""Factor on tails and sums of them, far above what the complementary error function is off by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +172,13 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     if failures:
         return failures, 1.0
     log_kept = 0.0
-    for agent, path in zip(problem.agents, certificate.paths, strict=True):
-        assert isinstance(agent, LinearAgent)
-        log_kept += float(np.log1p(-min(1.0 - 1e-16, _failure(certificate, Motion.of(agent, path)))))
+    for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
+        if path.states is not None:
+            failure = road_failure(certificate, i)
+        else:
+            assert isinstance(agent, LinearAgent)
+            failure = _failure(certificate, Motion.of(agent, path))
+        log_kept += float(np.log1p(-min(1.0 - 1e-16, failure)))
     return [], min(1.0, float(-np.expm1(log_kept)) * TAIL)
 
 
@@ -211,7 +208,9 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
     elif not 0.0 <= certificate.failure <= 1.0:
         failures.append("its probability of failing is none")
     for agent, path in zip(problem.agents, certificate.paths):
-        if not isinstance(agent, LinearAgent) or agent.laws is not None:
+        if path.states is not None:
+            failures += wrong_road(agent, path, steps)
+        elif not isinstance(agent, LinearAgent) or agent.laws is not None:
             failures.append(f"agent `{agent.name}` is not linear with Gaussian noise")
         elif not np.array_equal(agent.initial.low, agent.initial.high):
             failures.append(f"the start of agent `{agent.name}` is no point")

@@ -67,8 +67,8 @@ MULTIPLICATIONS_PER_SECOND = 1.5e9
 """Multiplications of smoothing, with what goes with it."""
 
 WINDOWS_PER_SECOND, MENUS_PER_SECOND, BOXES_PER_SECOND = 1e6, 4e6, 2e5
-"""Cells in which the best choice is found, or a value read, with one term, where choices are lattice points, inputs that
-lead to lattice points, and boxes."""
+"""Cells in which the best choice is found, or a value read, with one term, where choices are lattice points, inputs
+that lead to lattice points, and boxes."""
 
 DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
 """Lattice points whose differences are found, and cells that are read and decided, of linear cells."""

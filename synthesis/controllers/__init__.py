@@ -1,6 +1,7 @@
 """Controllers that carry a policy out, and policies that come from elsewhere."""
 
 from .agent_controller import AgentController
+from .along_roads import covariances_along
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
 from .path_controller import PathController, covariances_of, nominal_states
@@ -17,6 +18,7 @@ __all__ = [
     "Policy",
     "ProductController",
     "TeamController",
+    "covariances_along",
     "covariances_of",
     "decentralised",
     "nominal_states",

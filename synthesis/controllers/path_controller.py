@@ -26,15 +26,16 @@ class PathController:
     Parameters
     ----------
     problem : Problem
-        Linear agents with a start that is a point.
-    paths : tuple of (inputs, gain)
-        Nominal inputs (S, m) and feedback (m, d) of every agent.
+        Agents with a start that is a point, or along roads a box.
+    paths : tuple of (inputs, gain, states)
+        Nominal inputs (S, m) of every agent, feedback (m, d) or (S, m, d), and along a road nominal states (S + 1, d);
+        None for those that the inputs lead a linear agent to.
     """
 
     information = "own state, time"
 
     problem: Problem
-    paths: tuple[tuple[FloatArray, FloatArray], ...]
+    paths: tuple[tuple[FloatArray, FloatArray, FloatArray | None], ...]
 
     def __repr__(self) -> str:
         rows = [("agents", len(self.paths)), ("steps", len(self.paths[0][0]))]
@@ -44,7 +45,10 @@ class PathController:
     def nominal(self) -> tuple[FloatArray, ...]:
         """Nominal states (S + 1, d) of every agent (rounded)."""
         pairs = zip(self.problem.agents, self.paths, strict=True)
-        return tuple(nominal_states(agent, inputs) for agent, (inputs, _) in pairs)  # type: ignore[arg-type]
+        return tuple(
+            nominal_states(agent, inputs) if states is None else states  # type: ignore[arg-type]
+            for agent, (inputs, _, states) in pairs
+        )
 
     def reset(
         self, observations: Mapping[str, Any], infos: Mapping[str, Any] | None = None, seed: int | None = None
@@ -73,9 +77,10 @@ class PathController:
 
     def _inputs(self, i: int, states: FloatArray, time: int) -> FloatArray:
         """Return the inputs (m, M) of agent i at states (d, M), within its input box."""
-        agent, (inputs, gain) = self.problem.agents[i], self.paths[i]
+        agent, (inputs, gain, _) = self.problem.agents[i], self.paths[i]
         t = min(time, len(inputs) - 1)
-        wanted = inputs[t][:, None] + gain @ (states - self.nominal[i][t][:, None])
+        feedback = gain[t] if gain.ndim == 3 else gain
+        wanted = inputs[t][:, None] + feedback @ (states - self.nominal[i][t][:, None])
         return np.clip(wanted, agent.input_low[:, None], agent.input_high[:, None])
 
     def batch(self, dynamics: Dynamics) -> BatchPaths:

@@ -17,8 +17,9 @@ from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .nominal import ENOUGH, Response, nominal_inputs
+from .road_team import road_certificate
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
-from .words import Way, ways_of, without_needless
+from .words import Way, ways_of, without_implied, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""
@@ -43,14 +44,20 @@ class Plan:
 
 
 def path_certificate(problem: Problem) -> Synthesis:
-    """Return a certificate along a path, with its controllers.
+    """Return a certificate along a path, with its controllers; along roads where an agent is not linear from a point.
 
     Raises
     ------
-    ValueError
-        If an agent is not linear, its noise not Gaussian or its start no point, or if no path was found.
+    RelationRefused
+        If the noise of an agent is not Gaussian, a start is outside its workspace, or no path was found.
     """
     began = time.perf_counter()
+    for name in problem.starts_outside:
+        raise RelationRefused(
+            f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
+        )
+    if not all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents):
+        return road_certificate(problem, ((plan.way, plan.times, plan.steps) for plan in _plans(problem)))
     _check(problem)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
@@ -73,16 +80,10 @@ def path_certificate(problem: Problem) -> Synthesis:
 
 
 def _check(problem: Problem) -> None:
-    """Raise RelationRefused unless all agents are linear with Gaussian noise and start from a point."""
+    """Raise RelationRefused unless the noise of all agents is Gaussian."""
     for agent in problem.agents:
-        if not isinstance(agent, LinearAgent) or agent.laws is not None:
-            raise RelationRefused(f"agent `{agent.name}`: paths are for linear dynamics with Gaussian noise")
-        if not agent.initial.is_point:
-            raise RelationRefused(f"agent `{agent.name}`: paths are for a start that is a point, got a box")
-    for name in problem.starts_outside:
-        raise RelationRefused(
-            f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
-        )
+        if agent.laws is not None:
+            raise RelationRefused(f"agent `{agent.name}`: paths are for Gaussian noise")
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:
@@ -258,23 +259,3 @@ def _aim(problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent
             middle = 0.5 * (region.low + region.high)
             aim = aim + np.linalg.pinv(agent.output_matrix) @ (middle - agent.output_matrix @ aim)
     return aim
-
-
-def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8] | None:
-    """Return letters without what follows from the rest; None if they contradict each other.
-
-    A proposition does not hold where its region and one that is to hold do not meet.
-    """
-    letters = letters.copy()
-    names = problem.automaton.propositions
-    for p, name in enumerate(names):
-        for q, other in enumerate(names):
-            first, second = problem.propositions[name], problem.propositions[other]
-            if p == q or first.agent != second.agent:
-                continue
-            if np.any((first.high <= second.low) | (second.high <= first.low)):
-                both = (letters[:, p] != 0) & (letters[:, q] > 0)
-                if np.any(letters[both, p] > 0):
-                    return None
-                letters[both, p] = 0
-    return letters

@@ -71,6 +71,11 @@ def certified_starts(
     problem, agent = certificate.problem, certificate.problem.agents[0]
     if problem.n_agents != 1 or not isinstance(agent, LinearAgent):
         raise RelationRefused("sets of starts are for one agent; certify the agents one by one")
+    if certificate.paths[0].states is not None:
+        raise RelationRefused(
+            "sets of starts of a linear agent with a start that is a point can be found; certify others with a start "
+            "box, `initial_low` and `initial_high`"
+        )
     if not 0.5 <= probability < 1.0:
         raise ValueError(f"`probability`: expected one in [0.5, 1), got {probability!r}")
     axes = tuple(range(agent.n_states)) if axes is None else tuple(int(axis) for axis in axes)

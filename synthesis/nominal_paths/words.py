@@ -146,3 +146,23 @@ def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.
                 if is_accepted(problem, less):
                     letters = less
     return letters
+
+
+def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8] | None:
+    """Return letters without what follows from the rest; None if they contradict each other.
+
+    A proposition does not hold where its region and one that is to hold do not meet.
+    """
+    letters = letters.copy()
+    names = problem.automaton.propositions
+    for p, name in enumerate(names):
+        for q, other in enumerate(names):
+            first, second = problem.propositions[name], problem.propositions[other]
+            if p == q or first.agent != second.agent:
+                continue
+            if np.any((first.high <= second.low) | (second.high <= first.low)):
+                both = (letters[:, p] != 0) & (letters[:, q] > 0)
+                if np.any(letters[both, p] > 0):
+                    return None
+                letters[both, p] = 0
+    return letters

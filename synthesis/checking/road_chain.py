@@ -1,0 +1,104 @@
+"""Linear deviations along a road and how far the true ones drift from them: both from products of closed loops.
+
+With ``Phi(t, s) = F_(t-1) ... F_s`` the linear deviation is ``g_t = sum_s Phi(t, s+1) w_s``, and the true deviation
+adds ``sum_s Phi(t, s+1) r_s + Phi(t, 0) e_0`` with ``|r_s| <= R_s`` and ``|e_0| <= h``. So a row c of it is no larger
+than ``sum_s |c Phi(t, s+1)| R_s + |c Phi(t, 0)| h``: a support function of the whole past. Nothing is handed on as a
+box from step to step.
+
+Products are computed one after the other. That of times s to t is off by a sum of true products from j + 1 to t times
+the rounding at j, so that Frobenius norms of true products bound it, and these by induction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..cells import FloatArray
+from .roundings import TAIL, UNIT
+
+
+@dataclass(eq=False)
+class Chain:
+    """Products of closed loops up to now, with what entered at each step.
+
+    All arrays are in ``units`` (d,) of the states, powers of two near the widths of their ranges: norms take states
+    together, and in units of their own what a large one is off by would be charged to a small one.
+    """
+
+    units: FloatArray
+    spread: FloatArray
+    """Half widths (d,) of the set of starts."""
+
+    products: FloatArray = field(init=False)
+    """``Phi(t, s)`` (t + 1, d, d) for s = 0 .. t, as computed."""
+
+    norms: FloatArray = field(init=False)
+    """Upper bounds (t + 1,) on their true norms."""
+
+    errors: FloatArray = field(init=False)
+    """Upper bounds (t + 1,) on the norms of the differences."""
+
+    rounded: list[FloatArray] = field(default_factory=list)
+    """Bounds (t + 1,) on what the product at each time t, for s = 0 .. t, was rounded by."""
+
+    drifts: list[FloatArray] = field(default_factory=list)
+    noises: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        d = len(self.units)
+        self.products, self.errors = np.eye(d)[None], np.zeros(1)
+        self.norms = np.full(1, np.sqrt(d) * TAIL)
+        self.spread = self.spread / self.units
+
+    def advance(self, closed: FloatArray, drift: FloatArray, noise: FloatArray) -> None:
+        """Go on by a step: the closed loop (d, d), bounds (d,) on the remainder, the covariance (d, d) of the noise."""
+        u = self.units
+        F, d = closed * (u[None, :] / u[:, None]), len(u)
+        sizes = _norms(self.products)
+        self.rounded.append((d + 2.0) * UNIT * _norms(F[None])[0] * sizes)
+        self.products = np.concatenate([np.einsum("ij,sjk->sik", F, self.products), np.eye(d)[None]])
+        t = len(self.products) - 1
+        computed = _norms(self.products)
+        self.errors, self.norms = np.zeros(t + 1), np.full(t + 1, np.sqrt(d) * TAIL)
+        for s in range(t - 1, -1, -1):
+            # What was rounded at times j = s .. t - 1 is carried on by the true products from j + 1 on.
+            lost = np.array([self.rounded[j][s] for j in range(s, t)])
+            self.errors[s] = float(self.norms[s + 1 :] @ lost) * TAIL
+            self.norms[s] = computed[s] + self.errors[s]
+        self.drifts.append(drift / u)
+        self.noises.append(noise / u[:, None] / u[None, :])
+
+    def drift(self, rows: FloatArray) -> FloatArray:
+        """Upper bounds (J,) on what rows (J, d) of the deviation are off those of the linear one."""
+        rows = rows * self.units
+        lengths = np.linalg.norm(rows, axis=1) * TAIL
+        moved, wrong = self._moved(rows, lengths)
+        total = np.abs(moved[:, 0]) @ self.spread + wrong[:, 0] * float(np.linalg.norm(self.spread))
+        for s, drift in enumerate(self.drifts):
+            total = total + np.abs(moved[:, s + 1]) @ drift + wrong[:, s + 1] * float(np.linalg.norm(drift))
+        return np.asarray(total * TAIL)
+
+    def variances(self, rows: FloatArray) -> FloatArray:
+        """Upper bounds (J,) on the variances of rows (J, d) of the linear deviation."""
+        rows = rows * self.units
+        lengths, d = np.linalg.norm(rows, axis=1) * TAIL, len(self.units)
+        moved, wrong = self._moved(rows, lengths)
+        total, error = np.zeros(len(rows)), np.zeros(len(rows))
+        for s, noise in enumerate(self.noises):
+            part, size = moved[:, s + 1], float(np.linalg.norm(noise)) * TAIL
+            total += np.einsum("jd,de,je->j", part, noise, part, optimize=True)
+            length, off = np.linalg.norm(part, axis=1) * TAIL, wrong[:, s + 1]
+            error += size * (2.0 * length * off + off**2 + (2.0 * d + len(self.noises) + 4.0) * UNIT * length**2)
+        return np.asarray(np.maximum(total, 0.0) + error * TAIL)
+
+    def _moved(self, rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows times products (J, t + 1, d) as computed, and bounds (J, t + 1) on the lengths of what they are off."""
+        moved = np.einsum("jd,sde->jse", rows, self.products)
+        wrong = lengths[:, None] * (self.errors + (len(self.units) + 2.0) * UNIT * self.norms)[None]
+        return moved, wrong * TAIL
+
+
+def _norms(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("sij,sij->s", matrices, matrices)) * TAIL)

@@ -1,0 +1,292 @@
+"""Certificates along a road, nominal states with a feedback at each step, once more: for agents of any dynamics.
+
+The nominal states xbar and inputs ubar are numbers of the certificate: any sequence will do. With ``x = xbar + e`` and
+``u = ubar + K_t e`` the deviation obeys ``e' = F_t e + r_t(e) + w`` with any matrix F_t, and r_t is what the dynamics
+are off from it. Where ``|r_t| <= R_t`` on a tube around xbar_t, e is off the linear deviation ``g' = F_t g + w`` by no
+more than the support function of all R_s before (``road_chain``). The tube is ``|e_k| <= slab_k + drift_k`` with a slab
+on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the event
+that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
+(docs/theory/paths.md, "Agents of any dynamics").
+
+All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
+``own_bends``. Disturbances and states of others are anywhere in their ranges, and may know the noise. What multiplies
+the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...envs.agents import Agent, AnyAgent, Gaussian, LinearAgent
+from ...envs.expressions import Name, Number, Operation, Tree
+from ..cells import FloatArray
+from ..certificates import AgentPath, PathCertificate
+from .own_bends import Expansion, expansion
+from .road_chain import Chain
+from .road_rows import Inequalities
+from .roundings import TAIL, UNIT
+
+
+class OffRoadError(Exception):
+    """Nothing is known of an agent beyond a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """How an agent moves, as expressions.
+
+    ``names`` are those of states, inputs and of what is unknown, in ``ranges`` (2, k).
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    unknown: tuple[str, ...]
+    ranges: FloatArray
+    trees: tuple[Tree, ...]
+    outputs: tuple[Tree, ...]
+    scales: tuple[Tree, ...]
+    deviations: FloatArray
+
+    @classmethod
+    def of(cls, agent: AnyAgent) -> Moving:
+        """Read an agent; matrices become sums of products."""
+        if isinstance(agent, Agent):
+            ranges = np.array(list(agent.unknowns.values()), dtype=float).reshape(-1, 2).T
+            names = agent.states, agent.inputs, tuple(agent.unknowns)
+            deviations = np.zeros(0) if agent.laws is None else np.array([law.std for law in agent.laws])
+            return cls(*names, ranges, agent.trees, agent.output_trees, agent.scale_trees, deviations)
+        assert isinstance(agent, LinearAgent)
+        states = tuple(f"state {k}" for k in range(agent.n_states))
+        inputs = tuple(f"input {k}" for k in range(agent.n_inputs))
+        rows = zip(np.hstack([agent.A, agent.B]), agent.offset, strict=True)
+        trees = tuple(_affine(row, (*states, *inputs), float(offset)) for row, offset in rows)
+        outputs = tuple(_affine(row, states, 0.0) for row in agent.output_matrix)
+        return cls(states, inputs, (), np.zeros((2, 0)), trees, outputs, (), np.zeros(0))
+
+
+def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
+    """Return a row times names, and an offset; a name alone where that is all."""
+    terms: list[Tree] = [
+        Name(name) if factor == 1.0 else Operation("*", (Number(float(factor)), Name(name)))
+        for factor, name in zip(row, names, strict=True)
+        if factor != 0.0
+    ]
+    terms += [Number(offset)] if offset != 0.0 or not terms else []
+    total = terms[0]
+    for term in terms[1:]:
+        total = Operation("+", (total, term))
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """An agent at one time of its road: nominal state (d,), the box (2, d) that holds the true one, and the past."""
+
+    t: int
+    moving: Moving
+    agent: AnyAgent
+    at: FloatArray
+    box: FloatArray
+    slab: FloatArray
+    chain: Chain
+
+    @cached_property
+    def outputs(self) -> Expansion:
+        """Outputs around the nominal state."""
+        return expansion(self.moving.outputs, self.moving.states, self.at, self.box, len(self.at))
+
+    def limits(self, certificate: PathCertificate, rows: Inequalities) -> None:
+        """Add the inequalities on the state: workspace, tube, and regions that are to hold or not."""
+        eye = np.eye(len(self.at))
+        # Row, nominal value from below and above, limits, what the form is off, and its slab.
+        asked = [
+            (eye[k], self.at[k], self.at[k], self.agent.state_low[k], self.agent.state_high[k], 0.0, self.slab[k])
+            for k in range(len(self.at))
+        ]
+        asked += [(*form, np.inf) for form in self._regions(certificate)]
+        # Forms of one row are one: the narrowest limits say all.
+        merged: dict[bytes, list[float]] = {}
+        order = []
+        for row, least, most, low, high, off, slab in asked:
+            rounded = 4.0 * UNIT * (abs(least) + abs(most))
+            below = least - low - off - rounded - 4.0 * UNIT * abs(low) if np.isfinite(low) else np.inf
+            above = high - most - off - rounded - 4.0 * UNIT * abs(high) if np.isfinite(high) else np.inf
+            key = (row + 0.0).tobytes()
+            if key not in merged:
+                order.append(row)
+                merged[key] = [below, above, slab]
+            merged[key] = [min(a, b) for a, b in zip(merged[key], (below, above, slab), strict=True)]
+        forms, ends = np.array(order), np.array(list(merged.values()))
+        drift = self.chain.drift(forms)
+        rows.add(ends[:, 0] - drift, ends[:, 1] - drift, ends[:, 2], self.chain.variances(forms))
+
+    def _regions(self, certificate: PathCertificate) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
+        """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
+        problem = certificate.problem
+        for p, name in enumerate(problem.automaton.propositions):
+            value = int(certificate.letters[self.t, p])
+            if value == 0 or p >= problem.labeling.first_pair:
+                continue
+            region = problem.propositions[name]
+            if region.agent != self.agent.name:
+                continue
+            faces = range(len(region.low))
+            limits = [(k, float(region.low[k]), float(region.high[k])) for k in faces]
+            if value < 0:
+                face = int(certificate.faces[self.t, p])
+                if not 0 <= face < 2 * len(limits):
+                    raise OffRoadError(f"region `{name}` is passed on no side at step {self.t}")
+                k, low, high = limits[face // 2]
+                limits = [(k, high, np.inf) if face % 2 else (k, -np.inf, low)]
+            found = self.outputs
+            for k, low, high in limits:
+                yield found.matrix[k], found.values[0, k], found.values[1, k], low, high, float(found.off[k])
+
+
+def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Moment]:
+    """Yield an agent at times 0 to S; inequalities on its inputs and its noise are added to ``rows`` on the way.
+
+    Raises
+    ------
+    OffRoadError
+        If a nominal number is outside of its range, or nothing is known of the next step.
+    """
+    moving, units = Moving.of(agent), _near(agent.state_high - agent.state_low)
+    assert path.states is not None and path.slabs is not None
+    d, m = agent.n_states, agent.n_inputs
+    start = agent.initial
+    first = path.states[0]
+    spread = np.maximum(np.maximum(start.high - first, first - start.low), 0.0) * (1.0 + 2.0 * UNIT)
+    chain = Chain(units, spread)
+    for t, (at, slabs) in enumerate(zip(path.states, path.slabs, strict=True)):
+        if np.any((at < agent.state_low) | (at > agent.state_high)):
+            raise OffRoadError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
+        # The start has no noise: it is as far off as the set of starts is wide.
+        slab = slabs[:d] if t else np.zeros(d)
+        reach = (slab + chain.drift(np.eye(d))) * TAIL
+        box = np.stack([np.maximum(at - reach, agent.state_low), np.minimum(at + reach, agent.state_high)])
+        box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), agent.state_low),
+                        np.minimum(np.nextafter(box[1], np.inf), agent.state_high)])  # fmt: skip
+        yield Moment(t, moving, agent, at, box, slabs[:d], chain)
+        if t == path.n_steps:
+            return
+        _step(agent, moving, path, Moment(t, moving, agent, at, box, slabs[d:], chain), rows)
+        assert len(slabs) == 2 * d + m
+
+
+def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: Inequalities) -> None:
+    """Go on by a step: inputs, the remainder on the tube, and the noise."""
+    t, d, m, chain = now.t, agent.n_states, agent.n_inputs, now.chain
+    assert path.states is not None
+    gain, u, following = path.gains[t], path.inputs[t], path.states[t + 1]
+    far = np.maximum(now.box[1] - now.at, now.at - now.box[0]) * TAIL
+    around, rounding = _inputs(agent, now, gain, u, rows)
+    ranges = np.hstack([now.box, around, moving.ranges])
+    calm = np.clip(0.5 * moving.ranges[0] + 0.5 * moving.ranges[1], moving.ranges[0], moving.ranges[1])
+    centre = np.concatenate([now.at, u, calm])
+    names = (*moving.states, *moving.inputs, *moving.unknown)
+    found = expansion(moving.trees, names, centre, ranges, d + m)
+    A, B = found.matrix[:, :d], found.matrix[:, d : d + m]
+    closed = A + B @ gain
+    # The closed loop is what was computed; what it is off from A + B K, and from rounded inputs, joins the remainder.
+    matrix_off = (m + 3.0) * UNIT * (np.abs(A) + np.abs(B) @ np.abs(gain))
+    missed = np.maximum(np.abs(found.values[0] - following), np.abs(found.values[1] - following))
+    missed = missed + 2.0 * UNIT * (np.abs(found.values).max(axis=0) + np.abs(following))
+    remainder = found.off + missed + matrix_off @ far + np.abs(B) @ rounding
+    noise, more = _noise(agent, moving, now, centre, ranges, rows)
+    remainder = (remainder + more) * TAIL
+    if not np.all(np.isfinite(remainder)):
+        raise OffRoadError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
+    if not np.all(np.isfinite(closed)) or float(np.abs(remainder).max()) > 1e100:
+        raise OffRoadError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
+    chain.advance(closed, remainder, noise)
+
+
+def _inputs(
+    agent: AnyAgent, now: Moment, gain: FloatArray, u: FloatArray, rows: Inequalities
+) -> tuple[FloatArray, FloatArray]:
+    """Return the box (2, m) of inputs and what (m,) they are rounded by; add their limits, which nothing cuts."""
+    low, high, chain, m = agent.input_low, agent.input_high, now.chain, agent.n_inputs
+    if np.any((u < low) | (u > high)):
+        raise OffRoadError(f"agent `{agent.name}`: its nominal input leaves the input box at step {now.t}")
+    moved = np.any(gain != 0.0, axis=1)
+    far = np.maximum(now.box[1] - now.at, now.at - now.box[0]) * TAIL
+    # Without feedback an input is its nominal value to the last bit; else sums and products round.
+    size = np.abs(gain) @ (far + UNIT * np.abs(now.at)) * TAIL
+    rounding = np.where(moved, 4.0 * (len(now.at) + 3.0) * UNIT * (np.abs(u) + size), 0.0)
+    drift = chain.drift(gain)
+    reach = np.minimum(now.slab[:m] + drift, size) + rounding if now.t else drift + rounding
+    reach = np.where(moved, reach * TAIL, 0.0)
+    box = np.stack(
+        [np.maximum(np.nextafter(u - reach, -np.inf), low), np.minimum(np.nextafter(u + reach, np.inf), high)]
+    )
+    box = np.where(moved, box, u)
+    spare = 4.0 * UNIT * (np.abs(u) + np.maximum(np.abs(low), np.abs(high)))
+    taken = (drift + rounding) * TAIL + spare
+    here = moved
+    rows.add(
+        (u - low - taken)[here], (high - u - taken)[here], now.slab[:m][here] if now.t else np.full(here.sum(), np.inf),
+        chain.variances(gain)[here],
+    )  # fmt: skip
+    return box, rounding
+
+
+def _noise(
+    agent: AnyAgent, moving: Moving, now: Moment, centre: FloatArray, ranges: FloatArray, rows: Inequalities
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (d, d) of a step's noise, and what (d,) its scale on the tube adds to the remainder."""
+    d, m = agent.n_states, agent.n_inputs
+    if not moving.scales:
+        return agent.noise_covariance, np.zeros(d)
+    names = (*moving.states, *moving.inputs, *moving.unknown)
+    found = expansion(moving.scales, names, centre, ranges, 0)
+    nominal = 0.5 * (found.values[0] + found.values[1])
+    varied = (found.off + np.maximum(found.values[1] - nominal, nominal - found.values[0])) * TAIL
+    varied = np.where((found.off == 0.0) & (found.values[0] == found.values[1]), 0.0, varied)
+    variance = (nominal * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
+    here = (varied != 0.0) & (moving.deviations != 0.0)
+    slab = now.slab[m:]
+    rows.add(np.full(d, np.inf)[here], np.full(d, np.inf)[here], slab[here], np.ones(d)[here])
+    more = np.zeros(d)
+    more[here] = varied[here] * moving.deviations[here] * slab[here] * TAIL
+    return np.diag(variance), more
+
+
+def _near(width: FloatArray) -> FloatArray:
+    """Return powers of two near widths."""
+    return np.asarray(2.0 ** np.round(np.log2(width)))
+
+
+def wrong_road(agent: AnyAgent, path: AgentPath, steps: int) -> list[str]:
+    """What is wrong with the form of a road: laws, shapes, numbers."""
+    d, m = agent.n_states, agent.n_inputs
+    name = f"agent `{agent.name}`"
+    if agent.laws is not None and not (
+        agent.noise_scale is not None and all(isinstance(law, Gaussian) for law in agent.laws)
+    ):
+        return [f"the noise of {name} is not Gaussian"]
+    assert path.states is not None
+    if path.slabs is None or path.gains.shape != (steps, m, d) or path.inputs.shape != (steps, m):
+        return [f"the inputs of {name} do not fit"]
+    if path.states.shape != (steps + 1, d) or path.slabs.shape != (steps + 1, 2 * d + m):
+        return [f"the nominal states or slabs of {name} do not fit"]
+    finite = all(np.all(np.isfinite(array)) for array in (path.states, path.inputs, path.gains))
+    if not finite or np.any(np.isnan(path.slabs)) or np.any(path.slabs < 0.0):
+        return [f"the inputs, states or slabs of {name} are no numbers"]
+    return []
+
+
+def road_failure(certificate: PathCertificate, i: int) -> float:
+    """Return an upper bound on the probability that an inequality of agent i fails, along its road."""
+    rows = Inequalities()
+    try:
+        for moment in moments(certificate.problem.agents[i], certificate.paths[i], rows):
+            if moment.t:
+                moment.limits(certificate, rows)
+    except OffRoadError:
+        return 1.0
+    return rows.failure()

@@ -1,0 +1,66 @@
+"""Inequalities on Gaussian numbers of mean 0, and an upper bound on the probability that one of them fails.
+
+Each asks that a linear form g of the deviation keeps ``-low <= g <= high`` and, where a tube needs it, ``|g| <= slab``.
+Slabs are convex and symmetric: by the Gaussian correlation inequality (Royen 2014) they hold together at least as
+probably as if they were independent. What is left of a limit beyond its slab is a tail, which is taken off the product.
+Any choice of what is a slab and what a tail is a bound; a few are tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import erfc
+
+from ..cells import FloatArray
+from .roundings import SMALLEST, TAIL
+
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+"""Probabilities of all slabs for which the choice between slab and tails is made: 1 is best for small failures."""
+
+
+@dataclass(eq=False)
+class Inequalities:
+    """Distances from 0 at which inequalities end, and the variances of their forms, lists of arrays (J,)."""
+
+    low: list[FloatArray] = field(default_factory=list)
+    high: list[FloatArray] = field(default_factory=list)
+    slab: list[FloatArray] = field(default_factory=list)
+    variance: list[FloatArray] = field(default_factory=list)
+
+    def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray) -> None:
+        """Add inequalities; infinite where nothing is asked."""
+        for kept, new in zip((self.low, self.high, self.slab, self.variance), (low, high, slab, variance)):
+            kept.append(np.atleast_1d(np.asarray(new, dtype=float)))
+
+    def failure(self) -> float:
+        """Return an upper bound on the probability that one of them fails."""
+        if not self.low:
+            return 0.0
+        low, high, slab, variance = map(np.concatenate, (self.low, self.high, self.slab, self.variance))
+        both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
+        inner = np.minimum(2.0 * tails(slab, variance), 1.0)
+        outer = np.where(low < slab, tails(low, variance), 0.0) + np.where(high < slab, tails(high, variance), 0.0)
+        return min(1.0, *(_with_share(share, both, inner, outer) for share in SHARES))
+
+
+def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatArray) -> float:
+    as_slab = share * both <= share * inner + outer
+    chosen = np.where(as_slab, both, inner)
+    if np.any(chosen >= 1.0):
+        return 1.0
+    return float(-np.expm1(np.sum(np.log1p(-chosen))) + np.sum(np.where(as_slab, 0.0, outer))) * TAIL
+
+
+def tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return upper bounds (J,) on the probabilities that Gaussian numbers of mean 0 exceed distances.
+
+    Without noise a distance is kept for sure if it is positive, else not.
+    """
+    scale = np.sqrt(2.0 * np.maximum(variance, SMALLEST))
+    # Infinite distances are kept for sure; large quotients have no tail that floating point holds.
+    z = np.clip(np.where(np.isfinite(distance), distance, 0.0) / scale, -1e3, 1e3)
+    tail = np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)
+    known = np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0))
+    return np.asarray(np.where(distance == np.inf, 0.0, known))

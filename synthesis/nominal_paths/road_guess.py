@@ -1,0 +1,159 @@
+"""Ways around regions on a coarse grid of outputs: where a road may run at each time, before it is planned.
+
+By dynamic programming over times and cells: short steps, far from what must not be met. Dynamics are not asked. A
+second and a third way keep off the ones before, so that obstacles are passed on other sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from ...envs.agents import AnyAgent
+from ...envs.problem import Problem
+from ..cells import FloatArray
+
+CELLS = {1: 120, 2: 40, 3: 16}
+"""Cells per axis, by the number of outputs that are planned."""
+
+MOST_GUESSES = 3
+"""Ways that are tried."""
+
+MOST_SHIFTS = 15_000
+"""Moves between cells that are looked at, over all steps."""
+
+NEAR = 2.0
+"""Cells from regions within which a way is charged for being near."""
+
+BESIDE = 4.0
+"""Cells from an earlier way within which another one is charged."""
+
+
+def guesses(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], start: FloatArray) -> Iterator[FloatArray]:
+    """Yield outputs (S + 1, p) at times 0 to S along different ways; none if a region cannot be reached."""
+    low, high = agent.output_range(agent.state_low[None], agent.state_high[None])
+    low, high = low[0].copy(), high[0].copy()
+    here = agent.outputs(start[:, None])[:, 0]
+    axes = _planned(problem, agent, letters, low, high)
+    if not axes:
+        yield np.tile(here, (len(letters), 1))
+        return
+    grid = _Grid(problem, agent, letters, axes, (low[axes], high[axes]))
+    charge = np.zeros(grid.shape)
+    for _ in range(MOST_GUESSES):
+        found = grid.way(here[axes], charge)
+        if found is None:
+            return
+        full = np.tile(here, (len(letters), 1))
+        full[:, axes] = found
+        yield full
+        charge = charge + grid.beside(found)
+
+
+def _planned(
+    problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], low: FloatArray, high: FloatArray
+) -> list[int]:
+    """Return up to three outputs that regions limit, the most narrowly limited ones."""
+    share = np.full(agent.n_outputs, np.inf)
+    for q, name in enumerate(problem.automaton.propositions):
+        if q < problem.labeling.first_pair and problem.propositions[name].agent == agent.name and letters[:, q].any():
+            region = problem.propositions[name]
+            inside = np.minimum(region.high, high) - np.maximum(region.low, low)
+            with np.errstate(invalid="ignore"):
+                share = np.fmin(share, np.where(inside < high - low, inside / (high - low), np.inf))
+    finite = [int(k) for k in np.argsort(share, kind="stable") if np.isfinite(share[k]) and np.isfinite(high - low)[k]]
+    return sorted(finite[:3])
+
+
+class _Grid:
+    """Cells of some outputs, and which of them letters allow at each time."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        agent: AnyAgent,
+        letters: NDArray[np.int8],
+        axes: list[int],
+        box: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self.count = CELLS[len(axes)]
+        self.shape = (self.count,) * len(axes)
+        self.low, self.size = box[0], (box[1] - box[0]) / self.count
+        middles = [a + (np.arange(self.count) + 0.5) * s for a, s in zip(self.low, self.size, strict=True)]
+        self.points = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1)
+        self.costs: list[FloatArray] = []
+        known: dict[bytes, FloatArray] = {}
+        names = problem.automaton.propositions
+        own = [q for q in range(min(len(names), problem.labeling.first_pair))
+               if problem.propositions[names[q]].agent == agent.name]  # fmt: skip
+        for letter in letters:
+            key = letter[own].tobytes()
+            if key not in known:
+                allowed, far = np.ones(self.shape, dtype=bool), np.ones(self.shape, dtype=bool)
+                for q in own:
+                    region = problem.propositions[names[q]]
+                    inside = np.all((self.points >= region.low[axes]) & (self.points < region.high[axes]), axis=-1)
+                    if letter[q] > 0:
+                        allowed &= inside
+                    elif letter[q] < 0:
+                        allowed &= ~inside
+                        far &= ~inside
+                distance = distance_transform_edt(np.pad(far, 1, constant_values=True)) if not far.all() else None
+                near = 0.0 if distance is None else 4.0 * np.exp(-distance[(slice(1, -1),) * len(axes)] / NEAR)
+                # Where something has to hold, its middle is better than its edge.
+                deep = distance_transform_edt(np.pad(allowed, 1))[(slice(1, -1),) * len(axes)]
+                edge = 4.0 * np.exp(-deep / NEAR) if np.any(letter[own] > 0) else 0.0
+                known[key] = np.where(allowed, near + edge, np.inf)
+            self.costs.append(known[key])
+
+    def way(self, start: FloatArray, charge: FloatArray) -> FloatArray | None:
+        """Return points (S + 1, k) of the cheapest way; None if there is none."""
+        steps = len(self.costs) - 1
+        reach = min(self.count, max(2, int(np.ceil(3.0 * self.count / steps))))
+        while reach > 2 and (2 * reach + 1) ** len(self.shape) * steps > MOST_SHIFTS:
+            reach -= 1
+        shifts = np.array(list(product(range(-reach, reach + 1), repeat=len(self.shape))))
+        # Long steps cost more than their share, so that ways are gone evenly.
+        lengths = (shifts**2).sum(axis=1) * (steps / self.count) ** 2 * 0.5
+        first = np.clip(((start - self.low) / self.size).astype(int), 0, self.count - 1)
+        value, came = np.full(self.shape, np.inf), []
+        value[tuple(first)] = 0.0
+        for t in range(1, steps + 1):
+            padded = np.pad(value, reach, constant_values=np.inf)
+            best, which = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.int32)
+            for k, (shift, length) in enumerate(zip(shifts, lengths, strict=True)):
+                window = tuple(slice(reach - s, reach - s + self.count) for s in shift)
+                moved = padded[window] + length
+                less = moved < best
+                best, which = np.where(less, moved, best), np.where(less, k, which)
+            value = best + self.costs[t] + charge
+            came.append(which)
+        if not np.isfinite(value.min()):
+            return None
+        cell = np.array(np.unravel_index(int(np.argmin(value)), self.shape))
+        cells = [cell]
+        for which in reversed(came):
+            cell = cell - shifts[which[tuple(cell)]]
+            cells.append(cell)
+        points = self.low + (np.array(cells[::-1]) + 0.5) * self.size
+        points[0] = start
+        return _smoothed(points)
+
+    def beside(self, points: FloatArray) -> FloatArray:
+        """Return a charge for cells near the middle of a way: its ends are those of all."""
+        middle = points[len(points) // 6 : -max(1, len(points) // 6)]
+        scaled = (self.points[..., None, :] - middle) / self.size
+        distance = np.sqrt((scaled**2).sum(axis=-1)).min(axis=-1)
+        return np.where(distance < BESIDE, 3.0, 0.0)
+
+
+def _smoothed(points: FloatArray) -> FloatArray:
+    """Return points without the steps of the grid."""
+    smooth = points.copy()
+    for _ in range(2):
+        smooth[1:-1] = 0.25 * smooth[:-2] + 0.5 * smooth[1:-1] + 0.25 * smooth[2:]
+    return smooth

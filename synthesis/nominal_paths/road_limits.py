@@ -1,0 +1,86 @@
+"""What has to hold along a road: limits of states and outputs at each time, from letters and the sides of regions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import AnyAgent
+from ...envs.problem import Problem
+from ..cells import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of one agent at times 0 to S, infinite where there are none; at time 0 there are none.
+
+    Parameters
+    ----------
+    states : (2, S + 1, d) array
+        Workspace, and regions whose outputs are states.
+    outputs : (2, S + 1, p) array
+        Regions of other outputs.
+    """
+
+    states: FloatArray
+    outputs: FloatArray
+
+    @property
+    def are_empty(self) -> bool:
+        """Whether some of them contradict each other."""
+        return any(bool(np.any(low >= high)) for low, high in (self.states, self.outputs))
+
+    @property
+    def limited(self) -> NDArray[np.int64]:
+        """Outputs that have a limit at some time."""
+        return np.flatnonzero(np.isfinite(self.outputs).any(axis=(0, 1)))
+
+
+def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> Limits:
+    """Return the limits of an agent for letters (S + 1, P) and sides of regions that are kept away from."""
+    steps, p = len(letters), agent.n_outputs
+    outputs = np.stack([np.full((steps, p), -np.inf), np.full((steps, p), np.inf)])
+    for q, name in enumerate(problem.automaton.propositions):
+        if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
+            continue
+        region = problem.propositions[name]
+        here = letters[:, q] > 0
+        outputs[0, here] = np.maximum(outputs[0, here], region.low)
+        outputs[1, here] = np.minimum(outputs[1, here], region.high)
+        for t in np.flatnonzero(letters[:, q] < 0):
+            k, is_above = divmod(int(faces[t, q]), 2)
+            if is_above:
+                outputs[0, t, k] = max(outputs[0, t, k], region.high[k])
+            else:
+                outputs[1, t, k] = min(outputs[1, t, k], region.low[k])
+    states = np.stack([np.tile(agent.state_low, (steps, 1)), np.tile(agent.state_high, (steps, 1))])
+    for k in range(p):
+        axis = agent.output_axis(k)
+        # Rows of one form are one.
+        if axis is not None and axis[1] == 1.0:
+            states[0, :, axis[0]] = np.maximum(states[0, :, axis[0]], outputs[0, :, k])
+            states[1, :, axis[0]] = np.minimum(states[1, :, axis[0]], outputs[1, :, k])
+            outputs[0, :, k], outputs[1, :, k] = -np.inf, np.inf
+    for ends in (states, outputs):
+        ends[0, 0], ends[1, 0] = -np.inf, np.inf
+    return Limits(states, outputs)
+
+
+def sides_of(
+    problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], outputs: FloatArray, sharp: FloatArray
+) -> NDArray[np.int64]:
+    """Return the sides (S + 1, P) on which outputs (S + 1, p) are farthest beyond regions, in units ``sharp`` (p,).
+
+    Only those of this agent's propositions that are not to hold; -1 elsewhere.
+    """
+    faces = np.full(letters.shape, -1)
+    for q, name in enumerate(problem.automaton.propositions):
+        if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
+            continue
+        region = problem.propositions[name]
+        beyond = np.stack([region.low - outputs, outputs - region.high], axis=2) / sharp[None, :, None]
+        best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
+        faces[letters[:, q] < 0, q] = best[letters[:, q] < 0]
+    return faces

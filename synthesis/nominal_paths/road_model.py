@@ -1,0 +1,170 @@
+"""An agent as a search along roads reads it: steps, derivatives and remainders, for many candidates at once.
+
+What is found here is only as good as it has to be to find something: the check computes everything again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.expressions import Name, Number, Operation, Program, Tree
+from ..cells import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RoadModel:
+    """The dynamics of an agent as programs of states, inputs and unknowns."""
+
+    agent: AnyAgent
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of states, inputs and what is unknown."""
+        if isinstance(self.agent, Agent):
+            return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns)
+        d, m = self.agent.n_states, self.agent.n_inputs
+        return (*(f"state {k}" for k in range(d)), *(f"input {k}" for k in range(m)))
+
+    @cached_property
+    def motion(self) -> Program:
+        """The mean of the next state."""
+        if isinstance(self.agent, Agent):
+            return Program.of(self.agent.trees, self.names)
+        assert isinstance(self.agent, LinearAgent)
+        rows = np.hstack([self.agent.A, self.agent.B])
+        return Program.of([_affine(row, self.names, c) for row, c in zip(rows, self.agent.offset)], self.names)
+
+    @cached_property
+    def output(self) -> Program:
+        """Outputs, of states alone."""
+        states = self.names[: self.agent.n_states]
+        if isinstance(self.agent, Agent):
+            return Program.of(self.agent.output_trees, states)
+        assert isinstance(self.agent, LinearAgent)
+        return Program.of([_affine(row, states, 0.0) for row in self.agent.output_matrix], states)
+
+    @cached_property
+    def scale(self) -> Program | None:
+        """What the noise is multiplied with; None for nothing."""
+        trees = self.agent.scale_trees if isinstance(self.agent, Agent) else ()
+        return Program.of(trees, self.names) if trees else None
+
+    @cached_property
+    def deviations(self) -> FloatArray:
+        """Standard deviations (d,) of the noise before it is multiplied."""
+        laws = self.agent.laws
+        return np.zeros(0) if laws is None else np.array([law.std for law in laws])
+
+    @cached_property
+    def unknown(self) -> FloatArray:
+        """Ranges (2, k) of what is unknown."""
+        if not isinstance(self.agent, Agent):
+            return np.zeros((2, 0))
+        return np.array(list(self.agent.unknowns.values()), dtype=float).reshape(-1, 2).T
+
+    @cached_property
+    def calm(self) -> FloatArray:
+        """Middles (k,) of these ranges."""
+        return 0.5 * self.unknown[0] + 0.5 * self.unknown[1]
+
+    def variables(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return all variables (v, n) for states (d, n) and inputs (m, n)."""
+        return np.concatenate([x, u, np.repeat(self.calm[:, None], x.shape[1], axis=1)])
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the means (d, n) of the next states."""
+        return self.motion.values(self.variables(x, u))
+
+    def linear(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return Jacobians (S, d, d) and (S, d, m) along states (S, d) and inputs (S, m)."""
+        d, m = self.agent.n_states, self.agent.n_inputs
+        _, slopes = self.motion.slopes(self.variables(states.T, inputs.T))
+        both = np.moveaxis(np.broadcast_to(slopes, (*slopes.shape[:2], len(states))), 2, 0)
+        return np.array(both[:, :, :d]), np.array(both[:, :, d : d + m])
+
+    def outputs(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return outputs (S, p) and their Jacobians (S, p, d) along states (S, d)."""
+        values, slopes = self.output.slopes(np.ascontiguousarray(states.T))
+        return values.T, np.moveaxis(np.broadcast_to(slopes, (*slopes.shape[:2], len(states))), 2, 0)
+
+    @cached_property
+    def bent(self) -> NDArray[np.bool_]:
+        """Which states and inputs (d + m,) a tube has to bound: those that anything is not linear in."""
+        d, m = self.agent.n_states, self.agent.n_inputs
+        bent = np.zeros(len(self.names), dtype=bool)
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
+        for program in (self.motion, self.scale):
+            for _, slopes, bends in [] if program is None else program.curved(wide):
+                for (j, k), (low, high) in bends.items():
+                    if not (low == 0.0 and high == 0.0):
+                        bent[[j, k]] = True
+                if program is self.scale:
+                    bent[list(slopes)] = True
+        return bent[: d + m]
+
+    @cached_property
+    def varied(self) -> NDArray[np.bool_]:
+        """Which states (d,) have noise that is multiplied with what varies."""
+        assert self.scale is not None
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
+        return np.array([bool(slopes) for _, slopes, _ in self.scale.curved(wide)])
+
+    @cached_property
+    def bent_outputs(self) -> NDArray[np.bool_]:
+        """Which states (d,) outputs are not linear in."""
+        bent = np.zeros(self.agent.n_states, dtype=bool)
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
+        for _, _, bends in self.output.curved(wide[: self.agent.n_states]):
+            for (j, k), (low, high) in bends.items():
+                if not (low == 0.0 and high == 0.0):
+                    bent[[j, k]] = True
+        return bent
+
+    @property
+    def _widest(self) -> tuple[FloatArray, FloatArray]:
+        agent = self.agent
+        low = np.concatenate([agent.state_low, agent.input_low, self.unknown[0]])
+        return low, np.concatenate([agent.state_high, agent.input_high, self.unknown[1]])
+
+
+def remainders(
+    program: Program,
+    at: FloatArray,
+    slopes: FloatArray,
+    centre: FloatArray,
+    reach: FloatArray,
+    ends: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return bounds (p, n) on what expressions are off their linear forms within ``reach`` (v, n) of ``at`` (v,).
+
+    ``slopes`` (p, v) is the matrix of the linear forms, ``centre`` (p, v) what derivatives at the point are off from
+    it, ``ends`` closed limits (v,) within which variables stay. Not numbers where nothing is known.
+    """
+    low = np.maximum(at[:, None] - reach, np.minimum(ends[0], at)[:, None])
+    high = np.minimum(at[:, None] + reach, np.maximum(ends[1], at)[:, None])
+    far = np.maximum(high - at[:, None], at[:, None] - low)
+    off = np.empty((len(program.results), reach.shape[1]))
+    for i, (_, first, bends) in enumerate(program.curved([*zip(low, high, strict=True)])):
+        total, mean = centre[i] @ far, np.zeros(reach.shape[1])
+        for (j, k), (a, b) in bends.items():
+            total = total + (0.5 if j == k else 1.0) * np.maximum(np.abs(a), np.abs(b)) * far[j] * far[k]
+        if bends:
+            for j, (a, b) in first.items():
+                mean = mean + np.maximum(np.abs(a - slopes[i, j]), np.abs(b - slopes[i, j])) * far[j]
+            total = np.fmin(total, mean)
+        off[i] = total
+    return off
+
+
+def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
+    """Return a row times names, and an offset."""
+    total: Tree = Number(float(offset))
+    for factor, name in zip(row, names, strict=False):
+        if factor:
+            total = Operation("+", (total, Operation("*", (Number(float(factor)), Name(name)))))
+    return total

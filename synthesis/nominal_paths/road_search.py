@@ -1,0 +1,268 @@
+"""The best road of one agent that is found: a way around regions, a plan, feedbacks and slabs, plans anew.
+
+Feedbacks and slabs come from a random search with the bound itself as the objective: weights of linear-quadratic
+problems, and slabs in deviations. Plans are made anew with the deviations and drifts of what was found. Seeds are fixed
+and work is counted, never time: the same problem gives the same road everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from ..certificates import AgentPath
+from .road_candidates import Feedback, Road, Spreads, Worth, regulators
+from .road_guess import guesses
+from .road_limits import limits_along, sides_of
+from .road_model import RoadModel
+from .road_plan import Aim, Planner
+
+BATCH = 24
+"""Candidates that are looked at at once."""
+
+GENERATIONS = 5
+"""Batches of candidates after a plan, each closer around the best ones."""
+
+REPLANS = 3
+"""How often a road is planned anew."""
+
+AT_LIMIT = 1e-3
+"""Share of its range within which an input counts as standing at its limit, and has no feedback."""
+
+QUARTER = 0.25
+"""Share of the drift that plans keep away from limits, besides deviations."""
+
+WIDEST = 0.15
+"""Largest deviation that plans reckon with, as a share of a range."""
+
+ENOUGH = 1e-9
+"""Failure from which a road is not improved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A road with the best feedback that was found for it.
+
+    ``score`` falls with the failure, and is a number also where the failure is 1; ``theta`` are the logarithms of the
+    weights and slabs.
+    """
+
+    score: float
+    failure: float
+    road: Road
+    feedback: Feedback
+    theta: FloatArray
+    faces: NDArray[np.int64]
+    spreads: Spreads
+    weakest: str
+
+    @property
+    def path(self) -> AgentPath:
+        """The road as the certificate holds it."""
+        return AgentPath(self.road.inputs, self.feedback.gains[0], self.road.states, self.spreads.slabs)
+
+
+class RoadSearch:
+    """Roads of one agent of a problem."""
+
+    def __init__(self, problem: Problem, i: int) -> None:
+        self.problem, self.agent = problem, problem.agents[i]
+        self.model = RoadModel(self.agent)
+        self.rng = np.random.default_rng([20261123, i])
+        self.tried = 0
+        agent = self.agent
+        self.width = agent.state_high - agent.state_low
+        self.half = np.maximum(0.5 * (agent.input_high - agent.input_low), 1e-9)
+        low, high = agent.output_range(agent.state_low[None], agent.state_high[None])
+        self.spans = np.where(np.isfinite(high - low), high - low, 1.0)[0]
+
+    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None) -> Found | None:
+        """Return a road for letters (S + 1, P) after little work; None if none was found."""
+        best: Found | None = None
+        start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
+        for guess in guesses(self.problem, self.agent, letters, start):
+            found = self._along(letters, guess, warm)
+            if found is not None and (best is None or found.score < best.score):
+                best = found
+            if best is not None and best.score < np.log(0.5):
+                break
+        return best
+
+    def full(self, letters: NDArray[np.int8], found: Found) -> Found:
+        """Return a road that is better than one that was found, if there is time for one."""
+        found = self._searched(found, GENERATIONS)
+        for _ in range(REPLANS):
+            if found.failure <= ENOUGH:
+                break
+            again = self._planned_anew(letters, found)
+            if again is None:
+                break
+            again = self._searched(again, GENERATIONS)
+            if again.score >= found.score - 1e-3:
+                found = again if again.score < found.score else found
+                break
+            found = again
+        return found
+
+    def _along(self, letters: NDArray[np.int8], guess: FloatArray, warm: FloatArray | None) -> Found | None:
+        """Return a road that follows a guess at first."""
+        agent, steps = self.agent, len(letters) - 1
+        faces = sides_of(self.problem, agent, letters, guess, self.spans)
+        limits = limits_along(self.problem, agent, letters, faces)
+        if limits.are_empty:
+            return None
+        sharp = (
+            np.tile(0.02 * self.width, (steps + 1, 1)), np.tile(0.02 * self.spans, (steps + 1, 1)),
+            np.tile(0.05 * self.half, (steps, 1)),
+        )  # fmt: skip
+        x, y, push = ((each, np.zeros_like(each)) for each in sharp)
+        # A little off, so that nothing stays on a line of symmetry.
+        off = 0.05 * self.half * self.rng.standard_normal((steps, len(self.half)))
+        u = np.clip(self._still() + off, agent.input_low, agent.input_high)
+        for weight, rounds in ((30.0, 30), (1.0, 30), (0.0, 60)):
+            aim = Aim(limits, x, y, push, guess, np.full(agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
+            states, u, cost = Planner(self.model, aim).improved(u, rounds)
+            if not np.isfinite(cost):
+                return None
+            # Sides are those on which the plan is, as soon as it follows.
+            outputs, _ = self.model.outputs(states)
+            faces = sides_of(self.problem, agent, letters, outputs, self.spans)
+            limits = limits_along(self.problem, agent, letters, faces)
+            if limits.are_empty:
+                return None
+        road = self._road(letters, states, u, faces)
+        found = self._of_thetas(road, faces, self._thetas(warm))
+        again = self._planned_anew(letters, found)
+        return again if again is not None and again.score < found.score else found
+
+    def _still(self) -> FloatArray:
+        """Return the input (m,) that keeps the start where it is best, by least squares."""
+        agent = self.agent
+        x = 0.5 * (agent.initial.low + agent.initial.high)
+        u = 0.5 * (agent.input_low + agent.input_high)
+        for _ in range(3):
+            _, B = self.model.linear(x[None], u[None])
+            miss = (x - self.model.step(x[:, None], u[:, None])[:, 0]) / self.width
+            scaled = B[0] / self.width[:, None] * self.half
+            push = np.linalg.solve(scaled.T @ scaled + 1e-6 * np.eye(len(u)), scaled.T @ miss)
+            u = np.clip(u + self.half * push, agent.input_low, agent.input_high)
+        return u if np.all(np.isfinite(u)) else 0.5 * (agent.input_low + agent.input_high)
+
+    def _road(
+        self, letters: NDArray[np.int8], states: FloatArray, inputs: FloatArray, faces: NDArray[np.int64]
+    ) -> Road:
+        """Return a road with inputs near a limit put there."""
+        agent = self.agent
+        near = AT_LIMIT * 2.0 * self.half
+        snapped = np.where(inputs <= agent.input_low + near, agent.input_low, inputs)
+        snapped = np.where(inputs >= agent.input_high - near, agent.input_high, snapped)
+        limits = limits_along(self.problem, agent, letters, faces)
+        if np.any(snapped != inputs):
+            aim_free = Planner(self.model, _nowhere(limits, self.agent.n_outputs, len(inputs)))
+            states = aim_free.rolled(snapped)
+        return Road(self.model, limits, states, snapped)
+
+    def _planned_anew(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+        """Return a road planned with the deviations and drifts of another one; None if that fails."""
+        agent, spreads = self.agent, found.spreads
+        pairs = []
+        for (sd, drift), width in zip(
+            (spreads.states, spreads.outputs, spreads.inputs), (self.width, self.spans, 2.0 * self.half), strict=True
+        ):
+            sharp = np.clip(sd, 1e-5 * width, WIDEST * width)
+            pairs.append((sharp, np.clip(QUARTER * drift, 0.0, WIDEST * width)))
+        outputs, _ = found.road.outputs
+        sharp = np.median(pairs[1][0], axis=0)
+        u, states, faces = found.road.inputs, found.road.states, found.faces
+        for _ in range(3):
+            limits = limits_along(self.problem, agent, letters, faces)
+            aim = Aim(limits, pairs[0], pairs[1], pairs[2], outputs, np.zeros(agent.n_outputs))
+            states, u, cost = Planner(self.model, aim).improved(u, 40)
+            if not np.isfinite(cost):
+                return None
+            outputs, _ = self.model.outputs(states)
+            new = sides_of(self.problem, agent, letters, outputs, sharp)
+            if np.array_equal(new, faces) or limits_along(self.problem, agent, letters, new).are_empty:
+                break
+            faces = new
+        road = self._road(letters, states, u, faces)
+        return self._of_thetas(road, faces, self._around([found.theta], 0.3, BATCH // 2))
+
+    def _searched(self, found: Found, generations: int) -> Found:
+        """Return a road with the best feedback of some generations of candidates, each closer to the best ones."""
+        kept = [(found.score, found.theta)]
+        for generation in range(generations):
+            thetas = self._around([theta for _, theta in kept], 0.8 * 0.6**generation, BATCH)
+            better, scores = self._scored(found.road, found.faces, thetas)
+            kept = sorted([*kept, *zip(scores.tolist(), thetas, strict=True)], key=lambda pair: pair[0])[:4]
+            if better.score < found.score:
+                found = better
+            if found.failure <= ENOUGH:
+                break
+        return found
+
+    def _thetas(self, warm: FloatArray | None) -> FloatArray:
+        """Return a first batch of logarithms of weights and slabs."""
+        d, m = self.agent.n_states, self.agent.n_inputs
+        middle = np.zeros(d + m + 1 + 2 * d + m)
+        if warm is not None:
+            return np.concatenate([[warm], self._around([warm], 0.5, BATCH // 2)])
+        spread = np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
+        return middle + spread * self.rng.uniform(-1.0, 1.0, (2 * BATCH, len(middle)))
+
+    def _around(self, parents: list[FloatArray], sigma: float, count: int) -> FloatArray:
+        """Return candidates around mixtures of pairs of parents; the first parent is among them."""
+        d, m = self.agent.n_states, self.agent.n_inputs
+        chosen = np.array(parents)[self.rng.integers(len(parents), size=(count, 2))]
+        share = self.rng.random((count, 1))
+        size = np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
+        # Most candidates move a part of their numbers.
+        moved = self.rng.random((count, len(size))) < self.rng.choice([0.2, 0.5, 1.0], (count, 1))
+        made = share * chosen[:, 0] + (1 - share) * chosen[:, 1]
+        made = made + moved * sigma * size * self.rng.standard_normal((count, len(size)))
+        made[0] = parents[0]
+        return made
+
+    def _of_thetas(self, road: Road, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
+        return self._scored(road, faces, thetas)[0]
+
+    def _scored(self, road: Road, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
+        """Return the best of some candidates, and the scores of all."""
+        feedback = self._feedback(road, thetas)
+        self.tried += len(thetas)
+        worth, _ = road.worth(feedback)
+        scores = worth.scores()
+        scores = np.where(np.isfinite(scores), scores, np.inf)
+        best = int(np.argmin(scores))
+        alone = Feedback(feedback.gains[best : best + 1], feedback.slabs[best : best + 1])
+        worth, spreads = road.worth(alone)
+        found = Found(
+            float(scores[best]), float(worth.failures()[0]), road, alone, thetas[best], faces, spreads, _weakest(worth)
+        )
+        return found, scores
+
+    def _feedback(self, road: Road, thetas: FloatArray) -> Feedback:
+        d, m = self.agent.n_states, self.agent.n_inputs
+        base = np.concatenate([1.0 / (0.05 * self.width) ** 2, 1.0 / self.half**2, [1.0]])
+        weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
+        slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
+        low, high = self.agent.input_low, self.agent.input_high
+        held = (road.inputs <= low) | (road.inputs >= high)
+        gains = regulators(road, weights, held)
+        return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), slabs)
+
+
+def _nowhere(limits: object, p: int, steps: int) -> Aim:
+    """Return an aim that is about nothing, for simulations."""
+    nothing = (np.ones((steps, 1)), np.zeros((steps, 1)))
+    return Aim(limits, nothing, nothing, nothing, np.zeros((steps + 1, p)), np.zeros(p))  # type: ignore[arg-type]
+
+
+def _weakest(worth: Worth) -> str:
+    """Return the row that costs most, in words."""
+    costs = worth.soft()[0]
+    return worth.names[int(np.argmax(costs))] if len(costs) else "nothing"

@@ -1,0 +1,170 @@
+"""A certificate along roads: letters chosen from the automaton, the time of acceptance, and a road for each agent."""
+
+from __future__ import annotations
+
+import time
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import AnyAgent, Gaussian
+from ...envs.problem import Problem
+from ..cells import FloatArray, RelationRefused
+from ..certificates import PathCertificate, Synthesis
+from .road_search import Found, RoadSearch
+from .words import Way, without_implied, without_needless
+
+MOST_PLANS = 6
+"""Ways with times that are tried at first."""
+
+MOST_MOVES = 6
+"""Moves of the times of jumps that are tried after that."""
+
+PROMISING = -4.0
+"""Logarithm of the failure after little work from which no further way is looked for."""
+
+GOOD = 1e-4
+"""Failure from which no other times are tried."""
+
+HOPELESS = 1.0 - 1e-12
+"""Probability of failing from which a road counts as impossible."""
+
+
+def refuse_roads(agent: AnyAgent) -> None:
+    """Raise RelationRefused where the noise of an agent is not Gaussian."""
+    is_scaled = agent.noise_scale is not None and all(isinstance(law, Gaussian) for law in agent.laws or ())
+    if agent.laws is not None and not is_scaled:
+        raise RelationRefused(f"agent `{agent.name}`: paths are for Gaussian noise")
+
+
+class _Team:
+    """Roads of all agents for letters; what depends on an agent's own letters is searched once."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.searches = [RoadSearch(problem, i) for i in range(problem.n_agents)]
+        self.known: dict[tuple[int, bytes], Found | None] = {}
+        self.warm: list[FloatArray | None] = [None] * problem.n_agents
+        self.best: tuple[float, tuple[Way, tuple[int, ...], int], NDArray[np.int8], list[Found]] | None = None
+        self.stopped = ""
+
+    def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
+        """Look for roads along a way that jumps at some times, and keep them if they are the best."""
+        letters = letters_of(self.problem, way, times, steps)
+        if letters is None:
+            return
+        found = []
+        for i, search in enumerate(self.searches):
+            own = self._own(i)
+            key = (i, letters[:, own].tobytes() + bytes(str(steps), "ascii"))
+            if key not in self.known:
+                self.known[key] = search.quick(letters, self.warm[i])
+            one = self.known[key]
+            if one is None:
+                self.stopped = f"agent `{search.agent.name}` finds no way around regions in {steps} steps"
+                return
+            self.warm[i] = one.theta
+            found.append(one)
+        score = float(np.logaddexp.reduce([one.score for one in found]))
+        if self.best is None or score < self.best[0]:
+            self.best = score, (way, times, steps), letters, found
+
+    def refined(self) -> tuple[tuple[int, ...], NDArray[np.int8], list[Found]]:
+        """Return times, letters and roads of the best plan after more work."""
+        assert self.best is not None
+        _, (_, times, _), letters, found = self.best
+        return times, letters, [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+
+    def _own(self, i: int) -> list[int]:
+        names, agent = self.problem.automaton.propositions, self.problem.agents[i]
+        return [p for p in range(min(len(names), self.problem.labeling.first_pair))
+                if self.problem.propositions[names[p]].agent == agent.name]  # fmt: skip
+
+
+def road_certificate(problem: Problem, plans: Any) -> Synthesis:
+    """Return a certificate along roads, with its controllers.
+
+    Parameters
+    ----------
+    problem : Problem
+    plans : iterable of (way, times, steps)
+        Ways through the automaton with the times of their jumps, in order of promise.
+
+    Raises
+    ------
+    RelationRefused
+        If the noise of an agent is not Gaussian, or no road was found.
+    """
+    began = time.perf_counter()
+    for agent in problem.agents:
+        refuse_roads(agent)
+    if problem.initial_q is None:
+        raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
+    team = _Team(problem)
+    possible = (plan for plan in plans if letters_of(problem, *plan) is not None)
+    for way, times, steps in islice(possible, MOST_PLANS):
+        team.of_plan(way, times, steps)
+        if team.best is not None and team.best[0] < PROMISING:
+            break
+    if team.best is None:
+        more = f": {team.stopped}" if team.stopped else ""
+        raise RelationRefused(f"no nominal path along which the task is satisfied was found{more}")
+    times, letters, found = team.refined()
+    if _failure(found) > GOOD:
+        # Other times of the jumps, each looked at after little work.
+        before = team.best[0]
+        _with_better_times(team)
+        if team.best[0] < before:
+            again = team.refined()
+            if _failure(again[2]) < _failure(found):
+                times, letters, found = again
+    failure = min(1.0, _failure(found) * (1.0 + 1e-9))
+    if failure >= HOPELESS:
+        worst = max(found, key=lambda one: one.failure)
+        raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {worst.weakest}")
+    faces = np.full(letters.shape, -1)
+    for one in found:
+        faces = np.where(one.faces >= 0, one.faces, faces)
+    settings = {
+        "relation": "path", "jumps": list(times), "candidates": sum(search.tried for search in team.searches),
+        "weakest": max(found, key=lambda one: one.failure).weakest,
+    }  # fmt: skip
+    certificate = PathCertificate(
+        problem, tuple(one.path for one in found), letters, faces, min(1.0, failure), settings
+    )
+    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
+    stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
+    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def _failure(found: list[Found]) -> float:
+    """Return an upper bound on the probability that an agent fails: they are independent."""
+    return float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
+
+
+def letters_of(problem: Problem, way: Way, times: tuple[int, ...], steps: int) -> NDArray[np.int8] | None:
+    """Return the letters (S + 1, P) of a way, less what follows or is not needed; None if they contradict."""
+    letters = way.letters(times, steps, len(problem.automaton.propositions))
+    return None if letters is None else without_implied(problem, without_needless(problem, letters))
+
+
+def _with_better_times(team: _Team) -> None:
+    """Move single jumps, as long as that helps."""
+    problem, tried = team.problem, 0
+    step = max(1, problem.horizon // 6)
+    while step and tried < MOST_MOVES and team.best is not None:
+        before = team.best[0]
+        _, (way, times, steps), _, _ = team.best
+        for k in range(len(times)):
+            for move in (-step, step):
+                moved = [*times[:k], times[k] + move, *times[k + 1 :]]
+                fits = 1 <= moved[0] and moved[-1] <= problem.horizon and all(a < b for a, b in zip(moved, moved[1:]))
+                if not fits or tried >= MOST_MOVES:
+                    continue
+                tried += 1
+                is_last = k == len(times) - 1 and problem.automaton.is_co_safe
+                team.of_plan(way, tuple(moved), moved[-1] if is_last else steps)
+        step = step if team.best[0] < before else step // 2

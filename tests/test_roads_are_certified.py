@@ -1,0 +1,428 @@
+"""Paths of agents written as expressions: certified below the truth, checked by other code, carried out, kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, norm
+
+import certigym as cg
+from certigym.envs.expressions import Program, read_expression
+from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.checking.own_bends import expansion
+from certigym.synthesis.checking.road_chain import Chain
+from certigym.synthesis.checking.road_rows import Inequalities
+from certigym.synthesis.nominal_paths import road_candidates
+from certigym.synthesis.nominal_paths.road_search import Found, RoadSearch
+
+FALSE_ALARM = 1e-6
+"""Probability that a test of rollouts fails although the claim is true."""
+
+
+def problem_of(agents: list[Any], regions: dict[str, cg.Proposition], formula: str, horizon: int) -> cg.Problem:
+    """Return a problem; formulas with G are judged at the end."""
+    task = cg.Specification(formula, "finite-trace" if "G" in formula else "co-safe")
+    return cg.Problem(name="road", agents=agents, propositions=regions, specification=task, horizon=horizon)
+
+
+def cart(**changes: Any) -> cg.Agent:
+    """A car with four states: place, heading and speed."""
+    arguments: dict[str, Any] = {
+        "states": ["x", "y", "heading", "speed"], "inputs": ["turn", "push"],
+        "dynamics": ["x + 0.4*speed*cos(heading)", "y + 0.4*speed*sin(heading)", "heading + 0.4*turn",
+                     "speed + 0.4*push"],
+        "noise_covariance": np.diag([0.03**2, 0.03**2, 0.03**2, 0.03**2]), "state_low": [-1, -3, -3, -1],
+        "state_high": [7, 3, 3, 2], "input_low": [-2, -2], "input_high": [2, 2], "initial_state": [0, 0, 0, 0.5],
+        "outputs": ["x", "y"],
+    }  # fmt: skip
+    return cg.Agent(name="cart", **{**arguments, **changes})
+
+
+def bend(horizon: int = 12, **changes: Any) -> cg.Problem:
+    """Return the cart that passes a rock on its way to a dock."""
+    regions = {"rock": cg.Proposition("cart", [1.5, -1.0], [2.5, 0.4]), "dock": cg.Proposition("cart", [4, -1], [6, 1])}
+    return problem_of([cart(**changes)], regions, "(!rock) U dock", horizon)
+
+
+def tank() -> cg.Problem:
+    """Return a tank whose outflow is a root, with noise that grows with the level, and a disturbance."""
+    agent = cg.Agent(
+        name="tank", states=["upper", "lower"], inputs=["pump"], disturbances={"leak": [-0.01, 0.02]},
+        dynamics=["upper + 0.2*pump - 0.2*sqrt(upper)", "lower + 0.2*sqrt(upper) - 0.2*sqrt(lower) - leak"],
+        noise=[{"law": "gaussian", "std": 0.02}, {"law": "gaussian", "std": 0.02}],
+        noise_scale=["0.5 + 0.5*upper", "1"], state_low=[0.1, 0.1], state_high=[4, 4], input_low=[0], input_high=[2],
+        initial_state=[1, 1],
+    )  # fmt: skip
+    return problem_of([agent], {"full": cg.Proposition("tank", [1.4, 1.3], [2.2, 2.0])}, "F full", 16)
+
+
+PROBLEMS = {"cart": bend(), "box": bend(initial_state=None, initial_low=[-0.1, -0.1, -0.05, 0.45],
+                                       initial_high=[0.1, 0.1, 0.05, 0.55]), "tank": tank()}  # fmt: skip
+
+
+def path_of(problem: cg.Problem) -> PathCertificate:
+    found: Any = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(found, PathCertificate)
+    return found
+
+
+@pytest.fixture(scope="module")
+def certificates() -> dict[str, PathCertificate]:
+    return {name: path_of(problem) for name, problem in PROBLEMS.items()}
+
+
+@pytest.mark.parametrize("name", sorted(PROBLEMS))
+def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, PathCertificate]) -> None:
+    certificate = certificates[name]
+    report = cg.check(certificate, PROBLEMS[name])
+    assert report.valid, report.failures
+    assert certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM / 3)
+    assert verdict.verdict != "refuted"
+
+
+def test_the_search_is_deterministic() -> None:
+    first, second = (path_of(bend(8)) for _ in range(2))
+    assert first.failure == second.failure
+    assert np.array_equal(first.paths[0].gains, second.paths[0].gains)
+
+
+@pytest.mark.parametrize("start", [[-0.1, -0.1, -0.05, 0.45], [0.1, 0.1, 0.05, 0.55], [0.1, -0.1, 0.05, 0.45]])
+def test_corners_of_a_start_box_keep_the_bound(start: list[float], certificates: dict[str, PathCertificate]) -> None:
+    certificate = certificates["box"]
+    assert certificate.start == "mean" and certificates["cart"].start == "point"
+    problem = PROBLEMS["box"].replace(initial_state=start)
+    done = cg.rollout(problem, certificate.controller, 20_000, seed=3)
+    assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3
+
+
+@pytest.mark.parametrize("leak", [-0.01, 0.02])
+def test_disturbances_at_their_ends_keep_the_bound(leak: float, certificates: dict[str, PathCertificate]) -> None:
+    """Against dynamics written here once more."""
+    certificate, rng, n = certificates["tank"], np.random.default_rng(4), 20_000
+    (path,) = certificate.paths
+    assert path.states is not None
+    x, kept = np.ones((2, n)), np.ones(n, dtype=bool)
+    reached = np.zeros(n, dtype=bool)
+    for t in range(certificate.n_steps):
+        u = np.clip(path.inputs[t][:, None] + path.gains[t] @ (x - path.states[t][:, None]), 0.0, 2.0)
+        upper, lower = x
+        scale = np.stack([0.5 + 0.5 * upper, np.ones(n)])
+        flow, out = 0.2 * np.sqrt(upper), 0.2 * np.sqrt(lower)
+        mean = np.stack([upper + 0.2 * u[0] - flow, lower + flow - out - leak])
+        x = mean + 0.02 * scale * rng.standard_normal((2, n))
+        kept &= np.all((x >= 0.1) & (x <= 4.0), axis=0) | reached
+        reached |= kept & (x[0] >= 1.4) & (x[0] < 2.2) & (x[1] >= 1.3) & (x[1] < 2.0)
+        x = np.clip(x, 0.1, 4.0)
+    assert binom.cdf(int(reached.sum()), n, certificate.lower_bound) > FALSE_ALARM / 2
+
+
+def test_one_step_is_nearly_exact() -> None:
+    """A step without any past has no drift: the bound is that of the interval that is to be hit."""
+    agent = cg.Agent(
+        name="one", states=["x"], inputs=["u"], dynamics=["x + u*cos(x)"], noise_covariance=[[0.04]], state_low=[-3],
+        state_high=[3], input_low=[-1], input_high=[1], initial_state=[0.3],
+    )  # fmt: skip
+    certificate = path_of(problem_of([agent], {"goal": cg.Proposition("one", [0.6], [1.4])}, "F goal", 1))
+    truth = 2.0 * norm.cdf(0.4 / 0.2) - 1.0
+    assert truth - 1e-5 < certificate.lower_bound <= truth
+    assert cg.check(certificate)
+
+
+def shifted(certificate: PathCertificate, **changes: Any) -> PathCertificate:
+    (path,) = certificate.paths
+    return replace(certificate, paths=(replace(path, **{k: f(getattr(path, k)) for k, f in changes.items()}),))
+
+
+FORGERIES = {
+    "failure": lambda c: replace(c, failure=0.9 * c.failure),
+    "no failure": lambda c: replace(c, failure=0.0),
+    "letters": lambda c: replace(c, letters=np.zeros_like(c.letters)),
+    "sides": lambda c: replace(c, faces=np.where(c.faces >= 0, c.faces ^ 1, -1)),
+    "inputs": lambda c: shifted(c, inputs=lambda u: 0.9 * u),
+    "states": lambda c: shifted(c, states=lambda x: x + 0.05),
+    "start": lambda c: shifted(c, states=lambda x: np.vstack([x[:1] + 0.3, x[1:]])),
+    "gains": lambda c: shifted(c, gain=lambda k: 1.5 * k),
+    "gains of another step": lambda c: shifted(c, gain=lambda k: np.roll(k, 3, axis=0)),
+    "no feedback": lambda c: shifted(c, gain=lambda k: 0.0 * k),
+    "wide slabs": lambda c: shifted(c, slabs=lambda s: 4.0 * s),
+    "no slabs": lambda c: shifted(c, slabs=lambda s: np.full_like(s, np.inf)),
+    "narrow slabs": lambda c: shifted(c, slabs=lambda s: 0.5 * s),
+    "slabs that are none": lambda c: shifted(c, slabs=lambda s: -s),
+    "too large inputs": lambda c: shifted(c, inputs=lambda u: u + 3.0),
+    "one step less": lambda c: replace(
+        c, letters=c.letters[1:], faces=c.faces[1:],
+        paths=tuple(AgentPath(p.inputs[1:], p.gain[1:], p.states[1:], p.slabs[1:]) for p in c.paths)),
+    "form": lambda c: shifted(c, states=lambda x: x[:-1]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(FORGERIES))
+def test_forgeries_are_refused(name: str, certificates: dict[str, PathCertificate]) -> None:
+    assert not cg.check(FORGERIES[name](certificates["cart"]))
+
+
+@pytest.mark.parametrize(
+    ("value", "gain", "admissible"),
+    [(-1.0, 0.0, True), (1.0, 0.0, True), (1.01, 0.0, False), (-1.01, 0.0, False), (1.0, 0.1, False),
+     (-1.0, 0.1, False), (0.0, 0.1, True)],
+)  # fmt: skip
+def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, admissible: bool) -> None:
+    """A third input moves nothing: what is asked of it is its box alone."""
+    agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
+    problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
+    search = RoadSearch(problem, 0)
+    letters = np.zeros((6, 1), dtype=np.int8)
+    letters[5] = 1
+    found = search.quick(letters)
+    assert found is not None
+    inputs, gains = found.path.inputs.copy(), found.path.gain.copy()
+    inputs[:, 2], gains[:, 2] = value, [gain, 0.0, 0.0, 0.0]
+    path = replace(found.path, inputs=inputs, gain=gains)
+    certificate = PathCertificate(problem, (path,), letters, np.full((6, 1), -1), 0.1, {})
+    assert bool(cg.check(certificate)) == admissible
+
+
+def noisy() -> cg.Problem:
+    """The cart with so much noise that failures are not negligible."""
+    noise = np.diag([0.05**2, 0.05**2, 0.06**2, 0.04**2])
+    return bend(noise_covariance=noise, input_low=[-1, -1], input_high=[1, 1])
+
+
+@pytest.fixture(scope="module")
+def searched() -> tuple[RoadSearch, Found, PathCertificate]:
+    problem = noisy()
+    certificate = path_of(problem)
+    search = RoadSearch(problem, 0)
+    found = search.quick(certificate.letters)
+    assert found is not None
+    return search, found, replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
+
+
+def without_the_tube(*arguments: Any) -> Any:
+    """Remainders at the point in place of the tube: none."""
+    return 0.0 * road_candidates_remainders(*arguments)
+
+
+road_candidates_remainders = road_candidates.remainders
+
+
+class NoDrift(road_candidates._Walk):
+    """Tubes, inputs and limits that only linear deviations are kept from."""
+
+    def of_rows(self, t: int, rows: Any) -> Any:
+        drift, variance = super().of_rows(t, rows)
+        return 0.0 * drift, variance
+
+
+class Unlimited(road_candidates._Walk):
+    """Inputs whose feedback is not asked to keep their limits."""
+
+    def _step(self, t: int, reach: Any) -> Any:
+        result = super()._step(t, reach)
+        for part in (self.worth.low, self.worth.high):
+            part[-1] = np.full_like(part[-1], np.inf)
+        return result
+
+
+class NoTubeRows(road_candidates._Walk):
+    """Tubes that are not asked for in the product."""
+
+    def walked(self) -> Any:
+        worth, spreads = super().walked()
+        worth.slab = [np.full_like(part, np.inf) for part in worth.slab]
+        return worth, spreads
+
+
+SABOTAGES: dict[str, tuple[str, Any]] = {
+    "remainder at the point": ("remainders", without_the_tube),
+    "tube without drift": ("_Walk", NoDrift),
+    "limits without feedback": ("_Walk", Unlimited),
+    "tube rows left out": ("_Walk", NoTubeRows),
+}
+
+
+@pytest.mark.parametrize("name", [*sorted(SABOTAGES), "jacobian of another step"])
+def test_sabotage_of_the_search_is_refused_by_the_check(
+    name: str, searched: tuple[RoadSearch, Found, PathCertificate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, found, certificate = searched
+    assert cg.check(certificate), "honest"
+    road = found.road
+    if name in SABOTAGES:
+        monkeypatch.setattr(road_candidates, *SABOTAGES[name])
+    else:
+        road = road_candidates.Road(road.model, road.limits, road.states, road.inputs)
+        road.__dict__["linear"] = tuple(np.roll(matrix, 1, axis=0) for matrix in found.road.linear)
+    feedback = found.feedback
+    worth, spreads = road.worth(feedback)
+    path = AgentPath(found.road.inputs, feedback.gains[0], found.road.states, spreads.slabs)
+    forged = replace(certificate, paths=(path,), failure=float(worth.failures()[0]))
+    report = cg.check(forged)
+    assert not report.valid and forged.failure < 0.99 * found.failure
+
+
+def test_the_nominal_scale_of_noise_alone_is_refused(
+    certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the scale varies on the tube joins the remainder, and slabs on the noise are asked for."""
+    certificate, search = certificates["tank"], RoadSearch(PROBLEMS["tank"], 0)
+    found = search.quick(certificate.letters)
+    assert found is not None
+    honest = replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
+    assert cg.check(honest)
+    scale = search.model.scale
+
+    def nominal(program: Any, *rest: Any) -> Any:
+        return road_candidates_remainders(program, *rest) * (0.0 if program is scale else 1.0)
+
+    monkeypatch.setattr(road_candidates, "remainders", nominal)
+    worth, spreads = found.road.worth(found.feedback)
+    path = replace(found.path, slabs=spreads.slabs)
+    forged = replace(honest, paths=(path,), failure=float(worth.failures()[0]))
+    assert forged.failure < 0.999 * found.failure and not cg.check(forged)
+    slabs = found.path.slabs.copy()  # type: ignore[union-attr]
+    slabs[:, 3:] = np.inf
+    assert not cg.check(replace(honest, paths=(replace(found.path, slabs=slabs),)))
+
+
+def test_drift_and_variance_are_those_of_all_products() -> None:
+    """Against sums that are written out, with matrices that do not commute and units of very different size."""
+    rng, d, steps = np.random.default_rng(6), 3, 7
+    units = np.array([1.0, 128.0, 0.0078125])
+    closed = [(np.eye(d) + 0.4 * rng.standard_normal((d, d))) * units[:, None] / units for _ in range(steps)]
+    drifts = [rng.random(d) * [1.0, 100.0, 0.01] for _ in range(steps)]
+    noises = [np.diag(rng.random(d)) for _ in range(steps)]
+    chain, rows = Chain(units, np.array([0.1, 2.0, 0.0])), rng.standard_normal((4, d))
+    for F, r, Q in zip(closed, drifts, noises, strict=True):
+        chain.advance(F, r, Q)
+    moved, drift, variance = rows, np.zeros(4), np.zeros(4)
+    for F, r, Q in zip(closed[::-1], drifts[::-1], noises[::-1], strict=True):
+        drift += np.abs(moved) @ r
+        variance += np.einsum("jd,de,je->j", moved, Q, moved)
+        moved = moved @ F
+    drift += np.abs(moved) @ [0.1, 2.0, 0.0]
+    for found, truth in ((chain.drift(rows), drift), (chain.variances(rows), variance)):
+        assert np.all(found >= truth) and np.all(found <= truth * (1.0 + 1e-9))
+
+
+def test_tails_of_one_side_are_not_counted_twice() -> None:
+    rows = Inequalities()
+    rows.add(np.full(3, 2.0), np.full(3, np.inf), np.full(3, np.inf), np.ones(3))
+    assert rows.failure() == pytest.approx(3.0 * norm.sf(2.0), rel=1e-9)
+    rows.add(np.full(2, 2.0), np.full(2, 3.0), np.full(2, 1.5), np.ones(2))
+    assert rows.failure() > 1.0 - (1.0 - 2.0 * norm.sf(1.5)) ** 2
+    rows.add(np.array([0.0]), np.array([1.0]), np.array([np.inf]), np.array([0.0]))
+    assert rows.failure() == 1.0
+
+
+def test_files_keep_roads(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+    certificate = certificates["cart"]
+    cg.save_certificate(certificate, tmp_path / "road.npz")
+    again: Any = cg.load_certificate(tmp_path / "road.npz")
+    assert isinstance(again, PathCertificate) and again.failure == certificate.failure
+    assert cg.check(again, certificate.problem).valid
+    states = np.random.default_rng(0).normal(size=(4, 5))
+    for t in range(3):
+        np.testing.assert_array_equal(
+            again.controller._inputs(0, states, t), certificate.controller._inputs(0, states, t)
+        )
+
+
+def test_reports_show_the_tube(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+    content = cg.report(certificates["cart"], tmp_path / "road.html", episodes=200)
+    assert content.checked is not None and content.checked.valid
+    assert (tmp_path / "road.html").read_text(encoding="utf-8").count("<svg") >= 1
+
+
+TEXTS = [
+    "x + 0.1*z*cos(y)", "z*tan(y)/(1 + x**2)", "sqrt(2 + x)*exp(y)*atan(z)", "tanh(x*y)/(2 + sin(z))",
+    "x*x*y + x**3/z", "z**1.5*log(z) + x**y", "abs(x)*y", "max(x, y)*z", "min(x*y, 0.1)", "abs(x - 0.3)*z", "z**-2*x",
+    "sin(2*x + y)", "cos(2*x)", "exp(x)", "log(z)", "atan(2*x)", "tanh(2*x)", "sqrt(z)", "tan(x)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_expansions_hold_on_their_boxes(text: str) -> None:
+    """Against values at random points and corners; a bound that is never reached by half would say nothing."""
+    rng, names = np.random.default_rng(5), ("x", "y", "z")
+    tree = read_expression(text, names, {})
+    program, worst = Program.of([tree], names), 0.0
+    for _ in range(20):
+        at, width = np.array([0.35, 0.2, 1.1]), rng.uniform(0.01, 0.15, 3)
+        box = np.stack([at - width, at + width])
+        found = expansion([tree], names, at, box, 3)
+        z = at[:, None] + width[:, None] * np.where(rng.random((3, 500)) < 0.5, rng.choice([-1.0, 1.0], (3, 500)),
+                                                    rng.uniform(-1.0, 1.0, (3, 500)))  # fmt: skip
+        off = np.abs(program.values(z)[0] - program.values(at[:, None])[0] - found.matrix[0] @ (z - at[:, None]))
+        assert np.all(off <= found.off[0] + 1e-14)
+        worst = max(worst, float(off.max() / max(found.off[0], 1e-300)))
+    assert worst > 0.5 or text == "abs(x)*y"
+    assert math.isfinite(worst)
+
+
+def test_undefined_expressions_have_no_expansion() -> None:
+    tree = read_expression("sqrt(x)", ("x",), {})
+    found = expansion([tree], ("x",), np.array([0.1]), np.array([[-0.1], [0.3]]), 1)
+    assert found.off[0] == np.inf
+
+
+def test_roads_are_taken_without_any_options() -> None:
+    """Four states have no grid; the example has five, two obstacles and nothing else."""
+    assert isinstance(cg.synthesize(bend(8)).certificate, PathCertificate)
+    example = Path(__file__).resolve().parents[1] / "examples" / "car_slalom.toml"
+    certificate: Any = cg.synthesize(example).certificate
+    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.99999
+    assert cg.check(certificate)
+
+
+def test_independent_agents_multiply() -> None:
+    """Two carts, one of which has matrices, with one task about both."""
+    second = cg.LinearAgent(
+        name="wagon", A=[[1.0, 0.4], [0.0, 1.0]], B=[[0.0], [0.4]], noise_covariance=1e-3 * np.eye(2),
+        state_low=[-3, -2], state_high=[5, 2], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1]), "stop": cg.Proposition("wagon", [1, -2], [4, 2])}
+    certificate = path_of(problem_of([cart(), second], regions, "F (dock & stop)", 10))
+    assert cg.check(certificate) and certificate.lower_bound > 0.99
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_agents_that_name_each_other_have_paths() -> None:
+    """What another one does is anything in its box, which joins the drift."""
+    pushed = cart(dynamics=["x + 0.4*speed*cos(heading) + 0.01*wagon.place", "y + 0.4*speed*sin(heading)",
+                            "heading + 0.4*turn", "speed + 0.4*push"])  # fmt: skip
+    second = cg.Agent(
+        name="wagon", states=["place"], inputs=["push"], dynamics=["0.9*place + push"], noise_covariance=[[0.01]],
+        state_low=[-1], state_high=[1], input_low=[-1], input_high=[1], initial_state=[0],
+    )  # fmt: skip
+    regions = {"dock": cg.Proposition("cart", [3, -1], [6, 1])}
+    certificate = path_of(problem_of([pushed, second], regions, "F dock", 9))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+
+
+def test_outputs_may_bend() -> None:
+    """The square of the distance from a mast is kept above 1 on the way past it."""
+    agent = cart(outputs=["x", "(x - 2)**2 + y**2"])
+    regions = {"mast": cg.Proposition("cart", [-1, -1], [7, 1]), "dock": cg.Proposition("cart", [4, 0], [6, 30])}
+    certificate = path_of(problem_of([agent], regions, "(!mast) U dock", 12))
+    assert cg.check(certificate) and certificate.lower_bound > 0.9
+    verdict = cg.validate(certificate, 5000, seed=2, confidence=1.0 - FALSE_ALARM)
+    assert verdict.verdict != "refuted"
+    assert not cg.check(replace(certificate, failure=0.5 * certificate.failure))
+
+
+def test_what_roads_do_not_do_is_said() -> None:
+    law = [{"law": "laplace", "scale": 0.01}] * 4
+    with pytest.raises(ValueError, match="Gaussian noise"):
+        cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")
+    with pytest.raises(ValueError, match="no nominal path"):
+        cg.synthesize(bend(2), relation="path")
