@@ -40,6 +40,9 @@ LOOK, BESIDE = 0.37, 1.63
 """What is added to a position, in lattice steps, before it is rounded down to where differences are read, and how far
 it is off then, the next lattice point included. A half would leave it to rounding which point that is."""
 
+LONGEST = 1e6
+"""Deviations at which lattice steps are cut."""
+
 NOTHING = 1e-50
 """Values below this count as 0: numbers without all their digits are slow to compute with."""
 
@@ -136,7 +139,9 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
             "linear cells of agents with expressions are for Gaussian noise, and uniform noise on one axis"
         )
     masses, lost, ends = [], 0.0, None
-    ratios = np.array([(a[-1] - a[0]) / (len(a) - 1) for a in part.lattice]) / deviations
+    pitch = np.array([(a[-1] - a[0]) / (len(a) - 1) for a in part.lattice])
+    # Nothing is known between lattice points that are far apart: what is taken off is far above 1 as it is.
+    ratios = np.minimum(pitch, LONGEST * deviations) / deviations
     for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
         if names[k] == "uniform":
             assert agent.laws is not None

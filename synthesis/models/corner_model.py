@@ -58,6 +58,9 @@ of what is left have a sign in each part as a rule, and enclosures are next to e
 LEVELS_BESIDE_TARGETS = {1: 9, 2: 5, 3: 3}
 """Levels of each input beside targets, by the number of inputs; 2 beyond."""
 
+LONGEST = 1e6
+"""Lattice steps, in deviations, at which they are cut: nothing is known between them long before."""
+
 MOST_REACH = 1000.0
 """Most lattice steps from the middle of an image to its ends: wider ones are worth nothing."""
 
@@ -196,7 +199,7 @@ def _kernel(grid: Grid, lattice: tuple[FloatArray, ...], laws: Sequence[Law], re
     tables, loss, ends, ratios = [], 0.0, None, []
     for k, (axis, edges, law) in enumerate(zip(lattice, grid.edges, laws, strict=True)):
         pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
-        ratios.append(pitch / law.std)
+        ratios.append(min(pitch / law.std, LONGEST))
         if isinstance(law, Uniform):
             ends = UniformEnds(k, axis, edges, law)
             table, missing = uniform_hats(axis, edges, law)
