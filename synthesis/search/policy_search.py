@@ -153,6 +153,8 @@ def find_policies(
     most = upper_bound(joint, start, relaxations)
     given = dict(given or {})
     keeps = bool(given) and (search.max_sweeps == 0 or not lossy)
+    # Where policies were carried over, evaluating those of the relaxations was not enough on coarser cells.
+    keeps = keeps or (bool(given) and corners and len(joint.models) > 1)
     early = None if keeps else _without_sweeps(joint, start, search, relaxations, most)
     if early is not None:
         return early
