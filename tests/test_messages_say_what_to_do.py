@@ -169,7 +169,7 @@ def test_python(
 
 
 AGENTS_THAT_NO_RELATION_TAKES = [
-    ({"A": [[1.2, 0.0], [0.0, 0.9]], "B": [[0.0], [1.0]]}, "auto", "give it an input that moves what is unstable"),
+    ({"A": [[1.2, 0.0], [0.0, 0.9]], "B": [[0.0], [1.0]]}, "tube", "give it an input that moves what is unstable"),
     ({"A": [[1.5, 0.5], [0.0, 1.2]], "input_low": [-0.01], "input_high": [0.01]}, "tube", "ask for more `cells`"),
     ({}, "exact", "as many independent inputs as states"),
     ({}, "paper", "take `exact` or `tube`"),
