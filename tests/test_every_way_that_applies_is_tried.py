@@ -90,9 +90,9 @@ def test_what_needs_another_way_comes_after_it(table: Table) -> None:
 
 
 def test_a_grid_is_kept_where_a_path_certifies_hardly_more() -> None:
-    path, grid = result(0.95, has_cells=False), result(0.95 - 5e-7)
+    path, grid = result(0.95, has_cells=False), result(0.948)
     assert leading({"path": path, "grid": grid}) is grid
-    assert leading({"path": path, "grid": result(0.95 - 5e-6)}) is path
+    assert leading({"path": path, "grid": result(0.947)}) is path
     assert leading({"path": path}) is path and leading({}) is None
 
 

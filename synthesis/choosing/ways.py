@@ -19,8 +19,8 @@ from .effort import Effort, OutOfTime
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
 
-SAME = 1e-6
-"""Bound that a path must have more than a grid to be kept: grids have values, shields and starts everywhere besides."""
+NEARLY = 1.05
+"""How much more a grid may fail than a path and still be kept, as a factor: it has values at other states."""
 
 Results = Mapping[str, Synthesis]
 """What the ways so far gave, by name."""
@@ -101,14 +101,15 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
 
 
 def leading(results: Results) -> Synthesis | None:
-    """Return the result with the largest bound; a grid, unless a path certifies more by ``SAME``."""
+    """Return the result with the largest bound; a grid, unless it fails ``NEARLY`` times as often as a path."""
     if not results:
         return None
     best = max(results.values(), key=_bound)
     if best.certificate.has_cells:
         return best
-    grids = [one for one in results.values() if one.certificate.has_cells]
-    return max((one for one in grids if _bound(one) >= _bound(best) - SAME), key=_bound, default=best)
+    least = 1.0 - NEARLY * (1.0 - _bound(best))
+    grids = (one for one in results.values() if one.certificate.has_cells and _bound(one) >= least)
+    return max(grids, key=_bound, default=best)
 
 
 def with_settings(result: Synthesis, more: Mapping[str, Any]) -> Synthesis:
