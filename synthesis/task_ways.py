@@ -163,10 +163,14 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
     """Return the ways on grids where nothing but the problem is given."""
     linear = may_be_linear(problem, plan)
     ways = [_others(problem, kinds, plan, linear)]
-    if linear:
-        ways += [_linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))]
+    exact = 0.0
     if any(agent.n_states > 1 for agent in problem.agents) and all(map(reaches_every_mean, problem.agents)):
         ways.append(_exact(problem, plan))
+        exact = ways[-1].work
+    if linear:
+        # The first level alone costs less than exact cells do, but it is the first of many.
+        levels = _linear(problem, plan, few=problem.n_agents <= FEW_AGENTS or is_scalar(problem))
+        ways.append(replace(levels, work=max(levels.work, exact)))
     if is_scalar(problem) and problem.n_agents > FEW_AGENTS:
         ways.append(_doubled(problem, kinds, plan))
     elif not is_scalar(problem) or not linear:
