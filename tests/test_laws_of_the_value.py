@@ -129,7 +129,7 @@ def test_a_forgotten_input_reserve_is_noticed(problem: cg.Problem, monkeypatch: 
 
 
 def test_a_wrong_feedback_sign_is_noticed(problem: cg.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = cg.synthesize(problem, 60)
+    result = cg.synthesize(problem, 60, relation="exact")
     right = relation_exact.ExactRelation.inputs
 
     def wrong(self: Any, targets: np.ndarray, states: np.ndarray) -> np.ndarray:
