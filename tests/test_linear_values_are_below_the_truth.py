@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import certigym as cg
 from certigym.synthesis.checking import linear_check, regrow
-from certigym.synthesis.models.corner_choices import SubLattice, best_below
+from certigym.synthesis.models.corner_forms import SubLattice, best_below
 from certigym.synthesis.values import Terms
 from problems import cart, cart_reach, linear, scalar_agent
 

@@ -36,6 +36,7 @@ from ...envs.expressions import (
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .aims import aimed_relation
 from .boxes import LinearMeans, linear_means
+from .coordinates import ReadsCoordinates
 from .exact import ExactRelation
 from .rounding import missed_cells, reading_of
 from .solved_means import WrittenTargets
@@ -232,7 +233,7 @@ class MatrixMaps:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapRelation:
+class MapRelation(ReadsCoordinates):
     """The relation ``linear``: constant inputs, whose means are affine maps in a cell, and targets beside them.
 
     Choices below the number of inputs are inputs; ``number of inputs + z`` puts the mean on lattice point z from all
@@ -268,17 +269,6 @@ class MapRelation:
         d, m = len(self.coordinates), self.menu.shape[1]
         aims = "" if self.aims is None else ", and targets"
         return f"MapRelation({counted(d, 'state')}, {counted(m, 'input')}, {counted(len(self.menu), 'choice')}{aims})"
-
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
-        if self.has_state_coordinates:
-            return np.array(states, dtype=float)
-        return np.tensordot(np.linalg.inv(self.coordinates), states, axes=(1, 0))
-
-    @cached_property
-    def has_state_coordinates(self) -> bool:
-        """Whether grid coordinates are the state itself."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, linear_agent
 from .common_means import CommonInputs, CommonMeans, common_inputs, common_means
+from .coordinates import ReadsCoordinates
 from .exact import INPUT_MARGIN
 from .network_bounds import mean_bounds
 from .networks import NetworkPolicy, network_policy
@@ -150,7 +151,7 @@ class NetworkMeans:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoxRelation:
+class BoxRelation(ReadsCoordinates):
     """Mean boxes of an agent (delta = 0, no memory); it is ``Enclosing``.
 
     Parameters
@@ -247,17 +248,6 @@ class BoxRelation:
     def _moves(self) -> NDArray[np.bool_]:
         """Whether any choice feeds state k back to input j, (m, d)."""
         return np.asarray(np.any(self.gains, axis=0))
-
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
-        if self.has_state_coordinates:
-            return np.array(states, dtype=float)
-        return np.tensordot(np.linalg.inv(self.coordinates), states, axes=(1, 0))
-
-    @cached_property
-    def has_state_coordinates(self) -> bool:
-        """Whether grid coordinates are the state itself."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from ...envs.agents import AnyAgent, LinearAgent, counted
 from ..cells import FloatArray, RelationRefused, in_grid_coordinates, linear_agent
+from .coordinates import ReadsCoordinates
 from .exact import ExactRelation, exact_relation
 from .rounding import mean_loss
 
@@ -26,7 +26,7 @@ CARRIED_OUT_TWICE = 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearRelation:
+class LinearRelation(ReadsCoordinates):
     """Affine maps from the state to the mean of the next state, in grid coordinates (delta = 0, no memory).
 
     Parameters
@@ -67,17 +67,6 @@ class LinearRelation:
         if not self.steers:
             return self.A[None]
         return np.stack([steer.gain * np.eye(len(self.A)) for steer in self.steers])
-
-    def to_grid(self, states: FloatArray) -> FloatArray:
-        """Return the grid coordinates (d, ...) of states (d, ...) as a new array."""
-        if self.has_state_coordinates:
-            return np.array(states, dtype=float)
-        return np.tensordot(np.linalg.inv(self.coordinates), states, axes=(1, 0))
-
-    @cached_property
-    def has_state_coordinates(self) -> bool:
-        """Whether grid coordinates are the state itself."""
-        return bool(np.array_equal(self.coordinates, np.eye(len(self.coordinates))))
 
     @property
     def arrays(self) -> tuple[FloatArray, ...]:
