@@ -29,18 +29,21 @@ class Tube:
     middle : (S + 1, k) array
         Nominal values at times 0 to S.
     covariances : (S + 1, k, k) array
-        Covariances of the deviations (rounded).
+        Covariances of the deviations (rounded); along a road those of the linear ones.
+    is_linear : bool
+        Whether these are all deviations. Along a road dynamics drift from them, which is certified and not drawn.
     """
 
     middle: FloatArray
     covariances: FloatArray
+    is_linear: bool = True
 
     @property
     def radius(self) -> float:
-        """Radius in deviations of the intervals or ellipses that are kept at all times with probability .99 (rounded).
+        """Radius in deviations of the intervals or ellipses that linear deviations keep with probability .99 (rounded).
 
-        They are symmetric and convex: by the Gaussian correlation inequality it is enough that each of the S is kept
-        with the S-th root of that.
+        All times together: they are symmetric and convex, and by the Gaussian correlation inequality it is enough that
+        each of the S is kept with the S-th root of that.
         """
         each = KEPT ** (1.0 / max(1, len(self.middle) - 1))
         if self.middle.shape[1] == 1:
@@ -86,7 +89,8 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
         middle += nominal[: steps + 1] @ own.T
         deviations = covariances_along(agent, nominal, path.inputs, path.gains)[: steps + 1]
         covariances += np.einsum("kd,tde,le->tkl", own, deviations, own)
-    return Tube(middle, covariances)
+    is_linear = all(part.paths[k].states is None for part, k in (paths[i] for i in moved))
+    return Tube(middle, covariances, is_linear)
 
 
 def _paths_of(certificate: Any) -> dict[int, tuple[PathCertificate, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Iterable
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from ...synthesis.certificates import (
     PairsCertificate,
     ProductCertificate,
     TeamCertificate,
+    Tube,
     rounded_down,
     shown_bound,
     significant_up,
@@ -46,7 +48,11 @@ FINDINGS_SHOWN = 12
 """Findings of an audit that the page shows."""
 
 TUBE = f"; shaded: the tube along the nominal path, kept with probability {KEPT:g} unless an input is cut off"
-"""What is said of a tube that is drawn."""
+LINEAR_TUBE = (
+    f"; shaded: the tube that linear deviations from the nominal path keep with probability {KEPT:g}; what the "
+    "dynamics bend beyond that is part of the proof, and is not drawn"
+)
+"""What is said of a tube that is drawn, and of one of an agent that is not linear."""
 
 LONGEST_TASK = 600
 """Characters of a formula that the head of the page shows; the data at its end have all of it."""
@@ -158,6 +164,12 @@ def _episodes(content: ReportContent) -> dict[str, Any]:
     return episodes_of(content, panels(content.certificate.problem)[:MOST_PANELS_DRAWN])
 
 
+def _about(tubes: Iterable[Tube]) -> str:
+    """Return what is said of the tubes of a picture; nothing if there are none."""
+    linear = {tube.is_linear for tube in tubes}
+    return "" if not linear else TUBE if linear == {True} else LINEAR_TUBE
+
+
 def _rollouts(content: ReportContent) -> str:
     """Return the section of drawn rollouts, one figure per panel, and the player."""
     shown = panels(content.certificate.problem)
@@ -168,7 +180,7 @@ def _rollouts(content: ReportContent) -> str:
         rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
         tubes = {c.number: tube for c in panel.curves if (tube := tube_along(content.certificate, c.rows)) is not None}
         drawing = rollouts_picture(panel, content.states, content.success, number, tubes)
-        figures.append(_figure("", drawing, names + rest + (TUBE if tubes else "")))
+        figures.append(_figure("", drawing, names + rest + _about(tubes.values())))
     words = f"{counted(len(content.success), 'rollout')} of the continuous system"
     words += f"; the {lost} with broken lines did not satisfy the task." if lost else ", which all satisfied the task."
     if len(shown) > MOST_PANELS_DRAWN:
