@@ -77,7 +77,7 @@ def test_a_refusal_is_no_certificate_and_does_not_end_the_search(table: Table) -
 
 def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
     ways = [table.way("path", 0.99, ends=0.99), table.way("grid", 1.0, 1.0)]
-    assert "path leaves hardly anything to gain" in tried_of(best_of(ways, Effort()))["grid"]
+    assert "after `path` hardly anything is left to gain" in tried_of(best_of(ways, Effort()))["grid"]
     ways = [table.way("path", 0.95, ends=0.99), table.way("rare", 1.0, 1.0, enough=0.9), table.way("grid", 0.97, 2.0)]
     found = best_of(ways, Effort())
     assert found.certificate.lower_bound == 0.97 and "0.95 was certified already" in tried_of(found)["rare"]
@@ -99,7 +99,7 @@ def test_a_grid_is_kept_where_a_path_certifies_hardly_more() -> None:
 def test_a_path_that_leaves_hardly_anything_to_gain_spares_the_grids() -> None:
     found = cg.synthesize("integrator-chain-v0")
     assert not found.certificate.has_cells and found.certificate.lower_bound > 0.993
-    assert "path leaves hardly anything to gain" in tried_of(found)["linear"]
+    assert "after `path` hardly anything is left to gain" in tried_of(found)["linear"]
     assert cg.check(found.certificate)
     first, second = cg.synthesize_horizons("integrator-chain-v0", [4, 5])
     assert second.certificate.lower_bound == found.certificate.lower_bound < first.certificate.lower_bound

@@ -94,7 +94,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         results[way.name], effort.has_result = result, True
         tried |= _outcomes(way, result)
         if result.certificate.lower_bound >= way.ends:
-            ended_by = f"{way.name} leaves hardly anything to gain"
+            ended_by = f"after `{way.name}` hardly anything is left to gain"
     if not results:
         raise _refused(ways, refusals)
     return _recorded(results, tried | effort.left_out, began)
