@@ -191,7 +191,7 @@ def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 
 CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "paths": _of_path,
-    "roads": _of_path,
+    "nonlinear": _of_path,
     "hulls": _of_hull,
     "menus": _of_menus,
     "networks": _of_networks,

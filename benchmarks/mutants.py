@@ -218,13 +218,13 @@ MUTANTS = [
         ("if region.agent != owner or value == 0:", "if region.agent != name or value == 0:"),
     ),
     *_in(
-        "synthesis/checking/road_chain.py",
+        "synthesis/checking/linear_deviations.py",
         ('np.einsum("ij,sjk->sik", F, self.products)', 'np.einsum("sij,jk->sik", self.products, F)'),
         ("+ np.abs(moved[:, s + 1]) @ drift + wrong", "+ np.abs(moved[:, s]) @ drift + wrong"),
         ("total = np.abs(moved[:, 0]) @ self.spread", "total = 0.0 * moved[:, 0] @ self.spread"),
     ),
     *_in(
-        "synthesis/checking/road_check.py",
+        "synthesis/checking/nonlinear_check.py",
         ("reach = (slab + chain.drift(np.eye(d))) * TAIL", "reach = slab * TAIL"),
         ("drift = self.chain.drift(forms)", "drift = 0.0 * self.chain.drift(forms)"),
         ("ends[:, 2], self.chain", "np.inf * (1.0 + ends[:, 2]), self.chain"),
@@ -235,7 +235,7 @@ MUTANTS = [
         ("remainder = (remainder + more) * TAIL", "remainder = remainder * TAIL"),
     ),
     *_in(
-        "synthesis/checking/road_rows.py",
+        "synthesis/checking/gaussian_inequalities.py",
         ("chosen = np.where(as_slab, both, inner)", "chosen = np.where(as_slab, 0.5 * both, inner)"),
         ("np.sum(np.where(as_slab, 0.0, outer))", "0.0"),
     ),

@@ -296,7 +296,7 @@ def _path(rng: np.random.Generator) -> Spec:
     return _problem(rng, agents, {"relation": "path"}, (1, 2, 3, 4, 6))
 
 
-def _road(rng: np.random.Generator) -> Spec:
+def _nonlinear(rng: np.random.Generator) -> Spec:
     """Certificates along a path of agents written as expressions: one to three states, winds, scales, start boxes."""
     d = int(rng.choice([1, 2, 3], p=[0.3, 0.4, 0.3]))
     agents = [_linear(rng, f"agent_{i}", d, (0.04, 0.15), wide=d == 1 or rng.random() < 0.5)
@@ -379,7 +379,7 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "common": _common,
     "states": _states,
     "paths": _path,
-    "roads": _road,
+    "nonlinear": _nonlinear,
     "hulls": _hull,
     "menus": _menus,
     "networks": _networks,

@@ -2,8 +2,8 @@
 
 Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
 nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
-of others, along a *road*, are so up to a drift. At every time the certificate says which propositions are to hold and
-which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a word that
+of others, along a *nonlinear path*, are so up to a drift. At every time the certificate says which propositions are to
+hold and which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a word that
 it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else is computed
 from the problem.
 """
@@ -26,7 +26,7 @@ from ..controllers import PathController
 
 @dataclass(frozen=True, eq=False)
 class AgentPath:
-    """Nominal inputs of one agent and its feedback; along a *road* nominal states and slabs, too.
+    """Nominal inputs of one agent and its feedback; along a *nonlinear path* nominal states and slabs, too.
 
     Parameters
     ----------
@@ -35,10 +35,10 @@ class AgentPath:
     gain : (m, d) or (S, m, d) array
         Feedback K on the deviation from the nominal path, one for all times or one for each; 0 for none.
     states : (S + 1, d) array, optional
-        Nominal states of a road. Without, they are those that the inputs lead a linear agent to.
+        Nominal states of a nonlinear path. Without, they are those that the inputs lead a linear agent to.
     slabs : (S + 1, 2 d + m) array, optional
-        Of a road: what the linear deviation of each state is kept within, that of each input (in the last row they say
-        nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
+        Of a nonlinear path: what the linear deviation of each state is kept within, that of each input (in the last row
+        they say nothing), and the noise of each state in its standard deviations; infinite where nothing is asked.
     """
 
     inputs: FloatArray

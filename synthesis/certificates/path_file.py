@@ -28,7 +28,7 @@ def path_header(certificate: PathCertificate, put: Callable[[NDArray[Any]], int]
 
 
 def _arrays(path: AgentPath) -> list[NDArray[Any]]:
-    """Return inputs and gain of a path, and along a road states and slabs."""
+    """Return inputs and gain of a path, and along a nonlinear path states and slabs."""
     return [array for array in (path.inputs, path.gain, path.states, path.slabs) if array is not None]
 
 

@@ -29,9 +29,9 @@ class Tube:
     middle : (S + 1, k) array
         Nominal values at times 0 to S.
     covariances : (S + 1, k, k) array
-        Covariances of the deviations (rounded); along a road those of the linear ones.
+        Covariances of the deviations (rounded); along a nonlinear path those of the linear ones.
     is_linear : bool
-        Whether these are all deviations. Along a road dynamics drift from them, which is certified and not drawn.
+        Whether these are all deviations. Along a nonlinear path dynamics drift from them: certified, and not drawn.
     """
 
     middle: FloatArray

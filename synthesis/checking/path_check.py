@@ -18,7 +18,7 @@ from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
-from .road_check import road_failure, wrong_road
+from .nonlinear_check import nonlinear_failure, wrong_nonlinear_path
 from .roundings import SMALLEST, TAIL, UNIT
 from .start_check import wrong_start
 
@@ -174,7 +174,7 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     log_kept = 0.0
     for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
         if path.states is not None:
-            failure = road_failure(certificate, i)
+            failure = nonlinear_failure(certificate, i)
         else:
             assert isinstance(agent, LinearAgent)
             failure = _failure(certificate, Motion.of(agent, path))
@@ -209,7 +209,7 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
         failures.append("its probability of failing is none")
     for agent, path in zip(problem.agents, certificate.paths):
         if path.states is not None:
-            failures += wrong_road(agent, path, steps)
+            failures += wrong_nonlinear_path(agent, path, steps)
         elif not isinstance(agent, LinearAgent) or agent.laws is not None:
             failures.append(f"agent `{agent.name}` is not linear with Gaussian noise")
         elif not np.array_equal(agent.initial.low, agent.initial.high):

@@ -1,10 +1,10 @@
 """Controllers that carry a policy out, and policies that come from elsewhere."""
 
 from .agent_controller import AgentController
-from .along_roads import covariances_along
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
 from .path_controller import PathController, covariances_of, nominal_states
+from .path_covariances import covariances_along
 from .product_controller import ProductController
 from .team_controller import TeamController
 

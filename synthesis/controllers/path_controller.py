@@ -26,10 +26,10 @@ class PathController:
     Parameters
     ----------
     problem : Problem
-        Agents with a start that is a point, or along roads a box.
+        Agents with a start that is a point, or along nonlinear paths a box.
     paths : tuple of (inputs, gain, states)
-        Nominal inputs (S, m) of every agent, feedback (m, d) or (S, m, d), and along a road nominal states (S + 1, d);
-        None for those that the inputs lead a linear agent to.
+        Nominal inputs (S, m) of every agent, feedback (m, d) or (S, m, d), and along a nonlinear path nominal states
+        (S + 1, d); None for those that the inputs lead a linear agent to.
     """
 
     information = "own state, time"

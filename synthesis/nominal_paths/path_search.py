@@ -17,7 +17,7 @@ from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .nominal import ENOUGH, Response, nominal_inputs
-from .road_team import road_certificate
+from .nonlinear_team import nonlinear_certificate
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .words import Way, ways_of, without_implied, without_needless
 
@@ -44,7 +44,7 @@ class Plan:
 
 
 def path_certificate(problem: Problem) -> Synthesis:
-    """Return a certificate along a path, with its controllers; along roads where an agent is not linear from a point.
+    """Return a certificate along a path; along nonlinear ones where an agent is not linear from a point.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def path_certificate(problem: Problem) -> Synthesis:
             f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
         )
     if not all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents):
-        return road_certificate(problem, ((plan.way, plan.times, plan.steps) for plan in _plans(problem)))
+        return nonlinear_certificate(problem, ((plan.way, plan.times, plan.steps) for plan in _plans(problem)))
     _check(problem)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None

@@ -1,10 +1,10 @@
-"""Certificates along a road, nominal states with a feedback at each step, once more: for agents of any dynamics.
+"""Certificates along a nonlinear path, nominal states with a feedback at each step, once more: for any dynamics.
 
 The nominal states xbar and inputs ubar are numbers of the certificate: any sequence will do. With ``x = xbar + e`` and
 ``u = ubar + K_t e`` the deviation obeys ``e' = F_t e + r_t(e) + w`` with any matrix F_t, and r_t is what the dynamics
 are off from it. Where ``|r_t| <= R_t`` on a tube around xbar_t, e is off the linear deviation ``g' = F_t g + w`` by no
-more than the support function of all R_s before (``road_chain``). The tube is ``|e_k| <= slab_k + drift_k`` with a slab
-on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the event
+more than the support function of all R_s before (``linear_deviations``). The tube is ``|e_k| <= slab_k + drift_k`` with
+a slab on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the event
 that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
 (docs/theory/paths.md, "Agents of any dynamics").
 
@@ -25,13 +25,13 @@ from ...envs.agents import Agent, AnyAgent, Gaussian, LinearAgent
 from ...envs.expressions import Name, Number, Operation, Tree
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
+from .gaussian_inequalities import Inequalities
+from .linear_deviations import Chain
 from .own_bends import Expansion, expansion
-from .road_chain import Chain
-from .road_rows import Inequalities
 from .roundings import TAIL, UNIT
 
 
-class OffRoadError(Exception):
+class NothingKnownError(Exception):
     """Nothing is known of an agent beyond a step."""
 
 
@@ -84,7 +84,7 @@ def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """An agent at one time of its road: nominal state (d,), the box (2, d) that holds the true one, and the past."""
+    """An agent at one time of its path: nominal state (d,), the box (2, d) that holds the true one, and the past."""
 
     t: int
     moving: Moving
@@ -139,7 +139,7 @@ class Moment:
             if value < 0:
                 face = int(certificate.faces[self.t, p])
                 if not 0 <= face < 2 * len(limits):
-                    raise OffRoadError(f"region `{name}` is passed on no side at step {self.t}")
+                    raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
                 k, low, high = limits[face // 2]
                 limits = [(k, high, np.inf) if face % 2 else (k, -np.inf, low)]
             found = self.outputs
@@ -152,7 +152,7 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
 
     Raises
     ------
-    OffRoadError
+    NothingKnownError
         If a nominal number is outside of its range, or nothing is known of the next step.
     """
     moving, units = Moving.of(agent), _near(agent.state_high - agent.state_low)
@@ -164,7 +164,7 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
     chain = Chain(units, spread)
     for t, (at, slabs) in enumerate(zip(path.states, path.slabs, strict=True)):
         if np.any((at < agent.state_low) | (at > agent.state_high)):
-            raise OffRoadError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
+            raise NothingKnownError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
         # The start has no noise: it is as far off as the set of starts is wide.
         slab = slabs[:d] if t else np.zeros(d)
         reach = (slab + chain.drift(np.eye(d))) * TAIL
@@ -200,9 +200,9 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
     noise, more = _noise(agent, moving, now, centre, ranges, rows)
     remainder = (remainder + more) * TAIL
     if not np.all(np.isfinite(remainder)):
-        raise OffRoadError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
+        raise NothingKnownError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
     if not np.all(np.isfinite(closed)) or float(np.abs(remainder).max()) > 1e100:
-        raise OffRoadError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
+        raise NothingKnownError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
     chain.advance(closed, remainder, noise)
 
 
@@ -212,7 +212,7 @@ def _inputs(
     """Return the box (2, m) of inputs and what (m,) they are rounded by; add their limits, which nothing cuts."""
     low, high, chain, m = agent.input_low, agent.input_high, now.chain, agent.n_inputs
     if np.any((u < low) | (u > high)):
-        raise OffRoadError(f"agent `{agent.name}`: its nominal input leaves the input box at step {now.t}")
+        raise NothingKnownError(f"agent `{agent.name}`: its nominal input leaves the input box at step {now.t}")
     moved = np.any(gain != 0.0, axis=1)
     far = np.maximum(now.box[1] - now.at, now.at - now.box[0]) * TAIL
     # Without feedback an input is its nominal value to the last bit; else sums and products round.
@@ -261,8 +261,8 @@ def _near(width: FloatArray) -> FloatArray:
     return np.asarray(2.0 ** np.round(np.log2(width)))
 
 
-def wrong_road(agent: AnyAgent, path: AgentPath, steps: int) -> list[str]:
-    """What is wrong with the form of a road: laws, shapes, numbers."""
+def wrong_nonlinear_path(agent: AnyAgent, path: AgentPath, steps: int) -> list[str]:
+    """What is wrong with the form of a nonlinear path: laws, shapes, numbers."""
     d, m = agent.n_states, agent.n_inputs
     name = f"agent `{agent.name}`"
     if agent.laws is not None and not (
@@ -280,13 +280,13 @@ def wrong_road(agent: AnyAgent, path: AgentPath, steps: int) -> list[str]:
     return []
 
 
-def road_failure(certificate: PathCertificate, i: int) -> float:
-    """Return an upper bound on the probability that an inequality of agent i fails, along its road."""
+def nonlinear_failure(certificate: PathCertificate, i: int) -> float:
+    """Return an upper bound on the probability that an inequality of agent i fails, along its nonlinear path."""
     rows = Inequalities()
     try:
         for moment in moments(certificate.problem.agents[i], certificate.paths[i], rows):
             if moment.t:
                 moment.limits(certificate, rows)
-    except OffRoadError:
+    except NothingKnownError:
         return 1.0
     return rows.failure()

@@ -14,11 +14,11 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.envs.expressions import Program, read_expression
 from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.checking.gaussian_inequalities import Inequalities
+from certigym.synthesis.checking.linear_deviations import Chain
 from certigym.synthesis.checking.own_bends import expansion
-from certigym.synthesis.checking.road_chain import Chain
-from certigym.synthesis.checking.road_rows import Inequalities
-from certigym.synthesis.nominal_paths import road_candidates
-from certigym.synthesis.nominal_paths.road_search import Found, RoadSearch
+from certigym.synthesis.nominal_paths import feedback_bounds
+from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -27,7 +27,7 @@ FALSE_ALARM = 1e-6
 def problem_of(agents: list[Any], regions: dict[str, cg.Proposition], formula: str, horizon: int) -> cg.Problem:
     """Return a problem; formulas with G are judged at the end."""
     task = cg.Specification(formula, "finite-trace" if "G" in formula else "co-safe")
-    return cg.Problem(name="road", agents=agents, propositions=regions, specification=task, horizon=horizon)
+    return cg.Problem(name="path", agents=agents, propositions=regions, specification=task, horizon=horizon)
 
 
 def cart(**changes: Any) -> cg.Agent:
@@ -176,7 +176,7 @@ def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, ad
     """A third input moves nothing: what is asked of it is its box alone."""
     agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
     problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
-    search = RoadSearch(problem, 0)
+    search = NonlinearSearch(problem, 0)
     letters = np.zeros((6, 1), dtype=np.int8)
     letters[5] = 1
     found = search.quick(letters)
@@ -195,10 +195,10 @@ def noisy() -> cg.Problem:
 
 
 @pytest.fixture(scope="module")
-def searched() -> tuple[RoadSearch, Found, PathCertificate]:
+def searched() -> tuple[NonlinearSearch, Found, PathCertificate]:
     problem = noisy()
     certificate = path_of(problem)
-    search = RoadSearch(problem, 0)
+    search = NonlinearSearch(problem, 0)
     found = search.quick(certificate.letters)
     assert found is not None
     return search, found, replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
@@ -206,13 +206,13 @@ def searched() -> tuple[RoadSearch, Found, PathCertificate]:
 
 def without_the_tube(*arguments: Any) -> Any:
     """Remainders at the point in place of the tube: none."""
-    return 0.0 * road_candidates_remainders(*arguments)
+    return 0.0 * true_remainders(*arguments)
 
 
-road_candidates_remainders = road_candidates.remainders
+true_remainders = feedback_bounds.remainders
 
 
-class NoDrift(road_candidates._Walk):
+class NoDrift(feedback_bounds._Walk):
     """Tubes, inputs and limits that only linear deviations are kept from."""
 
     def of_rows(self, t: int, rows: Any) -> Any:
@@ -220,7 +220,7 @@ class NoDrift(road_candidates._Walk):
         return 0.0 * drift, variance
 
 
-class Unlimited(road_candidates._Walk):
+class Unlimited(feedback_bounds._Walk):
     """Inputs whose feedback is not asked to keep their limits."""
 
     def _step(self, t: int, reach: Any) -> Any:
@@ -230,7 +230,7 @@ class Unlimited(road_candidates._Walk):
         return result
 
 
-class NoTubeRows(road_candidates._Walk):
+class NoTubeRows(feedback_bounds._Walk):
     """Tubes that are not asked for in the product."""
 
     def walked(self) -> Any:
@@ -249,19 +249,19 @@ SABOTAGES: dict[str, tuple[str, Any]] = {
 
 @pytest.mark.parametrize("name", [*sorted(SABOTAGES), "jacobian of another step"])
 def test_sabotage_of_the_search_is_refused_by_the_check(
-    name: str, searched: tuple[RoadSearch, Found, PathCertificate], monkeypatch: pytest.MonkeyPatch
+    name: str, searched: tuple[NonlinearSearch, Found, PathCertificate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, found, certificate = searched
     assert cg.check(certificate), "honest"
-    road = found.road
+    nominal = found.nominal
     if name in SABOTAGES:
-        monkeypatch.setattr(road_candidates, *SABOTAGES[name])
+        monkeypatch.setattr(feedback_bounds, *SABOTAGES[name])
     else:
-        road = road_candidates.Road(road.model, road.limits, road.states, road.inputs)
-        road.__dict__["linear"] = tuple(np.roll(matrix, 1, axis=0) for matrix in found.road.linear)
+        nominal = feedback_bounds.NominalPath(nominal.model, nominal.limits, nominal.states, nominal.inputs)
+        nominal.__dict__["linear"] = tuple(np.roll(matrix, 1, axis=0) for matrix in found.nominal.linear)
     feedback = found.feedback
-    worth, spreads = road.worth(feedback)
-    path = AgentPath(found.road.inputs, feedback.gains[0], found.road.states, spreads.slabs)
+    worth, spreads = nominal.worth(feedback)
+    path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
     forged = replace(certificate, paths=(path,), failure=float(worth.failures()[0]))
     report = cg.check(forged)
     assert not report.valid and forged.failure < 0.99 * found.failure
@@ -271,7 +271,7 @@ def test_the_nominal_scale_of_noise_alone_is_refused(
     certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the scale varies on the tube joins the remainder, and slabs on the noise are asked for."""
-    certificate, search = certificates["tank"], RoadSearch(PROBLEMS["tank"], 0)
+    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0)
     found = search.quick(certificate.letters)
     assert found is not None
     honest = replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
@@ -279,10 +279,10 @@ def test_the_nominal_scale_of_noise_alone_is_refused(
     scale = search.model.scale
 
     def nominal(program: Any, *rest: Any) -> Any:
-        return road_candidates_remainders(program, *rest) * (0.0 if program is scale else 1.0)
+        return true_remainders(program, *rest) * (0.0 if program is scale else 1.0)
 
-    monkeypatch.setattr(road_candidates, "remainders", nominal)
-    worth, spreads = found.road.worth(found.feedback)
+    monkeypatch.setattr(feedback_bounds, "remainders", nominal)
+    worth, spreads = found.nominal.worth(found.feedback)
     path = replace(found.path, slabs=spreads.slabs)
     forged = replace(honest, paths=(path,), failure=float(worth.failures()[0]))
     assert forged.failure < 0.999 * found.failure and not cg.check(forged)
@@ -321,10 +321,10 @@ def test_tails_of_one_side_are_not_counted_twice() -> None:
     assert rows.failure() == 1.0
 
 
-def test_files_keep_roads(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+def test_files_keep_nonlinear_paths(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
     certificate = certificates["cart"]
-    cg.save_certificate(certificate, tmp_path / "road.npz")
-    again: Any = cg.load_certificate(tmp_path / "road.npz")
+    cg.save_certificate(certificate, tmp_path / "path.npz")
+    again: Any = cg.load_certificate(tmp_path / "path.npz")
     assert isinstance(again, PathCertificate) and again.failure == certificate.failure
     assert cg.check(again, certificate.problem).valid
     states = np.random.default_rng(0).normal(size=(4, 5))
@@ -335,9 +335,9 @@ def test_files_keep_roads(certificates: dict[str, PathCertificate], tmp_path: Pa
 
 
 def test_reports_show_the_tube(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
-    content = cg.report(certificates["cart"], tmp_path / "road.html", episodes=200)
+    content = cg.report(certificates["cart"], tmp_path / "path.html", episodes=200)
     assert content.checked is not None and content.checked.valid
-    page = (tmp_path / "road.html").read_text(encoding="utf-8")
+    page = (tmp_path / "path.html").read_text(encoding="utf-8")
     assert page.count("<svg") >= 1
     # Deviations that dynamics bend are not those of the tube: no probability is said of them.
     assert "the tube that linear deviations" in page and "kept with probability" not in page
@@ -375,7 +375,7 @@ def test_undefined_expressions_have_no_expansion() -> None:
     assert found.off[0] == np.inf
 
 
-def test_roads_are_taken_without_any_options() -> None:
+def test_nonlinear_paths_are_taken_without_any_options() -> None:
     """Four states have no grid; the example has five, two obstacles and nothing else."""
     assert isinstance(cg.synthesize(bend(8)).certificate, PathCertificate)
     example = Path(__file__).resolve().parents[1] / "examples" / "car_slalom.toml"
@@ -423,7 +423,7 @@ def test_outputs_may_bend() -> None:
     assert not cg.check(replace(certificate, failure=0.5 * certificate.failure))
 
 
-def test_what_roads_do_not_do_is_said() -> None:
+def test_what_nonlinear_paths_do_not_do_is_said() -> None:
     law = [{"law": "laplace", "scale": 0.01}] * 4
     with pytest.raises(ValueError, match="Gaussian noise"):
         cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")

@@ -1,4 +1,4 @@
-"""Ways around regions on a coarse grid of outputs: where a road may run at each time, before it is planned.
+"""Ways around regions on a coarse grid of outputs: where a nonlinear path may run at each time, before it is planned.
 
 By dynamic programming over times and cells: short steps, far from what must not be met. Dynamics are not asked. A
 second and a third way keep off the ones before, so that obstacles are passed on other sides.

@@ -1,4 +1,4 @@
-"""An agent as a search along roads reads it: steps, derivatives and remainders, for many candidates at once.
+"""An agent as a search along nonlinear paths reads it: steps, derivatives and remainders, for many candidates at once.
 
 What is found here is only as good as it has to be to find something: the check computes everything again.
 """
@@ -17,7 +17,7 @@ from ..cells import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class RoadModel:
+class NonlinearModel:
     """The dynamics of an agent as programs of states, inputs and unknowns."""
 
     agent: AnyAgent

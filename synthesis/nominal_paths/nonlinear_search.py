@@ -1,8 +1,8 @@
-"""The best road of one agent that is found: a way around regions, a plan, feedbacks and slabs, plans anew.
+"""The best nominal path of one agent that is found: a way around regions, a plan, feedbacks and slabs, plans anew.
 
 Feedbacks and slabs come from a random search with the bound itself as the objective: weights of linear-quadratic
 problems, and slabs in deviations. Plans are made anew with the deviations and drifts of what was found. Seeds are fixed
-and work is counted, never time: the same problem gives the same road everywhere.
+and work is counted, never time: the same problem gives the same nominal path everywhere.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath
-from .road_candidates import Feedback, Road, Spreads, Worth, regulators
-from .road_guess import guesses
-from .road_limits import limits_along, sides_of
-from .road_model import RoadModel
-from .road_plan import Aim, Planner
+from .coarse_ways import guesses
+from .feedback_bounds import Feedback, NominalPath, Spreads, Worth, regulators
+from .nominal_planner import Aim, Planner
+from .nonlinear_model import NonlinearModel
+from .path_limits import limits_along, sides_of
 
 BATCH = 24
 """Candidates that are looked at at once."""
@@ -28,7 +28,7 @@ GENERATIONS = 5
 """Batches of candidates after a plan, each closer around the best ones."""
 
 REPLANS = 3
-"""How often a road is planned anew."""
+"""How often a nominal path is planned anew."""
 
 AT_LIMIT = 1e-3
 """Share of its range within which an input counts as standing at its limit, and has no feedback."""
@@ -40,12 +40,12 @@ WIDEST = 0.15
 """Largest deviation that plans reckon with, as a share of a range."""
 
 ENOUGH = 1e-9
-"""Failure from which a road is not improved."""
+"""Failure from which a nominal path is not improved."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A road with the best feedback that was found for it.
+    """A nominal path with the best feedback that was found for it.
 
     ``score`` falls with the failure, and is a number also where the failure is 1; ``theta`` are the logarithms of the
     weights and slabs.
@@ -53,7 +53,7 @@ class Found:
 
     score: float
     failure: float
-    road: Road
+    nominal: NominalPath
     feedback: Feedback
     theta: FloatArray
     faces: NDArray[np.int64]
@@ -62,16 +62,16 @@ class Found:
 
     @property
     def path(self) -> AgentPath:
-        """The road as the certificate holds it."""
-        return AgentPath(self.road.inputs, self.feedback.gains[0], self.road.states, self.spreads.slabs)
+        """The nominal path as the certificate holds it."""
+        return AgentPath(self.nominal.inputs, self.feedback.gains[0], self.nominal.states, self.spreads.slabs)
 
 
-class RoadSearch:
-    """Roads of one agent of a problem."""
+class NonlinearSearch:
+    """Nominal paths of one agent of a problem."""
 
     def __init__(self, problem: Problem, i: int) -> None:
         self.problem, self.agent = problem, problem.agents[i]
-        self.model = RoadModel(self.agent)
+        self.model = NonlinearModel(self.agent)
         self.rng = np.random.default_rng([20261123, i])
         self.tried = 0
         agent = self.agent
@@ -81,7 +81,7 @@ class RoadSearch:
         self.spans = np.where(np.isfinite(high - low), high - low, 1.0)[0]
 
     def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None) -> Found | None:
-        """Return a road for letters (S + 1, P) after little work; None if none was found."""
+        """Return a nominal path for letters (S + 1, P) after little work; None if none was found."""
         best: Found | None = None
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
         for guess in guesses(self.problem, self.agent, letters, start):
@@ -93,7 +93,7 @@ class RoadSearch:
         return best
 
     def full(self, letters: NDArray[np.int8], found: Found) -> Found:
-        """Return a road that is better than one that was found, if there is time for one."""
+        """Return a nominal path that is better than one that was found, if there is time for one."""
         found = self._searched(found, GENERATIONS)
         for _ in range(REPLANS):
             if found.failure <= ENOUGH:
@@ -109,7 +109,7 @@ class RoadSearch:
         return found
 
     def _along(self, letters: NDArray[np.int8], guess: FloatArray, warm: FloatArray | None) -> Found | None:
-        """Return a road that follows a guess at first."""
+        """Return a nominal path that follows a guess at first."""
         agent, steps = self.agent, len(letters) - 1
         faces = sides_of(self.problem, agent, letters, guess, self.spans)
         limits = limits_along(self.problem, agent, letters, faces)
@@ -134,8 +134,8 @@ class RoadSearch:
             limits = limits_along(self.problem, agent, letters, faces)
             if limits.are_empty:
                 return None
-        road = self._road(letters, states, u, faces)
-        found = self._of_thetas(road, faces, self._thetas(warm))
+        nominal = self._snapped(letters, states, u, faces)
+        found = self._of_thetas(nominal, faces, self._thetas(warm))
         again = self._planned_anew(letters, found)
         return again if again is not None and again.score < found.score else found
 
@@ -152,10 +152,10 @@ class RoadSearch:
             u = np.clip(u + self.half * push, agent.input_low, agent.input_high)
         return u if np.all(np.isfinite(u)) else 0.5 * (agent.input_low + agent.input_high)
 
-    def _road(
+    def _snapped(
         self, letters: NDArray[np.int8], states: FloatArray, inputs: FloatArray, faces: NDArray[np.int64]
-    ) -> Road:
-        """Return a road with inputs near a limit put there."""
+    ) -> NominalPath:
+        """Return a nominal path with inputs near a limit put there."""
         agent = self.agent
         near = AT_LIMIT * 2.0 * self.half
         snapped = np.where(inputs <= agent.input_low + near, agent.input_low, inputs)
@@ -164,10 +164,10 @@ class RoadSearch:
         if np.any(snapped != inputs):
             aim_free = Planner(self.model, _nowhere(limits, self.agent.n_outputs, len(inputs)))
             states = aim_free.rolled(snapped)
-        return Road(self.model, limits, states, snapped)
+        return NominalPath(self.model, limits, states, snapped)
 
     def _planned_anew(self, letters: NDArray[np.int8], found: Found) -> Found | None:
-        """Return a road planned with the deviations and drifts of another one; None if that fails."""
+        """Return a nominal path planned with the deviations and drifts of another one; None if that fails."""
         agent, spreads = self.agent, found.spreads
         pairs = []
         for (sd, drift), width in zip(
@@ -175,9 +175,9 @@ class RoadSearch:
         ):
             sharp = np.clip(sd, 1e-5 * width, WIDEST * width)
             pairs.append((sharp, np.clip(QUARTER * drift, 0.0, WIDEST * width)))
-        outputs, _ = found.road.outputs
+        outputs, _ = found.nominal.outputs
         sharp = np.median(pairs[1][0], axis=0)
-        u, states, faces = found.road.inputs, found.road.states, found.faces
+        u, states, faces = found.nominal.inputs, found.nominal.states, found.faces
         for _ in range(3):
             limits = limits_along(self.problem, agent, letters, faces)
             aim = Aim(limits, pairs[0], pairs[1], pairs[2], outputs, np.zeros(agent.n_outputs))
@@ -189,15 +189,15 @@ class RoadSearch:
             if np.array_equal(new, faces) or limits_along(self.problem, agent, letters, new).are_empty:
                 break
             faces = new
-        road = self._road(letters, states, u, faces)
-        return self._of_thetas(road, faces, self._around([found.theta], 0.3, BATCH // 2))
+        nominal = self._snapped(letters, states, u, faces)
+        return self._of_thetas(nominal, faces, self._around([found.theta], 0.3, BATCH // 2))
 
     def _searched(self, found: Found, generations: int) -> Found:
-        """Return a road with the best feedback of some generations of candidates, each closer to the best ones."""
+        """Return a nominal path with the best feedback of some generations, each closer to the best candidates."""
         kept = [(found.score, found.theta)]
         for generation in range(generations):
             thetas = self._around([theta for _, theta in kept], 0.8 * 0.6**generation, BATCH)
-            better, scores = self._scored(found.road, found.faces, thetas)
+            better, scores = self._scored(found.nominal, found.faces, thetas)
             kept = sorted([*kept, *zip(scores.tolist(), thetas, strict=True)], key=lambda pair: pair[0])[:4]
             if better.score < found.score:
                 found = better
@@ -227,32 +227,39 @@ class RoadSearch:
         made[0] = parents[0]
         return made
 
-    def _of_thetas(self, road: Road, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
-        return self._scored(road, faces, thetas)[0]
+    def _of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
+        return self._scored(nominal, faces, thetas)[0]
 
-    def _scored(self, road: Road, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
+    def _scored(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
         """Return the best of some candidates, and the scores of all."""
-        feedback = self._feedback(road, thetas)
+        feedback = self._feedback(nominal, thetas)
         self.tried += len(thetas)
-        worth, _ = road.worth(feedback)
+        worth, _ = nominal.worth(feedback)
         scores = worth.scores()
         scores = np.where(np.isfinite(scores), scores, np.inf)
         best = int(np.argmin(scores))
         alone = Feedback(feedback.gains[best : best + 1], feedback.slabs[best : best + 1])
-        worth, spreads = road.worth(alone)
+        worth, spreads = nominal.worth(alone)
         found = Found(
-            float(scores[best]), float(worth.failures()[0]), road, alone, thetas[best], faces, spreads, _weakest(worth)
+            float(scores[best]),
+            float(worth.failures()[0]),
+            nominal,
+            alone,
+            thetas[best],
+            faces,
+            spreads,
+            _weakest(worth),
         )
         return found, scores
 
-    def _feedback(self, road: Road, thetas: FloatArray) -> Feedback:
+    def _feedback(self, nominal: NominalPath, thetas: FloatArray) -> Feedback:
         d, m = self.agent.n_states, self.agent.n_inputs
         base = np.concatenate([1.0 / (0.05 * self.width) ** 2, 1.0 / self.half**2, [1.0]])
         weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
         slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
         low, high = self.agent.input_low, self.agent.input_high
-        held = (road.inputs <= low) | (road.inputs >= high)
-        gains = regulators(road, weights, held)
+        held = (nominal.inputs <= low) | (nominal.inputs >= high)
+        gains = regulators(nominal, weights, held)
         return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), slabs)
 
 

@@ -2,7 +2,7 @@
 
 Limits are soft: a distance of z deviations from one costs ``-log Phi(z)``, which is the tail where that is small, and
 grows like a square beyond the limit. What deviations there are, and what drift, is given. Dynamics are hard, since
-every step of the iteration is a simulation under feedback. (Programs such as IPOPT find the same roads; the
+every step of the iteration is a simulation under feedback. (Programs such as IPOPT find the same nonlinear paths; the
 certificate needs none of them, and the package no dependence on a solver.)
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ..cells import FloatArray
-from .road_limits import Limits
-from .road_model import RoadModel
+from .nonlinear_model import NonlinearModel
+from .path_limits import Limits
 
 STEPS = 0.5 ** np.arange(8)
 """Shares of a step that are tried at once."""
@@ -55,7 +55,7 @@ class Aim:
 class Planner:
     """Plans for one agent and one aim."""
 
-    def __init__(self, model: RoadModel, aim: Aim) -> None:
+    def __init__(self, model: NonlinearModel, aim: Aim) -> None:
         self.model, self.aim, agent = model, aim, model.agent
         self.middle, half = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
         self.half = np.maximum(half, 1e-9)
@@ -108,7 +108,7 @@ class Planner:
         return states, inputs, cost
 
     def _feedback(self, states: FloatArray, inputs: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
-        """Return steps (S, m) and gains (S, m, d) of the linear-quadratic problem around a road."""
+        """Return steps (S, m) and gains (S, m, d) of the linear-quadratic problem around a nonlinear path."""
         aim, agent = self.aim, self.model.agent
         A, B = self.model.linear(states[:-1], inputs)
         steps, d, m = A.shape[0], A.shape[1], B.shape[2]

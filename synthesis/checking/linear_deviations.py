@@ -1,4 +1,4 @@
-"""Linear deviations along a road and how far the true ones drift from them: both from products of closed loops.
+"""Linear deviations along a path and how far the true ones drift from them: both from products of closed loops.
 
 With ``Phi(t, s) = F_(t-1) ... F_s`` the linear deviation is ``g_t = sum_s Phi(t, s+1) w_s``, and the true deviation
 adds ``sum_s Phi(t, s+1) r_s + Phi(t, 0) e_0`` with ``|r_s| <= R_s`` and ``|e_0| <= h``. So a row c of it is no larger

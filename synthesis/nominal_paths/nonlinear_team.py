@@ -1,4 +1,4 @@
-"""A certificate along roads: letters chosen from the automaton, the time of acceptance, and a road for each agent."""
+"""A certificate along nonlinear paths: letters from the automaton, the time of acceptance, a path for each agent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...envs.agents import AnyAgent, Gaussian
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, Synthesis
-from .road_search import Found, RoadSearch
+from .nonlinear_search import Found, NonlinearSearch
 from .words import Way, without_implied, without_needless
 
 MOST_PLANS = 6
@@ -29,10 +29,10 @@ GOOD = 1e-4
 """Failure from which no other times are tried."""
 
 HOPELESS = 1.0 - 1e-12
-"""Probability of failing from which a road counts as impossible."""
+"""Probability of failing from which a nonlinear path counts as impossible."""
 
 
-def refuse_roads(agent: AnyAgent) -> None:
+def refuse_other_noise(agent: AnyAgent) -> None:
     """Raise RelationRefused where the noise of an agent is not Gaussian."""
     is_scaled = agent.noise_scale is not None and all(isinstance(law, Gaussian) for law in agent.laws or ())
     if agent.laws is not None and not is_scaled:
@@ -40,18 +40,18 @@ def refuse_roads(agent: AnyAgent) -> None:
 
 
 class _Team:
-    """Roads of all agents for letters; what depends on an agent's own letters is searched once."""
+    """Nonlinear paths of all agents for letters; what depends on an agent's own letters is searched once."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.searches = [RoadSearch(problem, i) for i in range(problem.n_agents)]
+        self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
         self.known: dict[tuple[int, bytes], Found | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.best: tuple[float, tuple[Way, tuple[int, ...], int], NDArray[np.int8], list[Found]] | None = None
         self.stopped = ""
 
     def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
-        """Look for roads along a way that jumps at some times, and keep them if they are the best."""
+        """Look for nonlinear paths along a way that jumps at some times, and keep them if they are the best."""
         letters = letters_of(self.problem, way, times, steps)
         if letters is None:
             return
@@ -72,7 +72,7 @@ class _Team:
             self.best = score, (way, times, steps), letters, found
 
     def refined(self) -> tuple[tuple[int, ...], NDArray[np.int8], list[Found]]:
-        """Return times, letters and roads of the best plan after more work."""
+        """Return times, letters and nonlinear paths of the best plan after more work."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
         return times, letters, [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
@@ -83,8 +83,8 @@ class _Team:
                 if self.problem.propositions[names[p]].agent == agent.name]  # fmt: skip
 
 
-def road_certificate(problem: Problem, plans: Any) -> Synthesis:
-    """Return a certificate along roads, with its controllers.
+def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
+    """Return a certificate along nonlinear paths, with its controllers.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ def road_certificate(problem: Problem, plans: Any) -> Synthesis:
     Raises
     ------
     RelationRefused
-        If the noise of an agent is not Gaussian, or no road was found.
+        If the noise of an agent is not Gaussian, or no nonlinear path was found.
     """
     began = time.perf_counter()
     for agent in problem.agents:
-        refuse_roads(agent)
+        refuse_other_noise(agent)
     if problem.initial_q is None:
         raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
     team = _Team(problem)

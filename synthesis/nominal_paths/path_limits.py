@@ -1,4 +1,4 @@
-"""What has to hold along a road: limits of states and outputs at each time, from letters and the sides of regions."""
+"""What has to hold along a path: limits of states and outputs at each time, from letters and the sides of regions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What feedbacks and slabs along a road are worth: the bound of the certificate, for many of them at once.
+"""What feedbacks and slabs along a nominal path are worth: the bound of the certificate, for many of them at once.
 
 The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in plain floating point; a certificate says a
 little less than what is found here, and the check decides.
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import erfc, log_ndtr
 
 from ..cells import FloatArray
-from .road_limits import Limits
-from .road_model import RoadModel, remainders
+from .nonlinear_model import NonlinearModel, remainders
+from .path_limits import Limits
 
 OUTWARD = 1.0 + 1e-7
 """Factor on drifts and failures of what is claimed: the check rounds outward, and has enclosures of its own."""
@@ -108,7 +108,7 @@ def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Deviations and drifts of one candidate, by which a road is planned anew.
+    """Deviations and drifts of one candidate, by which a nominal path is planned anew.
 
     Arrays (S + 1, d), (S + 1, p) and (S, m) of states, outputs and inputs; ``slabs`` (S + 1, 2 d + m) are those of the
     certificate.
@@ -121,10 +121,10 @@ class Spreads:
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
+class NominalPath:
     """Nominal states (S + 1, d) and inputs (S, m) of an agent, with the limits along them."""
 
-    model: RoadModel
+    model: NonlinearModel
     limits: Limits
     states: FloatArray
     inputs: FloatArray
@@ -169,25 +169,25 @@ class Road:
 
 
 class _Walk:
-    """One walk along a road with N candidates."""
+    """One walk along a nominal path with N candidates."""
 
-    def __init__(self, road: Road, feedback: Feedback) -> None:
-        agent = road.model.agent
-        self.road, self.model, self.agent, self.feedback = road, road.model, agent, feedback
+    def __init__(self, nominal: NominalPath, feedback: Feedback) -> None:
+        agent = nominal.model.agent
+        self.nominal, self.model, self.agent, self.feedback = nominal, nominal.model, agent, feedback
         self.d, self.m, self.n = agent.n_states, agent.n_inputs, len(feedback.gains)
-        steps, d = len(road.inputs), self.d
+        steps, d = len(nominal.inputs), self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
         self.drifts = np.zeros((self.n, steps + 1, d))
         # The set of starts stands before the first remainder.
         self.products[:, 0] = np.eye(d)
         start = agent.initial
-        self.drifts[:, 0] = np.maximum(start.high - road.states[0], road.states[0] - start.low)
+        self.drifts[:, 0] = np.maximum(start.high - nominal.states[0], nominal.states[0] - start.low)
         self.covariance = np.zeros((self.n, d, d))
         self.worth = Worth()
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
-        low = np.concatenate([agent.state_low, agent.input_low, road.model.unknown[0]])
-        self.ends = low, np.concatenate([agent.state_high, agent.input_high, road.model.unknown[1]])
+        low = np.concatenate([agent.state_low, agent.input_low, nominal.model.unknown[0]])
+        self.ends = low, np.concatenate([agent.state_high, agent.input_high, nominal.model.unknown[1]])
         self.lost = LOST * width
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -198,25 +198,25 @@ class _Walk:
         return drift * OUTWARD, np.einsum("njd,nde,nje->nj", rows, self.covariance, rows)
 
     def walked(self) -> tuple[Worth, Spreads]:
-        road, d, m = self.road, self.d, self.m
-        steps, bent = len(road.inputs), self.model.bent
+        nominal, d, m = self.nominal, self.d, self.m
+        steps, bent = len(nominal.inputs), self.model.bent
         sd_x, sd_y, sd_u = np.zeros((steps + 1, d)), np.zeros((steps + 1, self.agent.n_outputs)), np.zeros((steps, m))
         dr_x, dr_y, dr_u = sd_x.copy(), sd_y.copy(), sd_u.copy()
         slabs = np.full((steps + 1, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
-            x = road.states[t]
+            x = nominal.states[t]
             drift, variance = self.of_rows(t, eye)
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
-            if len(road.limits.limited):
+            if len(nominal.limits.limited):
                 asked = asked | self.model.bent_outputs
             slab = np.where(asked, self.feedback.slabs[:, :d] * sd + self.least[:d], np.inf)
             reach = np.where(np.isinf(slab), np.inf, slab) + drift if t else drift
             reach = np.minimum(reach, np.maximum(self.agent.state_high - x, x - self.agent.state_low))
             sd_x[t], dr_x[t], slabs[t, :d] = sd[0], drift[0], slab[0]
             if t:
-                low, high = road.limits.states[:, t]
+                low, high = nominal.limits.states[:, t]
                 size = INWARD * np.abs(x)
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
                 self.worth.add(x - low - size - drift, high - x - size - drift, slab, sd**2, names)
@@ -227,12 +227,12 @@ class _Walk:
 
     def _outputs(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Add the limits of outputs; return deviations and drifts (p,) of the first candidate."""
-        low, high = self.road.limits.outputs[:, t]
-        y, matrix = self.road.outputs[0][t], self.road.outputs[1][t]
+        low, high = self.nominal.limits.outputs[:, t]
+        y, matrix = self.nominal.outputs[0][t], self.nominal.outputs[1][t]
         drift, variance = self.of_rows(t, matrix)
         if np.any(self.model.bent_outputs):
             ends = self.ends[0][: self.d], self.ends[1][: self.d]
-            at = self.road.states[t]
+            at = self.nominal.states[t]
             drift = drift + remainders(self.model.output, at, matrix, np.zeros_like(matrix), reach.T, ends).T * OUTWARD
         here = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
@@ -245,8 +245,8 @@ class _Walk:
 
     def _step(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises, of the first one."""
-        road, d, m = self.road, self.d, self.m
-        gain, u, agent = self.feedback.gains[:, t], road.inputs[t], self.agent
+        nominal, d, m = self.nominal, self.d, self.m
+        gain, u, agent = self.feedback.gains[:, t], nominal.inputs[t], self.agent
         drift, variance = self.of_rows(t, gain)
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         moved = np.any(gain != 0.0, axis=2)
@@ -259,16 +259,16 @@ class _Walk:
         high = np.where(moved, agent.input_high - u - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names)
-        ends, at = self.ends, np.concatenate([road.states[t], u, self.model.calm])
+        ends, at = self.ends, np.concatenate([nominal.states[t], u, self.model.calm])
         half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
         boxes = np.concatenate([reach.T, around.T, half])
-        A, B = road.linear[0][t], road.linear[1][t]
+        A, B = nominal.linear[0][t], nominal.linear[1][t]
         matrix = np.hstack([A, B, np.zeros((d, len(half)))])
-        centre = np.hstack([np.zeros((d, d + m)), road.by_unknowns[t]])
+        centre = np.hstack([np.zeros((d, d + m)), nominal.by_unknowns[t]])
         off = remainders(self.model.motion, at, matrix, centre, boxes, ends).T
         noise_slab = np.full((self.n, d), np.inf)
         if self.model.scale is not None:
-            varied = remainders(self.model.scale, at, np.zeros_like(matrix), road.scales[1][t], boxes, ends).T
+            varied = remainders(self.model.scale, at, np.zeros_like(matrix), nominal.scales[1][t], boxes, ends).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
             noise_slab = np.where(is_varied, self.feedback.slabs[:, d + m :], np.inf)
             off = off + np.where(is_varied, varied * self.model.deviations * np.where(is_varied, noise_slab, 0.0), 0.0)
@@ -282,13 +282,13 @@ class _Walk:
         self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
         self.products[:, t + 1] = np.eye(d)
         self.drifts[:, t + 1] = off
-        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + road.noise(t)
+        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + nominal.noise(t)
         self.covariance = np.clip(covariance, -1e60, 1e60)
         return sd[0], drift[0], np.concatenate([slab[0], noise_slab[0]])
 
 
-def regulators(road: Road, weights: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
-    """Return the feedbacks (N, S, m, d) of linear-quadratic problems along a road.
+def regulators(nominal: NominalPath, weights: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
+    """Return the feedbacks (N, S, m, d) of linear-quadratic problems along a nominal path.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def regulators(road: Road, weights: FloatArray, held: NDArray[np.bool_]) -> Floa
     held : (S, m) bool array
         Inputs that stay at their nominal values: those at a limit.
     """
-    A, B = road.linear
+    A, B = nominal.linear
     d, m, steps = A.shape[1], B.shape[2], len(A)
     n = len(weights)
     P = np.zeros((n, d, d))
