@@ -238,6 +238,8 @@ MUTANTS = [
         "synthesis/checking/gaussian_inequalities.py",
         ("chosen = np.where(as_slab, both, inner)", "chosen = np.where(as_slab, 0.5 * both, inner)"),
         ("np.sum(np.where(as_slab, 0.0, outer))", "0.0"),
+        ("np.where(is_unknown, 1.0, known)", "known"),
+        ("kept.append(np.where(np.isnan(distance), -np.inf, distance))", "kept.append(distance)"),
     ),
     *_in(
         "synthesis/checking/own_bends.py",

@@ -321,6 +321,29 @@ def test_tails_of_one_side_are_not_counted_twice() -> None:
     assert rows.failure() == 1.0
 
 
+@pytest.mark.parametrize("nothing", [-np.inf, np.nan])
+def test_limits_of_which_nothing_is_known_are_not_kept(nothing: float) -> None:
+    rows = Inequalities()
+    rows.add(np.array([nothing]), np.array([np.inf]), np.array([np.inf]), np.ones(1))
+    assert rows.failure() == 1.0
+    rows = Inequalities()
+    rows.add(np.ones(1), np.full(1, np.inf), np.full(1, np.inf), np.full(1, abs(nothing)))
+    assert rows.failure() == 1.0
+
+
+def test_outputs_of_which_nothing_is_known_on_the_tube_certify_nothing() -> None:
+    """The logarithm of a state that the tube takes beyond 0 has no bounds: no limit on it is kept."""
+    agent = cg.Agent(
+        name="one", states=["x"], inputs=["u"], dynamics=["x + u"], noise_covariance=[[1e-4]], state_low=[-1],
+        state_high=[1], input_low=[-1], input_high=[1], initial_state=[0.505], outputs=["log(x)"],
+    )  # fmt: skip
+    problem = problem_of([agent], {"bad": cg.Proposition("one", [-9.0], [-0.69])}, "G !bad", 1)
+    path = AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), 0.505), np.full((2, 3), np.inf))
+    letters, faces = np.array([[0], [-1]], dtype=np.int8), np.array([[-1], [1]])
+    for failure in (0.6, 0.99):
+        assert not cg.check(PathCertificate(problem, (path,), letters, faces, failure, {}))
+
+
 def test_files_keep_nonlinear_paths(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
     certificate = certificates["cart"]
     cg.save_certificate(certificate, tmp_path / "path.npz")

@@ -3,9 +3,9 @@
 Agents with Gaussian noise start from a point and apply ``u_t = ubar_t + K (x_t - xbar_t)``, where xbar is the
 nominal path under the nominal inputs ubar. Then all deviations of linear agents are jointly Gaussian with mean 0; those
 of others, along a *nonlinear path*, are so up to a drift. At every time the certificate says which propositions are to
-hold and which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a word that
-it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else is computed
-from the problem.
+hold and which are not; as long as they do, no agent leaves its workspace and no input its box, the automaton reads a
+word that it accepts. The certified bound is that of these linear inequalities (docs/theory/paths.md): everything else
+is computed from the problem.
 """
 
 from __future__ import annotations

@@ -30,9 +30,11 @@ class Inequalities:
     variance: list[FloatArray] = field(default_factory=list)
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray) -> None:
-        """Add inequalities; infinite where nothing is asked."""
-        for kept, new in zip((self.low, self.high, self.slab, self.variance), (low, high, slab, variance)):
-            kept.append(np.atleast_1d(np.asarray(new, dtype=float)))
+        """Add inequalities; infinite where nothing is asked. What is no number is not kept."""
+        for kept, new in zip((self.low, self.high, self.slab), (low, high, slab)):
+            distance = np.atleast_1d(np.asarray(new, dtype=float))
+            kept.append(np.where(np.isnan(distance), -np.inf, distance))
+        self.variance.append(np.atleast_1d(np.asarray(variance, dtype=float)))
 
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
@@ -56,11 +58,13 @@ def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatA
 def tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
     """Return upper bounds (J,) on the probabilities that Gaussian numbers of mean 0 exceed distances.
 
-    Without noise a distance is kept for sure if it is positive, else not.
+    Without noise a distance is kept for sure if it is positive, else not. A distance of which nothing is known, minus
+    infinity, is not kept.
     """
     scale = np.sqrt(2.0 * np.maximum(variance, SMALLEST))
     # Infinite distances are kept for sure; large quotients have no tail that floating point holds.
     z = np.clip(np.where(np.isfinite(distance), distance, 0.0) / scale, -1e3, 1e3)
     tail = np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)
     known = np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0))
-    return np.asarray(np.where(distance == np.inf, 0.0, known))
+    is_unknown = (distance == -np.inf) | ~np.isfinite(variance)
+    return np.asarray(np.where(distance == np.inf, 0.0, np.where(is_unknown, 1.0, known)))

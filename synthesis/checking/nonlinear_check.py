@@ -4,8 +4,8 @@ The nominal states xbar and inputs ubar are numbers of the certificate: any sequ
 ``u = ubar + K_t e`` the deviation obeys ``e' = F_t e + r_t(e) + w`` with any matrix F_t, and r_t is what the dynamics
 are off from it. Where ``|r_t| <= R_t`` on a tube around xbar_t, e is off the linear deviation ``g' = F_t g + w`` by no
 more than the support function of all R_s before (``linear_deviations``). The tube is ``|e_k| <= slab_k + drift_k`` with
-a slab on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the event
-that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
+a slab on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the
+event that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
 (docs/theory/paths.md, "Agents of any dynamics").
 
 All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
