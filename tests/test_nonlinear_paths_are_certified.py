@@ -235,7 +235,7 @@ class NoTubeRows(feedback_bounds._Walk):
 
     def walked(self) -> Any:
         worth, spreads = super().walked()
-        worth.slab = [np.full_like(part, np.inf) for part in worth.slab]
+        worth.slab = [np.full(part.shape, np.inf) for part in worth.slab]
         return worth, spreads
 
 

@@ -75,6 +75,9 @@ class PathCertificate:
         Upper bound on the probability that the task is not satisfied.
     settings : dict
         How the path was found.
+    normals : (S + 1, sum of p) array, optional
+        Of a task about pairs of agents, pair after pair: where one is not to hold, the direction (p,) of the half-space
+        ``n.(y_a - y_b) > max over the box of n.z`` in which its difference stays; elsewhere they say nothing.
     """
 
     problem: Problem
@@ -83,6 +86,7 @@ class PathCertificate:
     faces: NDArray[np.int64]
     failure: float
     settings: dict[str, Any]
+    normals: FloatArray | None = None
 
     bound = "path"
     rank = 1

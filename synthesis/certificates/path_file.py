@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.problem import problem_from_dict
+from ...envs.problem import Problem, problem_from_dict
 from .path_certificate import AgentPath, PathCertificate
 
 
@@ -23,6 +23,7 @@ def path_header(certificate: PathCertificate, put: Callable[[NDArray[Any]], int]
             "letters": put(certificate.letters),
             "faces": put(certificate.faces),
             "agents": [[put(array) for array in _arrays(path)] for path in certificate.paths],
+            **({} if certificate.normals is None else {"normals": put(certificate.normals)}),
         },
     }
 
@@ -58,4 +59,20 @@ def path_in(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> PathCert
         if len(numbers) == 4 and not np.all(stored[3] >= 0.0):
             raise ValueError(f"the slabs of agent {agent.name!r} are none")
         paths.append(AgentPath(*stored))
-    return PathCertificate(problem, tuple(paths), letters, faces, float(failure), header["settings"])
+    normals = _normals(problem, entry, arrays, len(letters))
+    return PathCertificate(problem, tuple(paths), letters, faces, float(failure), header["settings"], normals)
+
+
+def _normals(
+    problem: Problem, entry: dict[str, Any], arrays: dict[str, NDArray[Any]], times: int
+) -> NDArray[np.float64] | None:
+    """Return the directions of pairs (S + 1, sum of p); None for tasks that are about none."""
+    pairs = problem.labeling.pairs
+    if ("normals" in entry) != bool(pairs):
+        raise ValueError("it has directions of pairs and its problem has no pairs, or the other way round")
+    if not pairs:
+        return None
+    normals = np.asarray(arrays[str(int(entry["normals"]))], dtype=float)
+    if normals.shape != (times, sum(len(pair.low) for pair in pairs)) or not np.all(np.isfinite(normals)):
+        raise ValueError("its directions of pairs do not fit")
+    return normals

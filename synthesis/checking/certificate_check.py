@@ -129,7 +129,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         StartHull: _check_hull,
     }
     one = kinds.get(type(certificate), _check_one)
-    if problem.labeling.pairs and one in (_check_one, _check_path, _check_hull):
+    if problem.labeling.pairs and one in (_check_one, _check_hull):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     try:

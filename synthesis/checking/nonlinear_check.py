@@ -95,6 +95,11 @@ class Moment:
     chain: Chain
 
     @cached_property
+    def reach(self) -> FloatArray:
+        """Upper bounds (d,) on how far the true state is from the nominal one."""
+        return np.asarray(np.maximum(self.box[1] - self.at, self.at - self.box[0]) * TAIL)
+
+    @cached_property
     def outputs(self) -> Expansion:
         """Outputs around the nominal state."""
         return expansion(self.moving.outputs, self.moving.states, self.at, self.box, len(self.at))
@@ -183,7 +188,7 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
     t, d, m, chain = now.t, agent.n_states, agent.n_inputs, now.chain
     assert path.states is not None
     gain, u, following = path.gains[t], path.inputs[t], path.states[t + 1]
-    far = np.maximum(now.box[1] - now.at, now.at - now.box[0]) * TAIL
+    far = now.reach
     around, rounding = _inputs(agent, now, gain, u, rows)
     ranges = np.hstack([now.box, around, moving.ranges])
     calm = np.clip(0.5 * moving.ranges[0] + 0.5 * moving.ranges[1], moving.ranges[0], moving.ranges[1])
@@ -214,9 +219,8 @@ def _inputs(
     if np.any((u < low) | (u > high)):
         raise NothingKnownError(f"agent `{agent.name}`: its nominal input leaves the input box at step {now.t}")
     moved = np.any(gain != 0.0, axis=1)
-    far = np.maximum(now.box[1] - now.at, now.at - now.box[0]) * TAIL
     # Without feedback an input is its nominal value to the last bit; else sums and products round.
-    size = np.abs(gain) @ (far + UNIT * np.abs(now.at)) * TAIL
+    size = np.abs(gain) @ (now.reach + UNIT * np.abs(now.at)) * TAIL
     rounding = np.where(moved, 4.0 * (len(now.at) + 3.0) * UNIT * (np.abs(u) + size), 0.0)
     drift = chain.drift(gain)
     reach = np.minimum(now.slab[:m] + drift, size) + rounding if now.t else drift + rounding

@@ -19,6 +19,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .nonlinear_check import nonlinear_failure, wrong_nonlinear_path
+from .pair_limits_check import team_failure, wrong_normals
 from .roundings import SMALLEST, TAIL, UNIT
 from .start_check import wrong_start
 
@@ -171,6 +172,8 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
     failures = _wrong_word(certificate)
     if failures:
         return failures, 1.0
+    if problem.labeling.pairs:
+        return [], min(1.0, team_failure(certificate))
     log_kept = 0.0
     for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
         if path.states is not None:
@@ -218,7 +221,7 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
             failures.append(f"the inputs of agent `{agent.name}` do not fit")
         elif not (np.all(np.isfinite(path.inputs)) and np.all(np.isfinite(path.gain))):
             failures.append(f"the inputs of agent `{agent.name}` are no numbers")
-    return failures or wrong_start(problem)
+    return failures or wrong_normals(certificate) or wrong_start(problem)
 
 
 def _wrong_word(certificate: PathCertificate) -> list[str]:
@@ -238,11 +241,12 @@ def _wrong_word(certificate: PathCertificate) -> list[str]:
 
 def _known(problem: Problem, letter: list[int]) -> dict[int, bool]:
     """What is known of propositions: what the letter says, and that regions do not meet one that holds."""
-    names = problem.automaton.propositions
+    # Those about pairs come last, and are known by the letter alone.
+    names, first = problem.automaton.propositions, problem.labeling.first_pair
     known = {p: value > 0 for p, value in enumerate(letter) if value}
-    for p, name in enumerate(names):
+    for p, name in enumerate(names[:first]):
         region = problem.propositions[name]
-        for q, value in enumerate(letter):
+        for q, value in enumerate(letter[:first]):
             other = problem.propositions[names[q]]
             if p in known or value <= 0 or region.agent != other.agent:
                 continue

@@ -6,28 +6,20 @@ little less than what is found here, and the check decides.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc, log_ndtr
 
 from ..cells import FloatArray
+from .limit_rows import INWARD, OUTWARD, PAIR, Worth
 from .nonlinear_model import NonlinearModel, remainders
 from .path_limits import Limits
 
-OUTWARD = 1.0 + 1e-7
-"""Factor on drifts and failures of what is claimed: the check rounds outward, and has enclosures of its own."""
-
-INWARD = 1e-9
-"""Share of the size of a number by which distances are shortened."""
-
 LEAST = 1e-9
 """Slabs, as a share of the range of a state, of states without noise."""
-
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-"""Probabilities of all slabs for which rows are chosen to be slabs or tails."""
 
 LOST = 1e6
 """Drift, in ranges of states, from which a candidate is given up."""
@@ -41,93 +33,57 @@ class Feedback:
     slabs: FloatArray
 
 
-@dataclass(eq=False)
-class Worth:
-    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J)."""
-
-    low: list[FloatArray] = field(default_factory=list)
-    high: list[FloatArray] = field(default_factory=list)
-    slab: list[FloatArray] = field(default_factory=list)
-    variance: list[FloatArray] = field(default_factory=list)
-    names: list[str] = field(default_factory=list)
-
-    def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
-        """Add rows (N, J)."""
-        shape = variance.shape
-        for kept, new in zip((self.low, self.high, self.slab, self.variance), (low, high, slab, variance)):
-            kept.append(np.broadcast_to(new, shape))
-        self.names += names
-
-    @cached_property
-    def _all(self) -> tuple[FloatArray, ...]:
-        return tuple(np.concatenate(part, axis=1) for part in (self.low, self.high, self.slab, self.variance))
-
-    def scores(self) -> FloatArray:
-        """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
-        return np.log(np.maximum(self.soft().sum(axis=1), 1e-300))
-
-    def soft(self) -> FloatArray:
-        """Return what each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, slab, variance = self._all
-        one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
-        both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
-        apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
-        return np.minimum(both, apart)
-
-    def failures(self) -> FloatArray:
-        """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
-        low, high, slab, variance = self._all
-        both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
-        inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
-        outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
-        best = np.ones(len(low))
-        for share in SHARES:
-            as_slab = share * both <= share * inner + outer
-            chosen = np.where(as_slab, both, inner)
-            with np.errstate(divide="ignore"):
-                kept = np.sum(np.log1p(-chosen), axis=1)
-            best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
-        return np.minimum(1.0, best * OUTWARD)
-
-
-def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return distances in deviations, between -1000 and 1000."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        z = distance / np.sqrt(np.maximum(variance, 1e-300))
-    return np.clip(np.where(distance == np.inf, np.inf, np.where(np.isnan(z), -1e3, z)), -1e3, 1e3)
-
-
-def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
-    return np.where(distance == np.inf, 0.0, -log_ndtr(_quotient(distance, variance)))
-
-
-def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
-    tail = 0.5 * erfc(_quotient(distance, variance) / np.sqrt(2.0)) + 2e-300
-    return np.where(distance == np.inf, 0.0, np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0)))
-
-
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Deviations and drifts of one candidate, by which a nominal path is planned anew.
+    """Deviations and drifts of candidates, by which a nominal path is planned anew.
 
-    Arrays (S + 1, d), (S + 1, p) and (S, m) of states, outputs and inputs; ``slabs`` (S + 1, 2 d + m) are those of the
-    certificate.
+    Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``slabs`` (S + 1, .., 2 d + m)
+    are those of the certificate. Between times and numbers stand the candidates, if there are several.
     """
 
     states: tuple[FloatArray, FloatArray]
     outputs: tuple[FloatArray, FloatArray]
     inputs: tuple[FloatArray, FloatArray]
     slabs: FloatArray
+    pairs: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    """By times: drifts and variances (.., J) of what pairs ask of the agent."""
+
+    def of(self, candidate: int) -> Spreads:
+        """Return those of one candidate."""
+        each = [(sd[:, candidate], drift[:, candidate]) for sd, drift in (self.states, self.outputs, self.inputs)]
+        pairs = {t: (drift[candidate], variance[candidate]) for t, (drift, variance) in self.pairs.items()}
+        return Spreads(*each, self.slabs[:, candidate], pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherSides:
+    """What pairs ask of one agent at one time, as the other agents are now.
+
+    Parameters
+    ----------
+    forms : (.., J, p) array
+        Forms of the agent's outputs.
+    low, high : (.., J) arrays
+        Distances of the nominal differences from their limits, less the drifts of the others.
+    variance : (.., J) array
+        Variances that the others add.
+    """
+
+    forms: FloatArray
+    low: FloatArray
+    high: FloatArray
+    variance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class NominalPath:
-    """Nominal states (S + 1, d) and inputs (S, m) of an agent, with the limits along them."""
+    """Nominal states (S + 1, d) and inputs (S, m) of an agent, with the limits along them; ``pairs`` by times."""
 
     model: NonlinearModel
     limits: Limits
     states: FloatArray
     inputs: FloatArray
+    pairs: Mapping[int, OtherSides] = field(default_factory=dict)
 
     @cached_property
     def linear(self) -> tuple[FloatArray, FloatArray]:
@@ -157,96 +113,139 @@ class NominalPath:
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
         return values.T, np.abs(np.moveaxis(both, 2, 0))
 
-    def noise(self, t: int) -> FloatArray:
-        """Return the covariance (d, d) of the noise of step t."""
+    @cached_property
+    def noises(self) -> FloatArray:
+        """Covariances (S, d, d) of the noise."""
+        agent, steps = self.model.agent, len(self.inputs)
         if self.model.scale is None:
-            return self.model.agent.noise_covariance
-        return np.diag((self.scales[0][t] * self.model.deviations) ** 2)
+            return np.broadcast_to(agent.noise_covariance, (steps, agent.n_states, agent.n_states))
+        return np.array([np.diag((row * self.model.deviations) ** 2) for row in self.scales[0]])
 
     def worth(self, feedback: Feedback) -> tuple[Worth, Spreads]:
         """Return the rows of all candidates, and the spreads of the first one."""
-        return _Walk(self, feedback).walked()
+        worth, spreads = worth_of([self], feedback, np.zeros(len(feedback.gains), dtype=np.int64))
+        return worth, spreads.of(0)
+
+
+def worth_of(paths: Sequence[NominalPath], feedback: Feedback, which: NDArray[np.int64]) -> tuple[Worth, Spreads]:
+    """Return rows and spreads of N candidates at once, each along the path ``which`` (N,), of agents that are alike."""
+    return _Walk(paths, feedback, which).walked()
 
 
 class _Walk:
-    """One walk along a nominal path with N candidates."""
+    """One walk with N candidates along the nominal paths of agents with one model and the same ranges."""
 
-    def __init__(self, nominal: NominalPath, feedback: Feedback) -> None:
-        agent = nominal.model.agent
-        self.nominal, self.model, self.agent, self.feedback = nominal, nominal.model, agent, feedback
-        self.d, self.m, self.n = agent.n_states, agent.n_inputs, len(feedback.gains)
-        steps, d = len(nominal.inputs), self.d
+    def __init__(self, paths: Sequence[NominalPath], feedback: Feedback, which: NDArray[np.int64]) -> None:
+        self.model, self.feedback, self.n = paths[0].model, feedback, len(which)
+        agent = self.agent = self.model.agent
+        self.d, self.m, self.steps = agent.n_states, agent.n_inputs, len(paths[0].inputs)
+        # What belongs to the paths, candidate by candidate: times, candidates, and the rest.
+        self.x, self.u = (self._each(paths, which, lambda p, k=k: (p.states, p.inputs)[k]) for k in (0, 1))
+        self.A, self.B = (self._each(paths, which, lambda p, k=k: p.linear[k]) for k in (0, 1))
+        self.y, self.C = (self._each(paths, which, lambda p, k=k: p.outputs[k]) for k in (0, 1))
+        self.unknowns = self._each(paths, which, lambda p: p.by_unknowns)
+        self.noises = self._each(paths, which, lambda p: p.noises)
+        self.limits_x = [self._each(paths, which, lambda p, k=k: p.limits.states[k]) for k in (0, 1)]
+        self.limits_y = [self._each(paths, which, lambda p, k=k: p.limits.outputs[k]) for k in (0, 1)]
+        if self.model.scale is not None:
+            self.slopes = self._each(paths, which, lambda p: p.scales[1])
+        self.asked = _padded(paths, which)
+        self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
+        steps, d = self.steps, self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
         self.drifts = np.zeros((self.n, steps + 1, d))
         # The set of starts stands before the first remainder.
         self.products[:, 0] = np.eye(d)
-        start = agent.initial
-        self.drifts[:, 0] = np.maximum(start.high - nominal.states[0], nominal.states[0] - start.low)
+        starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
+                  for p in paths]  # fmt: skip
+        self.drifts[:, 0] = np.array(starts)[which]
         self.covariance = np.zeros((self.n, d, d))
         self.worth = Worth()
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
-        low = np.concatenate([agent.state_low, agent.input_low, nominal.model.unknown[0]])
-        self.ends = low, np.concatenate([agent.state_high, agent.input_high, nominal.model.unknown[1]])
+        low = np.concatenate([agent.state_low, agent.input_low, self.model.unknown[0]])
+        self.ends = low, np.concatenate([agent.state_high, agent.input_high, self.model.unknown[1]])
         self.lost = LOST * width
+
+    def _each(
+        self, paths: Sequence[NominalPath], which: NDArray[np.int64], read: Callable[[NominalPath], FloatArray]
+    ) -> FloatArray:
+        """Return arrays (times, N, ..) of what is read of each path (times, ..)."""
+        return np.stack([read(path) for path in paths], axis=1)[:, which]
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
         moved = np.abs(np.matmul(rows[:, None], self.products[:, : t + 1]))
         drift = np.einsum("nsjd,nsd->nj", moved, self.drifts[:, : t + 1])
-        return drift * OUTWARD, np.einsum("njd,nde,nje->nj", rows, self.covariance, rows)
+        return drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
 
     def walked(self) -> tuple[Worth, Spreads]:
-        nominal, d, m = self.nominal, self.d, self.m
-        steps, bent = len(nominal.inputs), self.model.bent
-        sd_x, sd_y, sd_u = np.zeros((steps + 1, d)), np.zeros((steps + 1, self.agent.n_outputs)), np.zeros((steps, m))
-        dr_x, dr_y, dr_u = sd_x.copy(), sd_y.copy(), sd_u.copy()
-        slabs = np.full((steps + 1, 2 * d + m), np.inf)
+        d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
+        states, outputs = np.zeros((2, steps + 1, n, d)), np.zeros((2, steps + 1, n, self.agent.n_outputs))
+        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, FloatArray]]()
+        slabs = np.full((steps + 1, n, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
-            x = nominal.states[t]
+            x = self.x[t]
             drift, variance = self.of_rows(t, eye)
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
-            if len(nominal.limits.limited):
+            if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
             slab = np.where(asked, self.feedback.slabs[:, :d] * sd + self.least[:d], np.inf)
             reach = np.where(np.isinf(slab), np.inf, slab) + drift if t else drift
             reach = np.minimum(reach, np.maximum(self.agent.state_high - x, x - self.agent.state_low))
-            sd_x[t], dr_x[t], slabs[t, :d] = sd[0], drift[0], slab[0]
+            states[0, t], states[1, t], slabs[t, :, :d] = sd, drift, slab
             if t:
-                low, high = nominal.limits.states[:, t]
+                low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
                 self.worth.add(x - low - size - drift, high - x - size - drift, slab, sd**2, names)
-                sd_y[t], dr_y[t] = self._outputs(t, reach)
+                outputs[0, t], outputs[1, t] = self._outputs(t, reach)
+                if t in self.asked:
+                    pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
-                sd_u[t], dr_u[t], slabs[t, d:] = self._step(t, reach)
-        return self.worth, Spreads((sd_x, dr_x), (sd_y, dr_y), (sd_u, dr_u), slabs)
+                inputs[0, t], inputs[1, t], slabs[t, :, d:] = self._step(t, reach)
+        return self.worth, Spreads(tuple(states), tuple(outputs), tuple(inputs), slabs, pairs)
+
+    def _off_outputs(self, t: int, reach: FloatArray) -> FloatArray:
+        """Return what outputs (N, p) are off their linear forms."""
+        if not np.any(self.model.bent_outputs):
+            return np.zeros(self.y[t].shape)
+        ends = self.ends[0][: self.d], self.ends[1][: self.d]
+        matrix = np.moveaxis(self.C[t], 0, 2)
+        return remainders(self.model.output, self.x[t].T, matrix, np.zeros_like(matrix), reach.T, ends).T * OUTWARD
 
     def _outputs(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add the limits of outputs; return deviations and drifts (p,) of the first candidate."""
-        low, high = self.nominal.limits.outputs[:, t]
-        y, matrix = self.nominal.outputs[0][t], self.nominal.outputs[1][t]
-        drift, variance = self.of_rows(t, matrix)
-        if np.any(self.model.bent_outputs):
-            ends = self.ends[0][: self.d], self.ends[1][: self.d]
-            at = self.nominal.states[t]
-            drift = drift + remainders(self.model.output, at, matrix, np.zeros_like(matrix), reach.T, ends).T * OUTWARD
-        here = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        """Add the limits of outputs; return their deviations and drifts (N, p)."""
+        low, high = (end[t] for end in self.limits_y)
+        y = self.y[t]
+        drift, variance = self.of_rows(t, self.C[t])
+        drift = drift + self._off_outputs(t, reach)
+        here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         if len(here):
             size = INWARD * (np.abs(y) + 1e-3)
             names = [f"output {k} at step {t}" for k in here]
             rows = (y - low - size - drift)[:, here], (high - y - size - drift)[:, here]
             self.worth.add(*rows, np.full((self.n, len(here)), np.inf), sd[:, here] ** 2, names)
-        return sd[0], drift[0]
+        return sd, drift
+
+    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, FloatArray]:
+        """Add the limits of differences of this agent and others; return its own drifts and variances (N, J)."""
+        drift, variance = self.of_rows(t, np.matmul(asked.forms, self.C[t]))
+        if np.any(self.model.bent_outputs):
+            drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), self._off_outputs(t, reach)) * OUTWARD
+        nothing = np.full(drift.shape, np.inf)
+        names = [f"{PAIR} at step {t}"] * drift.shape[1]
+        self.worth.add(asked.low - drift, asked.high - drift, nothing, variance + asked.variance, names)
+        return drift, variance
 
     def _step(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises, of the first one."""
-        nominal, d, m = self.nominal, self.d, self.m
-        gain, u, agent = self.feedback.gains[:, t], nominal.inputs[t], self.agent
+        """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises."""
+        d, m = self.d, self.m
+        gain, u, agent = self.feedback.gains[:, t], self.u[t], self.agent
         drift, variance = self.of_rows(t, gain)
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         moved = np.any(gain != 0.0, axis=2)
@@ -259,16 +258,19 @@ class _Walk:
         high = np.where(moved, agent.input_high - u - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names)
-        ends, at = self.ends, np.concatenate([nominal.states[t], u, self.model.calm])
+        calm = np.repeat(self.model.calm[:, None], self.n, axis=1)
+        ends, at = self.ends, np.concatenate([self.x[t].T, u.T, calm])
         half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
         boxes = np.concatenate([reach.T, around.T, half])
-        A, B = nominal.linear[0][t], nominal.linear[1][t]
-        matrix = np.hstack([A, B, np.zeros((d, len(half)))])
-        centre = np.hstack([np.zeros((d, d + m)), nominal.by_unknowns[t]])
+        A, B = self.A[t], self.B[t]
+        matrix = np.concatenate([A, B, np.zeros((self.n, d, len(half)))], axis=2).transpose(1, 2, 0)
+        centre = np.concatenate([np.zeros((self.n, d, d + m)), self.unknowns[t]], axis=2).transpose(1, 2, 0)
         off = remainders(self.model.motion, at, matrix, centre, boxes, ends).T
         noise_slab = np.full((self.n, d), np.inf)
         if self.model.scale is not None:
-            varied = remainders(self.model.scale, at, np.zeros_like(matrix), nominal.scales[1][t], boxes, ends).T
+            varied = remainders(
+                self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
+            ).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
             noise_slab = np.where(is_varied, self.feedback.slabs[:, d + m :], np.inf)
             off = off + np.where(is_varied, varied * self.model.deviations * np.where(is_varied, noise_slab, 0.0), 0.0)
@@ -282,38 +284,24 @@ class _Walk:
         self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
         self.products[:, t + 1] = np.eye(d)
         self.drifts[:, t + 1] = off
-        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + nominal.noise(t)
+        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + self.noises[t]
         self.covariance = np.clip(covariance, -1e60, 1e60)
-        return sd[0], drift[0], np.concatenate([slab[0], noise_slab[0]])
+        return sd, drift, np.concatenate([slab, noise_slab], axis=1)
 
 
-def regulators(nominal: NominalPath, weights: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
-    """Return the feedbacks (N, S, m, d) of linear-quadratic problems along a nominal path.
-
-    Parameters
-    ----------
-    weights : (N, d + m + 1) array
-        Costs of states and inputs, and the factor on those of the last states.
-    held : (S, m) bool array
-        Inputs that stay at their nominal values: those at a limit.
-    """
-    A, B = nominal.linear
-    d, m, steps = A.shape[1], B.shape[2], len(A)
-    n = len(weights)
-    P = np.zeros((n, d, d))
-    index = np.arange(d)
-    P[:, index, index] = weights[:, :d] * weights[:, -1:]
-    R = np.zeros((n, m, m))
-    R[:, np.arange(m), np.arange(m)] = weights[:, d : d + m]
-    gains = np.zeros((n, steps, m, d))
-    for t in range(steps - 1, -1, -1):
-        free = np.where(held[t], 0.0, B[t])
-        PB = np.matmul(P, free)
-        gain = -np.linalg.solve(R + np.matmul(free.T, PB), np.matmul(PB.swapaxes(1, 2), A[t]))
-        gain = np.where(held[t][:, None], 0.0, gain)
-        closed = A[t] + np.matmul(free, gain)
-        P = np.matmul(A[t].T, np.matmul(P, closed))
-        P = 0.5 * (P + P.swapaxes(1, 2))
-        P[:, index, index] += weights[:, :d]
-        gains[:, t] = gain
-    return gains
+def _padded(paths: Sequence[NominalPath], which: NDArray[np.int64]) -> dict[int, OtherSides]:
+    """Return what pairs ask of N candidates at each time, with rows that ask for nothing where some have fewer."""
+    result = {}
+    for t in sorted({t for path in paths for t in path.pairs}):
+        most = max(len(path.pairs[t].low) for path in paths if t in path.pairs)
+        p = paths[0].model.agent.n_outputs
+        forms, variance = np.zeros((len(paths), most, p)), np.zeros((len(paths), most))
+        low, high = np.full((len(paths), most), np.inf), np.full((len(paths), most), np.inf)
+        for k, path in enumerate(paths):
+            if t in path.pairs:
+                one = path.pairs[t]
+                count = len(one.low)
+                forms[k, :count], variance[k, :count] = one.forms, one.variance
+                low[k, :count], high[k, :count] = one.low, one.high
+        result[t] = OtherSides(forms[which], low[which], high[which], variance[which])
+    return result

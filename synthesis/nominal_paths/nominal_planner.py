@@ -8,14 +8,16 @@ certificate needs none of them, and the package no dependence on a solver.)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
+from .pair_costs import PairAim
 from .path_limits import Limits
+from .soft_costs import soft_costs
 
 STEPS = 0.5 ** np.arange(8)
 """Shares of a step that are tried at once."""
@@ -42,6 +44,8 @@ class Aim:
     guess : (S + 1, p) array
         Outputs to follow, with a weight (p,) for each.
     weight : (p,) array
+    pairs : sequence of PairAim
+        Of a team, planned together as if it were one agent.
     """
 
     limits: Limits
@@ -50,6 +54,12 @@ class Aim:
     inputs: tuple[FloatArray, FloatArray]
     guess: FloatArray
     weight: FloatArray
+    pairs: Sequence[PairAim] = ()
+
+    @property
+    def asks_of_outputs(self) -> bool:
+        """Whether outputs cost anything."""
+        return bool(np.any(self.weight)) or bool(len(self.limits.limited)) or bool(self.pairs)
 
 
 class Planner:
@@ -74,14 +84,16 @@ class Planner:
         total = CALM * np.sum(((inputs - self.middle[:, None]) / self.half[:, None]) ** 2, axis=(0, 1))
         agent = self.model.agent
         ends = (agent.input_low, agent.input_high)
-        total = total + _costs(inputs, ends, *aim.inputs)[0].sum(axis=(0, 1))
-        total = total + _costs(states, aim.limits.states, *aim.states)[0].sum(axis=(0, 1))
-        if np.any(aim.weight) or len(aim.limits.limited):
+        total = total + soft_costs(inputs, ends, *aim.inputs)[0].sum(axis=(0, 1))
+        total = total + soft_costs(states, aim.limits.states, *aim.states)[0].sum(axis=(0, 1))
+        if aim.asks_of_outputs:
             s, d, n = states.shape
             flat = np.ascontiguousarray(np.moveaxis(states, 1, 0).reshape(d, -1))
             outputs = np.moveaxis(self.model.output.values(flat).reshape(-1, s, n), 0, 1)
-            total = total + _costs(outputs, aim.limits.outputs, *aim.outputs)[0].sum(axis=(0, 1))
+            total = total + soft_costs(outputs, aim.limits.outputs, *aim.outputs)[0].sum(axis=(0, 1))
             total = total + np.sum(aim.weight[:, None] * (outputs - aim.guess[:, :, None]) ** 2, axis=(0, 1))
+            for pairs in aim.pairs:
+                total = total + pairs.cost(outputs)
         return np.where(np.isfinite(total), total, np.inf)
 
     def improved(self, inputs: FloatArray, rounds: int) -> tuple[FloatArray, FloatArray, float]:
@@ -112,17 +124,22 @@ class Planner:
         aim, agent = self.aim, self.model.agent
         A, B = self.model.linear(states[:-1], inputs)
         steps, d, m = A.shape[0], A.shape[1], B.shape[2]
-        _, slope, bend = _costs(states[:, :, None], aim.limits.states, *aim.states)
+        _, slope, bend = soft_costs(states[:, :, None], aim.limits.states, *aim.states)
         gx, hx = slope[:, :, 0], np.zeros((steps + 1, d, d))
         hx[:, np.arange(d), np.arange(d)] = bend[:, :, 0]
-        if np.any(aim.weight) or len(aim.limits.limited):
+        if aim.asks_of_outputs:
             y, C = self.model.outputs(states)
-            _, slope, bend = _costs(y[:, :, None], aim.limits.outputs, *aim.outputs)
+            _, slope, bend = soft_costs(y[:, :, None], aim.limits.outputs, *aim.outputs)
             first = slope[:, :, 0] + 2.0 * aim.weight * (y - aim.guess)
             second = bend[:, :, 0] + 2.0 * aim.weight
+            full = np.zeros((steps + 1, y.shape[1], y.shape[1]))
+            full[:, np.arange(y.shape[1]), np.arange(y.shape[1])] = second
+            for pairs in aim.pairs:
+                slopes, bends = pairs.derivatives(y)
+                first, full = first + slopes, full + bends
             gx = gx + np.einsum("tp,tpd->td", first, C)
-            hx = hx + np.einsum("tpd,tp,tpe->tde", C, second, C)
-        _, slope, bend = _costs(inputs[:, :, None], (agent.input_low, agent.input_high), *aim.inputs)
+            hx = hx + np.matmul(C.swapaxes(1, 2), np.matmul(full, C))
+        _, slope, bend = soft_costs(inputs[:, :, None], (agent.input_low, agent.input_high), *aim.inputs)
         gu = slope[:, :, 0] + 2.0 * CALM * (inputs - self.middle) / self.half**2
         hu = bend[:, :, 0] + 2.0 * CALM / self.half**2
         push, gain = np.zeros((steps, m)), np.zeros((steps, m, d))
@@ -162,24 +179,3 @@ class Planner:
                 all_x.append(x)
                 all_u.append(u)
         return np.array(all_x), np.array(all_u)
-
-
-def _costs(
-    values: FloatArray, ends: tuple[FloatArray, FloatArray] | FloatArray, sharp: FloatArray, drift: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return costs, slopes and second derivatives of values (S, k, n) between limits (S, k) or (k,)."""
-    total, slope, bend = np.zeros(values.shape), np.zeros(values.shape), np.zeros(values.shape)
-    for side, end in ((1.0, ends[0]), (-1.0, ends[1])):
-        if not np.any(np.isfinite(end)):
-            continue
-        wide = np.broadcast_to(end, values.shape[:2])[:, :, None]
-        with np.errstate(all="ignore"):
-            z = (side * (values - wide) - drift[:, :, None]) / sharp[:, :, None]
-            z = np.where(np.isfinite(wide), np.clip(z, -1e6, 1e6), 1e6)
-            log = log_ndtr(z)
-            hazard = np.exp(np.minimum(-0.5 * z * z - 0.9189385332046727 - log, 700.0))
-        hazard = np.where(z < -1e3, -z, hazard)
-        total -= np.where(np.isnan(z), -np.inf, log)
-        slope -= side * hazard / sharp[:, :, None]
-        bend += np.maximum(hazard * (z + hazard), 0.0) / sharp[:, :, None] ** 2
-    return total, slope, bend

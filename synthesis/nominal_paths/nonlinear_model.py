@@ -140,17 +140,17 @@ def remainders(
     reach: FloatArray,
     ends: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Return bounds (p, n) on what expressions are off their linear forms within ``reach`` (v, n) of ``at`` (v,).
+    """Return bounds (p, n) on what expressions are off their linear forms within ``reach`` (v, n) of ``at`` (v, n).
 
-    ``slopes`` (p, v) is the matrix of the linear forms, ``centre`` (p, v) what derivatives at the point are off from
-    it, ``ends`` closed limits (v,) within which variables stay. Not numbers where nothing is known.
+    ``slopes`` (p, v, n) is the matrix of the linear forms, ``centre`` (p, v, n) what derivatives at the point are off
+    from it, ``ends`` closed limits (v,) within which variables stay. Not numbers where nothing is known.
     """
-    low = np.maximum(at[:, None] - reach, np.minimum(ends[0], at)[:, None])
-    high = np.minimum(at[:, None] + reach, np.maximum(ends[1], at)[:, None])
-    far = np.maximum(high - at[:, None], at[:, None] - low)
+    low = np.maximum(at - reach, np.minimum(ends[0][:, None], at))
+    high = np.minimum(at + reach, np.maximum(ends[1][:, None], at))
+    far = np.maximum(high - at, at - low)
     off = np.empty((len(program.results), reach.shape[1]))
     for i, (_, first, bends) in enumerate(program.curved([*zip(low, high, strict=True)])):
-        total, mean = centre[i] @ far, np.zeros(reach.shape[1])
+        total, mean = np.sum(centre[i] * far, axis=0), np.zeros(reach.shape[1])
         for (j, k), (a, b) in bends.items():
             total = total + (0.5 if j == k else 1.0) * np.maximum(np.abs(a), np.abs(b)) * far[j] * far[k]
         if bends:

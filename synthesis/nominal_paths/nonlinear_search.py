@@ -7,6 +7,7 @@ and work is counted, never time: the same problem gives the same nominal path ev
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,11 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath
 from .coarse_ways import guesses
-from .feedback_bounds import Feedback, NominalPath, Spreads, Worth, regulators
+from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
 from .nominal_planner import Aim, Planner
 from .nonlinear_model import NonlinearModel
 from .path_limits import limits_along, sides_of
+from .regulators import regulators
 
 BATCH = 24
 """Candidates that are looked at at once."""
@@ -38,6 +40,9 @@ QUARTER = 0.25
 
 WIDEST = 0.15
 """Largest deviation that plans reckon with, as a share of a range."""
+
+PURSUED, LOOK_AHEAD = 100, 3
+"""Inputs that are tried at each step of running after a guess, and steps for which they are held."""
 
 ENOUGH = 1e-9
 """Failure from which a nominal path is not improved."""
@@ -94,14 +99,14 @@ class NonlinearSearch:
 
     def full(self, letters: NDArray[np.int8], found: Found) -> Found:
         """Return a nominal path that is better than one that was found, if there is time for one."""
-        found = self._searched(found, GENERATIONS)
+        found = self.searched(found, GENERATIONS)
         for _ in range(REPLANS):
             if found.failure <= ENOUGH:
                 break
             again = self._planned_anew(letters, found)
             if again is None:
                 break
-            again = self._searched(again, GENERATIONS)
+            again = self.searched(again, GENERATIONS)
             if again.score >= found.score - 1e-3:
                 found = again if again.score < found.score else found
                 break
@@ -120,9 +125,7 @@ class NonlinearSearch:
             np.tile(0.05 * self.half, (steps, 1)),
         )  # fmt: skip
         x, y, push = ((each, np.zeros_like(each)) for each in sharp)
-        # A little off, so that nothing stays on a line of symmetry.
-        off = 0.05 * self.half * self.rng.standard_normal((steps, len(self.half)))
-        u = np.clip(self._still() + off, agent.input_low, agent.input_high)
+        u = self.first_inputs(steps)
         for weight, rounds in ((30.0, 30), (1.0, 30), (0.0, 60)):
             aim = Aim(limits, x, y, push, guess, np.full(agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
             states, u, cost = Planner(self.model, aim).improved(u, rounds)
@@ -134,10 +137,62 @@ class NonlinearSearch:
             limits = limits_along(self.problem, agent, letters, faces)
             if limits.are_empty:
                 return None
-        nominal = self._snapped(letters, states, u, faces)
-        found = self._of_thetas(nominal, faces, self._thetas(warm))
+        nominal = self.snapped(letters, states, u, faces)
+        found = self.of_thetas(nominal, faces, self.thetas(warm))
         again = self._planned_anew(letters, found)
         return again if again is not None and again.score < found.score else found
+
+    @property
+    def n_numbers(self) -> int:
+        """How many logarithms of weights and slabs a candidate has."""
+        d, m = self.agent.n_states, self.agent.n_inputs
+        return (d + m + 1) + (2 * d + m)
+
+    def first_inputs(self, steps: int) -> FloatArray:
+        """Return inputs (S, m) that stand nearly still: a little off, so that nothing stays on a line of symmetry."""
+        off = 0.05 * self.half * self.rng.standard_normal((steps, len(self.half)))
+        return np.clip(self._still() + off, self.agent.input_low, self.agent.input_high)
+
+    def followed(
+        self, letters: NDArray[np.int8], guess: FloatArray, faces: NDArray[np.int64], weight: float, rounds: int
+    ) -> FloatArray:
+        """Return inputs (S, m) that follow a guess (S + 1, p) of outputs, with a weight, for some rounds of planning."""
+        steps, limits = len(letters) - 1, limits_along(self.problem, self.agent, letters, faces)
+        sharp = (
+            np.tile(0.02 * self.width, (steps + 1, 1)), np.tile(0.02 * self.spans, (steps + 1, 1)),
+            np.tile(0.05 * self.half, (steps, 1)),
+        )  # fmt: skip
+        x, y, push = ((each, np.zeros_like(each)) for each in sharp)
+        aim = Aim(limits, x, y, push, guess, np.full(self.agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
+        planner = Planner(self.model, aim)
+        starts = [self.first_inputs(steps), self._pursued(guess)]
+        costs = [float(planner.cost(planner.rolled(u)[:, :, None], u[:, :, None])[0]) for u in starts]
+        return planner.improved(starts[int(np.argmin(costs))], rounds)[1]
+
+    def _pursued(self, guess: FloatArray) -> FloatArray:
+        """Return inputs (S, m) by which an agent runs after a guess: at each step the best of some constant ones."""
+        agent, steps = self.agent, len(guess) - 1
+        x, inputs = 0.5 * (agent.initial.low + agent.initial.high), []
+        still = self._still()
+        for t in range(steps):
+            share = self.rng.uniform(-1.0, 1.0, (PURSUED, len(still)))
+            tried = 0.5 * (agent.input_low + agent.input_high) + share * self.half
+            last = inputs[-1] if inputs else still
+            # Some are near the last ones, so that inputs need not jump.
+            tried[: PURSUED // 2] = last + 0.2 * (tried[: PURSUED // 2] - last)
+            tried[0], tried[1] = last, still
+            u = tried.T
+            states, cost = np.repeat(x[:, None], PURSUED, axis=1), np.zeros(PURSUED)
+            for k in range(1, LOOK_AHEAD + 1):
+                states = self.model.step(states, u)
+                miss = (self.model.output.values(states) - guess[min(t + k, steps)][:, None]) / self.spans[:, None]
+                cost = cost + np.sum(miss**2, axis=0)
+            beyond = np.maximum(agent.state_low[:, None] - states, states - agent.state_high[:, None])
+            cost = cost + np.sum(np.maximum(beyond / self.width[:, None], 0.0), axis=0)
+            best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
+            inputs.append(tried[best])
+            x = self.model.step(x[:, None], tried[best][:, None])[:, 0]
+        return np.array(inputs)
 
     def _still(self) -> FloatArray:
         """Return the input (m,) that keeps the start where it is best, by least squares."""
@@ -152,7 +207,7 @@ class NonlinearSearch:
             u = np.clip(u + self.half * push, agent.input_low, agent.input_high)
         return u if np.all(np.isfinite(u)) else 0.5 * (agent.input_low + agent.input_high)
 
-    def _snapped(
+    def snapped(
         self, letters: NDArray[np.int8], states: FloatArray, inputs: FloatArray, faces: NDArray[np.int64]
     ) -> NominalPath:
         """Return a nominal path with inputs near a limit put there."""
@@ -189,14 +244,14 @@ class NonlinearSearch:
             if np.array_equal(new, faces) or limits_along(self.problem, agent, letters, new).are_empty:
                 break
             faces = new
-        nominal = self._snapped(letters, states, u, faces)
-        return self._of_thetas(nominal, faces, self._around([found.theta], 0.3, BATCH // 2))
+        nominal = self.snapped(letters, states, u, faces)
+        return self.of_thetas(nominal, faces, self.around([found.theta], 0.3, BATCH // 2))
 
-    def _searched(self, found: Found, generations: int) -> Found:
+    def searched(self, found: Found, generations: int) -> Found:
         """Return a nominal path with the best feedback of some generations, each closer to the best candidates."""
         kept = [(found.score, found.theta)]
         for generation in range(generations):
-            thetas = self._around([theta for _, theta in kept], 0.8 * 0.6**generation, BATCH)
+            thetas = self.around([theta for _, theta in kept], 0.8 * 0.6**generation, BATCH)
             better, scores = self._scored(found.nominal, found.faces, thetas)
             kept = sorted([*kept, *zip(scores.tolist(), thetas, strict=True)], key=lambda pair: pair[0])[:4]
             if better.score < found.score:
@@ -205,16 +260,16 @@ class NonlinearSearch:
                 break
         return found
 
-    def _thetas(self, warm: FloatArray | None) -> FloatArray:
+    def thetas(self, warm: FloatArray | None) -> FloatArray:
         """Return a first batch of logarithms of weights and slabs."""
         d, m = self.agent.n_states, self.agent.n_inputs
-        middle = np.zeros(d + m + 1 + 2 * d + m)
+        middle = np.zeros(self.n_numbers)
         if warm is not None:
-            return np.concatenate([[warm], self._around([warm], 0.5, BATCH // 2)])
+            return np.concatenate([[warm], self.around([warm], 0.5, BATCH // 2)])
         spread = np.concatenate([np.full(d + m, 2.0), [1.0], np.full(2 * d + m, 0.3)])
         return middle + spread * self.rng.uniform(-1.0, 1.0, (2 * BATCH, len(middle)))
 
-    def _around(self, parents: list[FloatArray], sigma: float, count: int) -> FloatArray:
+    def around(self, parents: list[FloatArray], sigma: float, count: int = BATCH) -> FloatArray:
         """Return candidates around mixtures of pairs of parents; the first parent is among them."""
         d, m = self.agent.n_states, self.agent.n_inputs
         chosen = np.array(parents)[self.rng.integers(len(parents), size=(count, 2))]
@@ -227,49 +282,57 @@ class NonlinearSearch:
         made[0] = parents[0]
         return made
 
-    def _of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
+    def of_thetas(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> Found:
+        """Return the best of some candidates of feedback along a nominal path."""
         return self._scored(nominal, faces, thetas)[0]
 
     def _scored(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
         """Return the best of some candidates, and the scores of all."""
-        feedback = self._feedback(nominal, thetas)
-        self.tried += len(thetas)
-        worth, _ = nominal.worth(feedback)
-        scores = worth.scores()
-        scores = np.where(np.isfinite(scores), scores, np.inf)
-        best = int(np.argmin(scores))
-        alone = Feedback(feedback.gains[best : best + 1], feedback.slabs[best : best + 1])
-        worth, spreads = nominal.worth(alone)
-        found = Found(
-            float(scores[best]),
-            float(worth.failures()[0]),
-            nominal,
-            alone,
-            thetas[best],
-            faces,
-            spreads,
-            _weakest(worth),
-        )
-        return found, scores
+        return scored([(self, nominal, thetas)], faces)[0]
 
-    def _feedback(self, nominal: NominalPath, thetas: FloatArray) -> Feedback:
-        d, m = self.agent.n_states, self.agent.n_inputs
-        base = np.concatenate([1.0 / (0.05 * self.width) ** 2, 1.0 / self.half**2, [1.0]])
-        weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
-        slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
-        low, high = self.agent.input_low, self.agent.input_high
-        held = (nominal.inputs <= low) | (nominal.inputs >= high)
-        gains = regulators(nominal, weights, held)
-        return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), slabs)
+
+Candidates = tuple[NonlinearSearch, NominalPath, FloatArray]
+"""A search with a nominal path of its agent and logarithms of weights and slabs (N, k)."""
+
+
+def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[Found, FloatArray]]:
+    """Return, for each of some agents that are alike, the best of its candidates and the scores of all."""
+    which = np.repeat(np.arange(len(tasks)), [len(thetas) for _, _, thetas in tasks])
+    paths = [nominal for _, nominal, _ in tasks]
+    feedback = _feedback(tasks[0][0], paths, which, np.concatenate([thetas for _, _, thetas in tasks]))
+    worth, spreads = worth_of(paths, feedback, which)
+    scores = worth.scores()
+    scores = np.where(np.isfinite(scores), scores, np.inf)
+    failures, result = worth.failures(), []
+    for k, (search, nominal, thetas) in enumerate(tasks):
+        search.tried += len(thetas)
+        here = np.flatnonzero(which == k)
+        own = scores[here]
+        best = int(np.argmin(own))
+        c = int(here[best])
+        alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
+        one = spreads.of(c)
+        result.append((Found(float(own[best]), float(failures[c]), nominal, alone, thetas[best], faces, one,
+                             worth.weakest(c)), own))  # fmt: skip
+    return result
+
+
+def _feedback(
+    search: NonlinearSearch, paths: Sequence[NominalPath], which: NDArray[np.int64], thetas: FloatArray
+) -> Feedback:
+    """Return the feedbacks of candidates (N, k), each along the path ``which`` (N,)."""
+    d, m = search.agent.n_states, search.agent.n_inputs
+    base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
+    weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
+    slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
+    low, high = search.agent.input_low, search.agent.input_high
+    A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
+    inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]
+    gains = regulators(A, B, weights, (inputs <= low) | (inputs >= high))
+    return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), slabs)
 
 
 def _nowhere(limits: object, p: int, steps: int) -> Aim:
     """Return an aim that is about nothing, for simulations."""
     nothing = (np.ones((steps, 1)), np.zeros((steps, 1)))
     return Aim(limits, nothing, nothing, nothing, np.zeros((steps + 1, p)), np.zeros(p))  # type: ignore[arg-type]
-
-
-def _weakest(worth: Worth) -> str:
-    """Return the row that costs most, in words."""
-    costs = worth.soft()[0]
-    return worth.names[int(np.argmax(costs))] if len(costs) else "nothing"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -14,6 +16,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, Synthesis
 from .nonlinear_search import Found, NonlinearSearch
+from .team_search import TeamFound, TeamSearch
 from .words import Way, without_implied, without_needless
 
 MOST_PLANS = 6
@@ -25,11 +28,18 @@ MOST_MOVES = 6
 PROMISING = -4.0
 """Logarithm of the failure after little work from which no further way is looked for."""
 
+FEW_PAIRS = 15
+"""Pairs up to which times of jumps are moved: plans of larger teams take seconds."""
+
 GOOD = 1e-4
 """Failure from which no other times are tried."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a nonlinear path counts as impossible."""
+
+
+Plan = tuple[Way, tuple[int, ...], int]
+"""A way through the automaton, the times of its jumps, and the steps."""
 
 
 def refuse_other_noise(agent: AnyAgent) -> None:
@@ -39,16 +49,38 @@ def refuse_other_noise(agent: AnyAgent) -> None:
         raise RelationRefused(f"agent `{agent.name}`: paths are for Gaussian noise")
 
 
-class _Team:
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Times of jumps, letters, and the nominal paths of all agents, with an upper bound on the probability of failing.
+
+    ``normals`` are the directions of pairs of the certificate; None without pairs.
+    """
+
+    times: tuple[int, ...]
+    letters: NDArray[np.int8]
+    found: Sequence[Found]
+    failure: float
+    weakest: str
+    normals: FloatArray | None = None
+
+
+class _Apart:
     """Nonlinear paths of all agents for letters; what depends on an agent's own letters is searched once."""
+
+    best: tuple[float, Plan, NDArray[np.int8], list[Found]] | None
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
         self.known: dict[tuple[int, bytes], Found | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
-        self.best: tuple[float, tuple[Way, tuple[int, ...], int], NDArray[np.int8], list[Found]] | None = None
+        self.best = None
         self.stopped = ""
+
+    @property
+    def tried(self) -> int:
+        """Candidates of feedbacks that were tried."""
+        return sum(search.tried for search in self.searches)
 
     def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
         """Look for nonlinear paths along a way that jumps at some times, and keep them if they are the best."""
@@ -71,16 +103,49 @@ class _Team:
         if self.best is None or score < self.best[0]:
             self.best = score, (way, times, steps), letters, found
 
-    def refined(self) -> tuple[tuple[int, ...], NDArray[np.int8], list[Found]]:
-        """Return times, letters and nonlinear paths of the best plan after more work."""
+    def refined(self) -> Refined:
+        """Return the best plan after more work."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
-        return times, letters, [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+        found = [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+        # Agents are independent.
+        failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
+        return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)
 
     def _own(self, i: int) -> list[int]:
         names, agent = self.problem.automaton.propositions, self.problem.agents[i]
         return [p for p in range(min(len(names), self.problem.labeling.first_pair))
                 if self.problem.propositions[names[p]].agent == agent.name]  # fmt: skip
+
+
+class _Together:
+    """Nonlinear paths of all agents of a task that speaks of pairs, planned together."""
+
+    best: tuple[float, Plan, NDArray[np.int8], TeamFound] | None
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.search = problem, TeamSearch(problem)
+        self.best = None
+        self.stopped = "agents are in each other's way in every plan that was made"
+
+    @property
+    def tried(self) -> int:
+        """Candidates of feedbacks that were tried."""
+        return self.search.tried
+
+    def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
+        """Look for nonlinear paths along a way that jumps at some times, and keep them if they are the best."""
+        letters = letters_of(self.problem, way, times, steps)
+        found = None if letters is None else self.search.quick(letters)
+        if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
+            self.best = found.score, (way, times, steps), letters, found
+
+    def refined(self) -> Refined:
+        """Return the best plan after more work."""
+        assert self.best is not None
+        _, (_, times, _), letters, found = self.best
+        found = self.search.full(letters, found)
+        return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
 
 def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
@@ -102,47 +167,39 @@ def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
         refuse_other_noise(agent)
     if problem.initial_q is None:
         raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
-    team = _Team(problem)
+    pairs = len(problem.labeling.pairs)
+    team: _Apart | _Together = _Together(problem) if pairs else _Apart(problem)
     possible = (plan for plan in plans if letters_of(problem, *plan) is not None)
-    for way, times, steps in islice(possible, MOST_PLANS):
+    for way, times, steps in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
         team.of_plan(way, times, steps)
         if team.best is not None and team.best[0] < PROMISING:
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise RelationRefused(f"no nominal path along which the task is satisfied was found{more}")
-    times, letters, found = team.refined()
-    if _failure(found) > GOOD:
+    best = team.refined()
+    if best.failure > GOOD and pairs <= FEW_PAIRS:
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
         _with_better_times(team)
         if team.best[0] < before:
             again = team.refined()
-            if _failure(again[2]) < _failure(found):
-                times, letters, found = again
-    failure = min(1.0, _failure(found) * (1.0 + 1e-9))
+            best = again if again.failure < best.failure else best
+    failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= HOPELESS:
-        worst = max(found, key=lambda one: one.failure)
-        raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {worst.weakest}")
-    faces = np.full(letters.shape, -1)
-    for one in found:
+        raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {best.weakest}")
+    faces = np.full(best.letters.shape, -1)
+    for one in best.found:
         faces = np.where(one.faces >= 0, one.faces, faces)
     settings = {
-        "relation": "path", "jumps": list(times), "candidates": sum(search.tried for search in team.searches),
-        "weakest": max(found, key=lambda one: one.failure).weakest,
+        "relation": "path", "jumps": list(best.times), "candidates": team.tried, "weakest": best.weakest,
     }  # fmt: skip
-    certificate = PathCertificate(
-        problem, tuple(one.path for one in found), letters, faces, min(1.0, failure), settings
-    )
+    paths = tuple(one.path for one in best.found)
+    certificate = PathCertificate(problem, paths, best.letters, faces, failure, settings, best.normals)
     seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
-
-
-def _failure(found: list[Found]) -> float:
-    """Return an upper bound on the probability that an agent fails: they are independent."""
-    return float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
 
 
 def letters_of(problem: Problem, way: Way, times: tuple[int, ...], steps: int) -> NDArray[np.int8] | None:
@@ -151,7 +208,7 @@ def letters_of(problem: Problem, way: Way, times: tuple[int, ...], steps: int) -
     return None if letters is None else without_implied(problem, without_needless(problem, letters))
 
 
-def _with_better_times(team: _Team) -> None:
+def _with_better_times(team: _Apart | _Together) -> None:
     """Move single jumps, as long as that helps."""
     problem, tried = team.problem, 0
     step = max(1, problem.horizon // 6)

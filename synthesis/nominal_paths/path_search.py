@@ -56,7 +56,8 @@ def path_certificate(problem: Problem) -> Synthesis:
         raise RelationRefused(
             f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
         )
-    if not all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents):
+    linear = all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents)
+    if problem.labeling.pairs or not linear:
         return nonlinear_certificate(problem, ((plan.way, plan.times, plan.steps) for plan in _plans(problem)))
     _check(problem)
     finder = _Finder(problem)

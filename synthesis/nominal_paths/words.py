@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.logic import Automaton
 from ...envs.problem import Problem
 
 MOST_STEPS = 20_000
@@ -114,22 +115,32 @@ def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
     """Return whether every word that agrees with letters (S + 1, P) at times 1 to S is accepted."""
     automaton = problem.automaton
     states = set() if problem.initial_q is None else {problem.initial_q}
+    known: dict[tuple[int, bytes], set[int]] = {}
     for letter in letters[1:]:
-        following: set[int] = set()
+        key = letter.tobytes()
         for q in states:
-            stack = [int(automaton.root[q])]
-            while stack:
-                entry = stack.pop()
-                if entry < 0:
-                    following.add(-1 - entry)
-                    continue
-                holds = int(letter[automaton.variable[entry]])
-                if holds >= 0:
-                    stack.append(int(automaton.high[entry]))
-                if holds <= 0:
-                    stack.append(int(automaton.low[entry]))
-        states = following
+            if (q, key) not in known:
+                known[q, key] = _targets(automaton, q, letter.tolist())
+        states = {target for q in states for target in known[q, key]}
+        # From a dead state no word is accepted.
+        if any(automaton.dead[q] for q in states):
+            return False
     return all(automaton.accepting[q] for q in states)
+
+
+def _targets(automaton: Automaton, q: int, letter: list[int]) -> set[int]:
+    """Return the states to which letters lead that agree with one, -1, 0 or 1 for each proposition."""
+    entries, seen, targets = [int(automaton.root[q])], set[int](), set[int]()
+    while entries:
+        entry = entries.pop()
+        if entry < 0:
+            targets.add(-1 - entry)
+        elif entry not in seen:
+            seen.add(entry)
+            holds = letter[automaton.variable[entry]]
+            entries += [int(automaton.high[entry])] if holds >= 0 else []
+            entries += [int(automaton.low[entry])] if holds <= 0 else []
+    return targets
 
 
 def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8]:
@@ -155,14 +166,12 @@ def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.i
     """
     letters = letters.copy()
     names = problem.automaton.propositions
-    for p, name in enumerate(names):
-        for q, other in enumerate(names):
-            first, second = problem.propositions[name], problem.propositions[other]
-            if p == q or first.agent != second.agent:
-                continue
-            if np.any((first.high <= second.low) | (second.high <= first.low)):
-                both = (letters[:, p] != 0) & (letters[:, q] > 0)
-                if np.any(letters[both, p] > 0):
-                    return None
-                letters[both, p] = 0
+    # Pairs are compared with nothing; regions with those of the same agent.
+    for p, q in ((p, q) for own in problem.labeling.agent_propositions for p in own for q in own if p != q):
+        first, second = problem.propositions[names[p]], problem.propositions[names[q]]
+        if np.any((first.high <= second.low) | (second.high <= first.low)):
+            both = (letters[:, p] != 0) & (letters[:, q] > 0)
+            if np.any(letters[both, p] > 0):
+                return None
+            letters[both, p] = 0
     return letters

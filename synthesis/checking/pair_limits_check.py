@@ -1,0 +1,126 @@
+"""Certificates along nonlinear paths of teams whose tasks speak of pairs of agents: rows across agents.
+
+The deviations of all agents are one recursion with block-diagonal matrices, so that the difference of two agents is a
+row like any other. Where a pair is not to hold, the certificate names a direction n for the time: the half-space
+``n.(y_i - y_j) > max over the box of n.z`` does not meet the closed box. The maximum is computed here. Where a pair is
+to hold, there are two limits for each output that is compared. With the Jacobians C of outputs,
+
+    variance   n' (C_i S_i C_i' + C_j S_j C_j') n,      drift   D_i(n'C_i) + D_j(n'C_j) + |n|'(off_i + off_j),
+
+because noises of different agents are independent, and both tubes hold (docs/theory/paths.md, "Teams").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...envs.agents import PairRegion
+from ..cells import FloatArray
+from ..certificates import PathCertificate
+from .gaussian_inequalities import Inequalities
+from .nonlinear_check import Moment, NothingKnownError, moments
+from .roundings import TAIL, UNIT
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A linear form of the outputs that a pair compares, and its limits."""
+
+    pair: PairRegion
+    factors: FloatArray
+    low: float
+    high: float
+
+
+def wrong_normals(certificate: PathCertificate) -> list[str]:
+    """What is wrong with the form of a team whose task speaks of pairs: paths of other kinds, directions."""
+    problem = certificate.problem
+    normals, pairs = certificate.normals, problem.labeling.pairs
+    if not pairs:
+        return [] if normals is None else ["it has directions of pairs, and its problem has no pairs"]
+    if any(path.states is None for path in certificate.paths):
+        return ["a task about pairs of agents asks for nominal states of all agents"]
+    shape = (certificate.n_steps + 1, sum(len(pair.low) for pair in pairs))
+    if normals is None or normals.shape != shape or not np.all(np.isfinite(normals)):
+        return ["its directions of pairs do not fit, or are no numbers"]
+    return []
+
+
+def team_failure(certificate: PathCertificate) -> float:
+    """Return an upper bound on the probability that an inequality of an agent or of a pair fails."""
+    rows, problem = Inequalities(), certificate.problem
+    together = [moments(agent, path, rows) for agent, path in zip(problem.agents, certificate.paths, strict=True)]
+    try:
+        # All agents at time 0, then all at time 1: pairs compare what they are at one time.
+        for now in zip(*together, strict=True):
+            if now[0].t:
+                for moment in now:
+                    moment.limits(certificate, rows)
+                _add_pairs(now, _forms(certificate, now[0].t), rows)
+    except NothingKnownError:
+        return 1.0
+    return rows.failure()
+
+
+def _forms(certificate: PathCertificate, t: int) -> list[Form]:
+    """Return what is asked of pairs at time t."""
+    labeling, forms, at = certificate.problem.labeling, list[Form](), 0
+    assert certificate.normals is not None
+    for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
+        normal = certificate.normals[t, at : at + len(pair.low)]
+        at += len(pair.low)
+        value = int(certificate.letters[t, p])
+        if value > 0:
+            eye = np.eye(len(pair.low))
+            forms += [Form(pair, *each) for each in zip(eye, pair.low.tolist(), pair.high.tolist(), strict=True)]
+        elif value < 0:
+            if not np.any(normal):
+                raise NothingKnownError(f"pair `{labeling.names[p]}` is kept apart in no direction at step {t}")
+            # The largest value of the form on the closed box, rounded up.
+            corner = np.maximum(normal * pair.low, normal * pair.high)
+            largest = float(np.sum(corner)) + (len(normal) + 2.0) * UNIT * float(np.sum(np.abs(corner)))
+            forms.append(Form(pair, normal, largest, np.inf))
+    return forms
+
+
+def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities) -> None:
+    """Add inequalities on differences of two agents."""
+    if not forms:
+        return
+    below = np.empty(len(forms))
+    above, drift, variance = np.full(len(forms), np.inf), np.zeros(len(forms)), np.zeros(len(forms))
+    of_agents: dict[int, list[tuple[int, FloatArray]]] = {}
+    for k, form in enumerate(forms):
+        least, most, off = 0.0, 0.0, 0.0
+        for i, sign in ((form.pair.first, 1.0), (form.pair.second, -1.0)):
+            row, ends, own_off = _of_agent(now[i], form, sign)
+            least, most, off = least + ends[0], most + ends[1], off + own_off
+            of_agents.setdefault(i, []).append((k, row))
+        spare = 8.0 * UNIT * (abs(least) + abs(most))
+        below[k] = least - form.low - off - spare - 8.0 * UNIT * abs(form.low)
+        if form.high < np.inf:
+            above[k] = form.high - most - off - spare - 8.0 * UNIT * abs(form.high)
+    for i, members in of_agents.items():
+        here, matrix = np.array([k for k, _ in members]), np.array([row for _, row in members])
+        drift[here] += now[i].chain.drift(matrix)
+        variance[here] += now[i].chain.variances(matrix)
+    drift, variance = drift * TAIL, variance * TAIL
+    rows.add(below - drift, above - drift, np.full(len(forms), np.inf), variance)
+
+
+def _of_agent(now: Moment, form: Form, sign: float) -> tuple[FloatArray, tuple[float, float], float]:
+    """Return what one agent adds to a form: its row (d,), ends of its nominal value, and what it may be off by."""
+    used = np.flatnonzero(form.factors != 0.0)
+    outputs = form.pair.outputs[0 if sign > 0.0 else 1]
+    places, factors = [outputs[k] for k in used], sign * form.factors[used]
+    found, size = now.outputs, np.abs(factors)
+    values, matrix = factors * found.values[:, places], found.matrix[places]
+    least, most = float(np.sum(values.min(axis=0))), float(np.sum(values.max(axis=0)))
+    # Rows and values are sums of products, which round: what rows are off by acts on deviations within the box.
+    rounded = (len(size) + 4.0) * UNIT * float(np.sum(np.abs(values).max(axis=0)) + size @ np.abs(matrix) @ now.reach)
+    is_known = bool(np.all(np.isfinite(found.off[places])))
+    off = (float(size @ found.off[places]) + rounded) * TAIL if is_known else np.inf
+    return factors @ matrix, (least, most), off

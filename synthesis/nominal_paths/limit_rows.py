@@ -1,0 +1,126 @@
+"""Inequalities along nominal paths, of many candidates of feedback at once, and how probably one of them fails.
+
+The mathematics is that of docs/theory/paths.md, "Agents of any dynamics", in plain floating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.special import erfc, log_ndtr
+
+from ..cells import FloatArray
+
+OUTWARD = 1.0 + 1e-7
+"""Factor on drifts and failures of what is claimed: the check rounds outward, and has enclosures of its own."""
+
+INWARD = 1e-9
+"""Share of the size of a number by which distances are shortened."""
+
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+"""Probabilities of all slabs for which rows are chosen to be slabs or tails."""
+
+PAIR = "pair"
+"""Beginning of the names of rows about two agents."""
+
+
+@dataclass(eq=False)
+class Worth:
+    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J)."""
+
+    low: list[FloatArray] = field(default_factory=list)
+    high: list[FloatArray] = field(default_factory=list)
+    slab: list[FloatArray] = field(default_factory=list)
+    variance: list[FloatArray] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    shared: list[bool] = field(default_factory=list)
+    """Whether rows are about this agent and another one."""
+
+    @property
+    def own(self) -> Worth:
+        """The rows that are about this agent alone."""
+        parts = zip(self.low, self.high, self.slab, self.variance, self.shared, strict=True)
+        kept = [rows for *rows, shared in parts if not shared]
+        names = [name for name in self.names if not name.startswith(PAIR)]
+        return Worth(*([rows[k] for rows in kept] for k in range(4)), names, [False] * len(kept))
+
+    def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
+        """Add rows (N, J)."""
+        self.shared.append(bool(names) and names[0].startswith(PAIR))
+        shape = variance.shape
+        for kept, new in zip((self.low, self.high, self.slab, self.variance), (low, high, slab, variance)):
+            kept.append(np.broadcast_to(new, shape))
+        self.names += names
+
+    def extend(self, other: Worth) -> None:
+        """Add the rows of another agent of a team."""
+        for name in ("low", "high", "slab", "variance", "names", "shared"):
+            getattr(self, name).extend(getattr(other, name))
+
+    def flattened(self, owners: Sequence[str]) -> Worth:
+        """Return the rows of N agents, with their names, as those of one team (1, N J)."""
+        parts = ([rows.reshape(1, -1) for rows in part] for part in (self.low, self.high, self.slab, self.variance))
+        names = self._by_rows()
+        told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
+        return Worth(*parts, told, [*self.shared])
+
+    def _by_rows(self) -> list[list[str]]:
+        """Return the names, part by part."""
+        ends = np.cumsum([rows.shape[1] for rows in self.low])
+        return [self.names[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def weakest(self, candidate: int = 0) -> str:
+        """Return the row of a candidate that costs most, in words."""
+        costs = self._soft[candidate]
+        return self.names[int(np.argmax(costs))] if len(costs) else "nothing"
+
+    @cached_property
+    def _all(self) -> tuple[FloatArray, ...]:
+        return tuple(np.concatenate(part, axis=1) for part in (self.low, self.high, self.slab, self.variance))
+
+    def scores(self) -> FloatArray:
+        """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
+        return np.log(np.maximum(self._soft.sum(axis=1), 1e-300))
+
+    @cached_property
+    def _soft(self) -> FloatArray:
+        """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
+        low, high, slab, variance = self._all
+        one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
+        both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
+        apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
+        return np.minimum(both, apart)
+
+    def failures(self) -> FloatArray:
+        """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
+        low, high, slab, variance = self._all
+        both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
+        inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
+        outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
+        best = np.ones(len(low))
+        for share in SHARES:
+            as_slab = share * both <= share * inner + outer
+            chosen = np.where(as_slab, both, inner)
+            with np.errstate(divide="ignore"):
+                kept = np.sum(np.log1p(-chosen), axis=1)
+            best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
+        return np.minimum(1.0, best * OUTWARD)
+
+
+def _quotient(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return distances in deviations, between -1000 and 1000."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        z = distance / np.sqrt(np.maximum(variance, 1e-300))
+    return np.clip(np.where(distance == np.inf, np.inf, np.where(np.isnan(z), -1e3, z)), -1e3, 1e3)
+
+
+def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.where(distance == np.inf, 0.0, -log_ndtr(_quotient(distance, variance)))
+
+
+def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    tail = 0.5 * erfc(_quotient(distance, variance) / np.sqrt(2.0)) + 2e-300
+    return np.where(distance == np.inf, 0.0, np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0)))

@@ -1,0 +1,140 @@
+"""What letters ask of pairs of agents, as soft costs of their outputs for plans: to keep apart, or to be near.
+
+A pair that is to keep apart is ``z`` deviations from its box, along the shortest way out of it, and costs
+``-log Phi(z)``. So every pair that letters speak of pushes as soon as it comes near, and costs nothing elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from .soft_costs import soft_costs
+
+
+@dataclass(frozen=True, eq=False)
+class PairLimits:
+    """K pairs that compare p outputs each, and what letters ask of them.
+
+    Parameters
+    ----------
+    numbers : (K,) int array
+        Among all pairs of the problem.
+    agents : (2, K) int array
+    outputs, places : (2, K, p) int arrays
+        Outputs that are compared, of the agents, and among the outputs of all agents together.
+    low, high : (K, p) arrays
+    asked : (S + 1, K) int array
+        1 where a pair is to hold, -1 where it is not; 0 at time 0.
+    columns : (K, p) int array
+        Where the certificate holds the directions of a pair.
+    """
+
+    numbers: NDArray[np.int64]
+    agents: NDArray[np.int64]
+    outputs: NDArray[np.int64]
+    places: NDArray[np.int64]
+    low: FloatArray
+    high: FloatArray
+    asked: NDArray[np.int8]
+    columns: NDArray[np.int64]
+
+    def differences(self, outputs: FloatArray) -> FloatArray:
+        """Return differences (S + 1, K, p, ..) of outputs (S + 1, P, ..) of all agents together."""
+        return outputs[:, self.places[0]] - outputs[:, self.places[1]]
+
+    def ways_out(self, differences: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return distances (S + 1, K, n) from the boxes, negative inside, and unit directions (S + 1, K, p, n).
+
+        Both are in units of ``scale`` (S + 1, K, p), with differences (S + 1, K, p, n) as they are.
+        """
+        unit = scale[..., None]
+        low, high, z = self.low[None, :, :, None] / unit, self.high[None, :, :, None] / unit, differences / unit
+        away = z - np.clip(z, low, high)
+        distance = np.sqrt((away**2).sum(axis=2))
+        # Inside, the way to the nearest face.
+        depth = np.concatenate([z - low, high - z], axis=2)
+        face, p = np.argmin(depth, axis=2), z.shape[2]
+        least = np.take_along_axis(depth, face[:, :, None], axis=2)[:, :, 0]
+        axes = np.arange(p)[None, None, :, None]
+        inner = np.where(face[:, :, None] % p == axes, np.where(face[:, :, None] < p, -1.0, 1.0), 0.0)
+        outside = distance > 0.0
+        direction = np.where(outside[:, :, None], away / np.where(outside, distance, 1.0)[:, :, None], inner)
+        return np.where(outside, distance, -least), direction
+
+
+def pair_limits(problem: Problem, letters: NDArray[np.int8]) -> list[PairLimits]:
+    """Return what letters (S + 1, P) ask of pairs after time 0, by the number of outputs that are compared."""
+    labeling = problem.labeling
+    first_output = np.concatenate([[0], np.cumsum([agent.n_outputs for agent in problem.agents])])
+    columns = np.concatenate([[0], np.cumsum([len(pair.low) for pair in labeling.pairs])]).astype(int)
+    asked = letters[:, labeling.first_pair :].copy()
+    asked[0] = 0
+    here = [k for k in range(len(labeling.pairs)) if asked[:, k].any()]
+    result = []
+    for p in sorted({len(labeling.pairs[k].low) for k in here}):
+        numbers = np.array([k for k in here if len(labeling.pairs[k].low) == p])
+        pairs = [labeling.pairs[k] for k in numbers]
+        agents = np.array([[pair.first for pair in pairs], [pair.second for pair in pairs]])
+        outputs = np.array([[pair.outputs[side] for pair in pairs] for side in (0, 1)])
+        low, high = np.array([pair.low for pair in pairs]), np.array([pair.high for pair in pairs])
+        places = outputs + first_output[agents][:, :, None]
+        result.append(
+            PairLimits(numbers, agents, outputs, places, low, high, asked[:, numbers],
+                       columns[numbers][:, None] + np.arange(p))
+        )  # fmt: skip
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class PairAim:
+    """What a plan keeps of pairs, with deviations and drifts (S + 1, K, p) of the differences."""
+
+    limits: PairLimits
+    sharp: FloatArray
+    drift: FloatArray
+
+    def cost(self, outputs: FloatArray) -> FloatArray:
+        """Return the costs (n,) of outputs (S + 1, P, n) of all agents together."""
+        z = self.limits.differences(outputs)
+        return sum((cost.sum(axis=(0, 1)) for cost, _, _, _ in self._parts(z)), np.zeros(outputs.shape[2]))
+
+    def derivatives(self, outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slopes (S + 1, P) and second derivatives (S + 1, P, P), without bends of the way out."""
+        s, size = outputs.shape
+        slopes, bends = np.zeros((s, size)), np.zeros((s, size, size))
+        z = self.limits.differences(outputs[:, :, None])
+        first, second = self.limits.places
+        for _, slope, bend, direction in self._parts(z):
+            t, k = np.nonzero((np.abs(slope[:, :, 0]) > 1e-12) | (bend[:, :, 0] > 1e-12))
+            form = direction[t, k, :, 0]
+            both = np.concatenate([form, -form], axis=1)
+            at = np.concatenate([first[k], second[k]], axis=1)
+            np.add.at(slopes, (t[:, None], at), slope[t, k] * both)
+            np.add.at(bends, (t[:, None, None], at[:, :, None], at[:, None, :]),
+                      bend[t, k][:, :, None] * both[:, :, None] * both[:, None, :])  # fmt: skip
+        return slopes, bends
+
+    def _parts(self, z: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+        """Yield costs, slopes, second derivatives (S + 1, K, n) along directions (S + 1, K, p, n)."""
+        limits = self.limits
+        if np.any(limits.asked < 0):
+            distance, direction = limits.ways_out(z, self.sharp)
+            drift = np.sum(np.abs(direction) * (self.drift / self.sharp)[..., None], axis=2)
+            low = np.where(limits.asked < 0, 0.0, -np.inf)
+            one, none = np.ones(low.shape), np.zeros(low.shape)
+            cost, slope, bend = soft_costs(distance - drift, (low, np.full(low.shape, np.inf)), one, none)
+            yield cost, slope, bend, direction / self.sharp[..., None]
+        if np.any(limits.asked > 0):
+            for axis in range(z.shape[2]):
+                low = np.where(limits.asked > 0, limits.low[:, axis], -np.inf)
+                high = np.where(limits.asked > 0, limits.high[:, axis], np.inf)
+                sharp, drift = self.sharp[:, :, axis], self.drift[:, :, axis]
+                direction = np.zeros(z.shape)
+                direction[:, :, axis] = 1.0
+                yield *soft_costs(z[:, :, axis], (low, high), sharp, drift), direction

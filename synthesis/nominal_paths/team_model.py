@@ -1,0 +1,135 @@
+"""A team as one agent with block-diagonal dynamics, for plans: agents that move alike are stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import AnyAgent, LinearAgent
+from ..cells import FloatArray
+from .nonlinear_model import NonlinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Corners of the starts of all agents."""
+
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TeamBounds:
+    """Ranges of states, inputs and starts of all agents, one after another."""
+
+    state_low: FloatArray
+    state_high: FloatArray
+    input_low: FloatArray
+    input_high: FloatArray
+    initial: Box
+
+
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """Agents with the same dynamics and outputs: one model, and where each stands among states, inputs and outputs."""
+
+    model: NonlinearModel
+    states: NDArray[np.int64]
+    inputs: NDArray[np.int64]
+    outputs: NDArray[np.int64]
+
+
+class TeamOutputs:
+    """Outputs of all agents."""
+
+    def __init__(self, alike: Sequence[_Alike], size: int) -> None:
+        self.alike, self.size = alike, size
+
+    def values(self, states: FloatArray) -> FloatArray:
+        """Return outputs (P, n) at states (D, n)."""
+        result = np.empty((self.size, states.shape[1]))
+        for part in self.alike:
+            result[part.outputs] = _each(part.model.output.values(_flat(states, part.states)), len(part.states))
+        return result
+
+
+class TeamModel:
+    """Steps, derivatives and outputs of a team, as ``NonlinearModel`` has them of one agent."""
+
+    def __init__(self, models: Sequence[NonlinearModel]) -> None:
+        agents = [model.agent for model in models]
+        sizes = [(agent.n_states, agent.n_inputs, agent.n_outputs) for agent in agents]
+        first = np.concatenate([np.zeros((1, 3), dtype=int), np.cumsum(sizes, axis=0)])
+        self.sizes = tuple(int(n) for n in first[-1])
+        groups: dict[object, list[int]] = {}
+        for i, model in enumerate(models):
+            groups.setdefault(key_of(model.agent), []).append(i)
+        self.alike = []
+        for members in groups.values():
+            places = [np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)]
+            self.alike.append(_Alike(models[members[0]], *places))
+        self.agent = TeamBounds(
+            *(np.concatenate([getattr(agent, name) for agent in agents])
+              for name in ("state_low", "state_high", "input_low", "input_high")),
+            Box(*(np.concatenate([getattr(agent.initial, name) for agent in agents]) for name in ("low", "high"))),
+        )  # fmt: skip
+
+    @cached_property
+    def output(self) -> TeamOutputs:
+        """Outputs, of states alone."""
+        return TeamOutputs(self.alike, self.sizes[2])
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the means (D, n) of the next states for states (D, n) and inputs (M, n)."""
+        result = np.empty_like(x)
+        for part in self.alike:
+            moved = part.model.step(_flat(x, part.states), _flat(u, part.inputs))
+            result[part.states] = _each(moved, len(part.states))
+        return result
+
+    def linear(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return Jacobians (S, D, D) and (S, D, M) along states (S, D) and inputs (S, M)."""
+        s, (d, m, _) = len(states), self.sizes
+        A, B = np.zeros((s, d, d)), np.zeros((s, d, m))
+        for part in self.alike:
+            k, own = part.states.shape
+            own_A, own_B = part.model.linear(states[:, part.states].reshape(s * k, own),
+                                             inputs[:, part.inputs].reshape(s * k, -1))  # fmt: skip
+            A[:, part.states[:, :, None], part.states[:, None, :]] = own_A.reshape(s, k, own, own)
+            B[:, part.states[:, :, None], part.inputs[:, None, :]] = own_B.reshape(s, k, own, -1)
+        return A, B
+
+    def outputs(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return outputs (S, P) and their Jacobians (S, P, D) along states (S, D)."""
+        s, (d, _, p) = len(states), self.sizes
+        values, matrices = np.empty((s, p)), np.zeros((s, p, d))
+        for part in self.alike:
+            k, own = part.states.shape
+            y, C = part.model.outputs(states[:, part.states].reshape(s * k, own))
+            values[:, part.outputs] = y.reshape(s, k, -1)
+            matrices[:, part.outputs[:, :, None], part.states[:, None, :]] = C.reshape(s, k, -1, own)
+        return values, matrices
+
+
+def key_of(agent: AnyAgent) -> object:
+    """Return what agents have in common that move alike, whatever their starts are."""
+    if isinstance(agent, LinearAgent):
+        arrays = (agent.A, agent.B, agent.offset, agent.output_matrix, agent.noise_covariance)
+        return tuple((array.shape, array.tobytes()) for array in arrays)
+    return (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.trees, agent.output_trees,
+            agent.scale_trees, agent.noise_covariance.tobytes())  # fmt: skip
+
+
+def _flat(values: FloatArray, places: NDArray[np.int64]) -> FloatArray:
+    """Return values (D, n) of k agents as (d, k n)."""
+    k, own = places.shape
+    return np.ascontiguousarray(values[places.T].reshape(own, k * values.shape[1]))
+
+
+def _each(values: FloatArray, k: int) -> FloatArray:
+    """Return values (d, k n) as (k, d, n)."""
+    return values.reshape(len(values), k, -1).swapaxes(0, 1)

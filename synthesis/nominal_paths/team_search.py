@@ -1,0 +1,369 @@
+"""Nominal paths of a team whose task speaks of pairs: planned together, with feedbacks that agents choose in turn.
+
+All agents are planned as one, from straight lines that are bent to the same side, so that whoever meets goes around the
+other one. Every pair that letters speak of stands in the plan at all times. Then each agent searches its feedback with
+what the others add to the rows of pairs held as it is, and the plan is made anew with the deviations that were found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem
+from ..cells import FloatArray
+from .coarse_ways import guesses
+from .feedback_bounds import Feedback, NominalPath, worth_of
+from .limit_rows import Worth
+from .nominal_planner import Aim, Planner
+from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, scored
+from .pair_costs import PairAim, PairLimits, pair_limits
+from .pair_rows import PairRows, deviations_of, pair_rows
+from .path_limits import Limits, limits_along, sides_of
+from .team_model import TeamModel, key_of
+
+BENDS = (0.25, -0.25, 0.5, 0.0)
+"""How far straight lines are bent to the right, as shares of their lengths."""
+
+FOLLOWED = (3000.0, 60)
+"""Weight and rounds with which each agent follows its guess alone, before the team is planned."""
+
+STAGES = ((300.0, 20), (10.0, 30), (0.0, 120))
+"""Weights with which a guess is followed, and rounds of planning."""
+
+NARROW = 0.15
+"""Share of a range or a box that plans take for a deviation at first, at most."""
+
+REPLANS = 3
+"""How often a team is planned anew."""
+
+FEW = 8
+"""Agents up to which all generations are searched after a plan."""
+
+GENERATIONS, FEW_GENERATIONS = 5, 3
+"""Batches of candidates after a plan, of few agents and of many."""
+
+AT_ONCE = 400
+"""Candidates that are looked at together."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamFound:
+    """Nominal paths with feedbacks of all agents; ``failure`` is an upper bound for the team (rounded outward)."""
+
+    score: float
+    failure: float
+    found: tuple[Found, ...]
+    faces: NDArray[np.int64]
+    rows: PairRows
+    weakest: str
+
+
+class TeamSearch:
+    """Nominal paths of the agents of a problem with pairs."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
+        self.model: Any = TeamModel([search.model for search in self.searches])
+        self.columns = sum(len(pair.low) for pair in problem.labeling.pairs)
+
+    @property
+    def tried(self) -> int:
+        """Candidates of feedbacks that were tried."""
+        return sum(search.tried for search in self.searches)
+
+    def quick(self, letters: NDArray[np.int8]) -> TeamFound | None:
+        """Return nominal paths for letters (S + 1, P) after little work; None if none were found."""
+        limits = pair_limits(self.problem, letters)
+        best: tuple[float, Any] | None = None
+        for bend in BENDS:
+            planned = self._planned(letters, limits, self._guesses(letters, bend))
+            if planned is not None and (best is None or planned[0] < best[0]):
+                best = planned
+            # A plan that keeps every limit by some deviations is as good as others.
+            if best is not None and best[0] < 0.05 * len(self.searches) * len(letters):
+                break
+        if best is None:
+            return None
+        nominals, faces = best[1]
+        thetas = [np.zeros(search.n_numbers) for search in self.searches]
+        first = self._with_feedback(letters, limits, nominals, faces, thetas, warm=False)
+        again = self._planned_anew(letters, limits, first)
+        return again if again is not None and again.score < first.score else first
+
+    def full(self, letters: NDArray[np.int8], found: TeamFound) -> TeamFound:
+        """Return better nominal paths, if that is worth anything."""
+        limits = pair_limits(self.problem, letters)
+        found = self._improved(found, limits)
+        for _ in range(REPLANS):
+            if found.failure <= ENOUGH:
+                break
+            again = self._planned_anew(letters, limits, found)
+            if again is None:
+                break
+            again = self._improved(again, limits)
+            if again.score >= found.score - 1e-3:
+                return again if again.score < found.score else found
+            found = again
+        return found
+
+    # --- plans
+    def _guesses(self, letters: NDArray[np.int8], bend: float) -> list[FloatArray]:
+        """Return outputs (S + 1, p) of each agent: a bent straight line, or a way around its own regions."""
+        result = []
+        for search in self.searches:
+            start = 0.5 * (search.agent.initial.low + search.agent.initial.high)
+            line = self._line(search, letters, start, bend)
+            if np.any(letters[:, self.own_propositions(search)] < 0):
+                line = next(guesses(self.problem, search.agent, letters, start), line)
+            result.append(line)
+        return result
+
+    def own_propositions(self, search: NonlinearSearch) -> NDArray[np.int64]:
+        """Return the numbers of the propositions of an agent."""
+        i = self.searches.index(search)
+        return self.problem.labeling.agent_propositions[i]
+
+    def _line(self, search: NonlinearSearch, letters: NDArray[np.int8], start: FloatArray, bend: float) -> FloatArray:
+        """Return straight lines from one region that is to hold to the next, bent to the right."""
+        agent, names = search.agent, self.problem.automaton.propositions
+        here = agent.outputs(start[:, None])[:, 0]
+        line, last, at = np.tile(here, (len(letters), 1)), 0, here
+        low, high = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
+        own = self.own_propositions(search)
+        for t in range(1, len(letters)):
+            regions = [self.problem.propositions[names[q]] for q in own if letters[t, q] > 0]
+            if not regions:
+                continue
+            aim = 0.5 * (
+                np.max([low, *(r.low for r in regions)], axis=0) + np.min([high, *(r.high for r in regions)], axis=0)
+            )
+            aim = np.where(np.isfinite(aim), aim, at)
+            share = np.linspace(0.0, 1.0, t - last + 1)[:, None]
+            line[last : t + 1] = at + share * (aim - at) + bend * np.sin(np.pi * share) * _right(aim - at)
+            last, at = t, aim
+        line[last:] = at
+        return line
+
+    def _planned(
+        self, letters: NDArray[np.int8], limits: list[PairLimits], guess: list[FloatArray]
+    ) -> tuple[float, tuple[list[NominalPath], NDArray[np.int64]]] | None:
+        """Return the cost of a plan of all agents, its nominal paths and sides of regions."""
+        steps = len(letters) - 1
+        together = np.concatenate(guess, axis=1)
+        spans = np.concatenate([search.spans for search in self.searches])
+        sharp = [
+            np.tile(np.concatenate([share * getattr(search, name) for search in self.searches]), (times, 1))
+            for share, name, times in ((0.02, "width", steps + 1), (0.02, "spans", steps + 1), (0.05, "half", steps))
+        ]
+        pairs = []
+        for group in limits:
+            widths = np.minimum(0.02 * np.minimum(*spans[group.places]), NARROW * (group.high - group.low))
+            full = np.broadcast_to(widths, (steps + 1, *widths.shape))
+            pairs.append(PairAim(group, full, np.zeros(full.shape)))
+        faces = self._sides(letters, guess, [search.spans for search in self.searches])
+        alone = [search.followed(letters, own, faces, *FOLLOWED)
+                 for search, own in zip(self.searches, guess, strict=True)]  # fmt: skip
+        u = np.concatenate(alone, axis=1)
+        x, y, push = ((each, np.zeros_like(each)) for each in sharp)
+        cost, states = np.inf, np.zeros(0)
+        for weight, rounds in STAGES:
+            if (own := self._limits(letters, faces)) is None:
+                return None
+            aim = Aim(own, _within(own.states, x), _within(own.outputs, y), push, together,
+                      weight * 50.0 / steps / spans**2, pairs)  # fmt: skip
+            states, u, cost = Planner(self.model, aim).improved(u, rounds)
+            if not np.isfinite(cost):
+                return None
+            faces = self._sides(letters, self._outputs(states), [search.spans for search in self.searches])
+        if self._limits(letters, faces) is None:
+            return None
+        return cost, (self._nominals(letters, states, u, faces), faces)
+
+    def _planned_anew(self, letters: NDArray[np.int8], limits: list[PairLimits], found: TeamFound) -> TeamFound | None:
+        """Return nominal paths planned with the deviations and drifts of others; None if that fails."""
+        pairs_of = []
+        for name, size in (("states", "width"), ("outputs", "spans"), ("inputs", "half")):
+            width = np.concatenate([getattr(search, size) for search in self.searches])
+            width = 2.0 * width if size == "half" else width
+            sd, drift = (np.concatenate([getattr(one.spreads, name)[k] for one in found.found], axis=1) for k in (0, 1))
+            pairs_of.append((np.clip(sd, 1e-5 * width, WIDEST * width), np.clip(QUARTER * drift, 0.0, WIDEST * width)))
+        pairs = []
+        for group in limits:
+            drift = pairs_of[1][1][:, group.places[0]] + pairs_of[1][1][:, group.places[1]]
+            pairs.append(PairAim(group, deviations_of(group, pairs_of[1][0]), drift))
+        u = np.concatenate([one.nominal.inputs for one in found.found], axis=1)
+        states, faces = np.zeros(0), found.faces
+        medians = [np.median(np.clip(one.spreads.outputs[0], 1e-5 * search.spans, None), axis=0)
+                   for one, search in zip(found.found, self.searches, strict=True)]  # fmt: skip
+        outputs = np.concatenate([one.nominal.outputs[0] for one in found.found], axis=1)
+        for _ in range(3):
+            if (own := self._limits(letters, faces)) is None:
+                return None
+            aim = Aim(own, *pairs_of, outputs, np.zeros(outputs.shape[1]), pairs)
+            states, u, cost = Planner(self.model, aim).improved(u, 40)
+            if not np.isfinite(cost):
+                return None
+            new = self._sides(letters, self._outputs(states), medians)
+            if np.array_equal(new, faces) or self._limits(letters, new) is None:
+                break
+            faces = new
+        nominals = self._nominals(letters, states, u, faces)
+        return self._with_feedback(letters, limits, nominals, faces, [one.theta for one in found.found], warm=True)
+
+    def _sides(
+        self, letters: NDArray[np.int8], outputs: Sequence[FloatArray], sharp: Sequence[FloatArray]
+    ) -> NDArray[np.int64]:
+        """Return the sides (S + 1, P) on which all agents pass regions."""
+        faces = np.full(letters.shape, -1)
+        first = self.problem.labeling.first_pair
+        for search, own, unit in zip(self.searches, outputs, sharp, strict=True):
+            sides = sides_of(self.problem, search.agent, letters[:, :first], own, unit)
+            faces[:, :first] = np.where(sides >= 0, sides, faces[:, :first])
+        return faces
+
+    def _limits(self, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> Limits | None:
+        """Return the limits of all agents; None if some contradict each other."""
+        each = [limits_along(self.problem, search.agent, letters, faces) for search in self.searches]
+        if any(limits.are_empty for limits in each):
+            return None
+        return Limits(
+            np.concatenate([one.states for one in each], axis=2), np.concatenate([one.outputs for one in each], axis=2)
+        )
+
+    def _outputs(self, states: FloatArray) -> list[FloatArray]:
+        """Return the outputs (S + 1, p) of each agent at states (S + 1, D)."""
+        values, _ = self.model.outputs(states)
+        return np.split(values, np.cumsum([search.agent.n_outputs for search in self.searches])[:-1], axis=1)
+
+    def _nominals(
+        self, letters: NDArray[np.int8], states: FloatArray, u: FloatArray, faces: NDArray[np.int64]
+    ) -> list[NominalPath]:
+        columns, inputs = self.problem.columns, self.problem.input_columns
+        return [
+            search.snapped(letters, states[:, columns[i]], u[:, inputs[i]], faces)
+            for i, search in enumerate(self.searches)
+        ]
+
+    # --- feedbacks
+    def _with_feedback(
+        self,
+        letters: NDArray[np.int8],
+        limits: list[PairLimits],
+        nominals: list[NominalPath],
+        faces: NDArray[np.int64],
+        thetas: list[FloatArray],
+        warm: bool,
+    ) -> TeamFound:
+        """Return nominal paths with feedbacks after a first search of each agent."""
+        # What feedbacks to begin with would let pairs do says in which directions they are kept apart.
+        begun = [one for one, _ in self._scored(nominals, faces, [theta[None] for theta in thetas])]
+        team = self._judged(begun, faces, limits)
+        known: dict[object, FloatArray] = {}
+        batches = []
+        for i, search in enumerate(self.searches):
+            # The first of agents that are alike looks far around; the others begin with what it is given, too.
+            parent = thetas[i] if warm or search_key(search) in known else None
+            known[search_key(search)] = thetas[i]
+            batches.append(search.thetas(parent))
+        found = [one for one, _ in self._scored(self._asking(team), faces, batches)]
+        first: dict[object, Found] = {}
+        for search, one in zip(self.searches, found, strict=True):
+            first.setdefault(search_key(search), one)
+        again = [search.around([one.theta, first[search_key(search)].theta], 0.3)
+                 for search, one in zip(self.searches, found, strict=True)]  # fmt: skip
+        more = [one for one, _ in self._scored(self._asking(team), faces, again)]
+        best = [min(pair, key=lambda one: one.score) for pair in zip(found, more, strict=True)]
+        return self._judged(best, faces, limits)
+
+    def _improved(self, team: TeamFound, limits: list[PairLimits]) -> TeamFound:
+        """Return nominal paths with better feedbacks: some generations of candidates of all agents."""
+        best = team
+        kept = [[(np.inf, one.theta)] for one in team.found]
+        for generation in range(GENERATIONS if len(kept) <= FEW else FEW_GENERATIONS):
+            sigma = 0.8 * 0.6**generation
+            thetas = [search.around([theta for _, theta in parents], sigma)
+                      for search, parents in zip(self.searches, kept, strict=True)]  # fmt: skip
+            outcomes = self._scored(self._asking(best), best.faces, thetas)
+            for parents, batch, (_, scores) in zip(kept, thetas, outcomes, strict=True):
+                parents += zip(scores.tolist(), batch, strict=True)
+                parents[:] = sorted((pair for pair in parents if np.isfinite(pair[0])), key=lambda pair: pair[0])[:4]
+            again = self._judged([one for one, _ in outcomes], best.faces, limits)
+            best = again if again.score < best.score else best
+            if best.failure <= ENOUGH:
+                break
+        return best
+
+    def _scored(
+        self, nominals: Sequence[NominalPath], faces: NDArray[np.int64], thetas: Sequence[FloatArray]
+    ) -> list[tuple[Found, FloatArray]]:
+        """Return, for each agent, the best of its candidates and the scores of all."""
+        result: dict[int, tuple[Found, FloatArray]] = {}
+        for members in self._batches([len(own) for own in thetas]):
+            tasks = [(self.searches[i], nominals[i], thetas[i]) for i in members]
+            result |= dict(zip(members, scored(tasks, faces), strict=True))
+        return [result[i] for i in range(len(self.searches))]
+
+    def _batches(self, counts: Sequence[int]) -> list[list[int]]:
+        """Return agents that are alike together, with not too many candidates (one for each agent) at once."""
+        batches: list[list[int]] = []
+        open_: dict[object, int] = {}
+        for i, search in enumerate(self.searches):
+            key = search_key(search)
+            at = open_.get(key)
+            if at is None or sum(counts[k] for k in batches[at]) + counts[i] > AT_ONCE:
+                open_[key] = at = len(batches)
+                batches.append([])
+            batches[at].append(i)
+        return batches
+
+    def _rows(self, limits: list[PairLimits], found: Sequence[Found]) -> PairRows:
+        outputs = [one.nominal.outputs[0] for one in found]
+        return pair_rows(limits, outputs, [one.spreads.outputs[0] for one in found], self.columns)
+
+    def _asking(self, team: TeamFound) -> list[NominalPath]:
+        """Return the nominal paths of all agents with what pairs ask of them, the others being as they are."""
+        asked = team.rows.asked([one.spreads.pairs for one in team.found])
+        return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
+
+    def _judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+        """Return the team with the rows of all agents and pairs together."""
+        rows = self._rows(limits, found)
+        asked = rows.asked([{}] * len(found))
+        nominals = [replace(one.nominal, pairs=own) for one, own in zip(found, asked, strict=True)]
+        total, kept = Worth(), dict[int, Found]()
+        for members in self._batches([1] * len(found)):
+            feedback = Feedback(*(np.concatenate([getattr(found[i].feedback, name) for i in members])
+                                  for name in ("gains", "slabs")))  # fmt: skip
+            worth, spreads = worth_of([nominals[i] for i in members], feedback, np.arange(len(members)))
+            total.extend(worth.own.flattened([self.searches[i].agent.name for i in members]))
+            kept |= {i: replace(found[i], nominal=nominals[i], spreads=spreads.of(k)) for k, i in enumerate(members)}
+        team = tuple(kept[i] for i in range(len(found)))
+        rows.add_to(total, [one.spreads.pairs for one in team])
+        return TeamFound(float(total.scores()[0]), float(total.failures()[0]), team, faces, rows, total.weakest())
+
+
+def search_key(search: NonlinearSearch) -> object:
+    """Return what searches have in common whose candidates are looked at together."""
+    agent = search.agent
+    ends = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
+    return key_of(agent), tuple(end.tobytes() for end in ends)
+
+
+def _within(limits: FloatArray, spread: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return deviations to begin with that are no larger than a share of what is allowed."""
+    width = limits[1] - limits[0]
+    return np.where(np.isfinite(width), np.minimum(spread[0], NARROW * np.abs(width)), spread[0]), spread[1]
+
+
+def _right(way: FloatArray) -> FloatArray:
+    """Return a vector as long as a way, to the right of it in the plane of the first two outputs."""
+    result = np.zeros_like(way)
+    if len(way) > 1:
+        result[0], result[1] = way[1], -way[0]
+    return result
