@@ -22,7 +22,10 @@ def problem_of(spec: Spec) -> cg.Problem:
         name="random",
         horizon=spec["horizon"],
         agents=[agent_of(agent) for agent in spec["agents"]],
-        propositions={name: cg.Proposition(**region) for name, region in spec["propositions"].items()},
+        propositions={
+            name: (cg.Pair if "agents" in region else cg.Proposition)(**region)
+            for name, region in spec["propositions"].items()
+        },
         specification=cg.Specification(spec["text"], spec["semantics"]),
     )
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -237,9 +237,12 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
         held: list[dict[str, np.ndarray]] = [{} for _ in agents]
         for bit, name in enumerate(names):
             region = spec["propositions"][name]
-            i = place[region["agent"]]
-            held[i][name] = membership(agents[i], region, states[i])
-            words[:, t] |= held[i][name].astype(np.int64) << bit
+            if "agents" in region:
+                holds_now = _near(region, *(states[place[owner]] for owner in region["agents"]))
+            else:
+                i = place[region["agent"]]
+                holds_now = held[i][name] = membership(agents[i], region, states[i])
+            words[:, t] |= holds_now.astype(np.int64) << bit
         if t == spec["horizon"]:
             break
         inputs, told = act(states, held, t), dict[str, np.ndarray]()
@@ -258,7 +261,7 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
                 noise = (
                     _uneven(agent, x, applied, rng) if "laws" in agent else factors[i] @ rng.standard_normal(x.shape)
                 )
-                states[i] = _bent(agent, x, applied, winds, told) + noise
+                states[i] = _bent(agent, x, applied, winds, told, spec.get("blowing", "")) + noise
                 continue
             noise = factors[i] @ rng.standard_normal(x.shape)
             offset = np.array(agent.get("offset") or np.zeros(len(x)), dtype=float)[:, None]
@@ -268,10 +271,33 @@ def successes(spec: dict[str, Any], act: Act, episodes: int, seed: int) -> tuple
     return (episodes - number if spec.get("fails") else number), beyond
 
 
+def _near(pair: dict[str, Any], first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Whether the difference of states (d, M) of two agents lies in a half-open box."""
+    inside = np.ones(first.shape[1], dtype=bool)
+    for low, high, k, m in zip(pair["low"], pair["high"], *pair["outputs"]):
+        difference = first[k] - second[m]
+        inside &= (difference >= low) & (difference < high)
+    return inside
+
+
 def _bent(
-    agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator, told: dict[str, np.ndarray]
+    agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.Generator, told: dict[str, np.ndarray], way: str
 ) -> np.ndarray:
-    """Means (d, M) of agents whose dynamics are nested tuples; disturbances jump between their ends."""
+    """Means (d, M) of agents whose dynamics are nested tuples; disturbances jump between their ends.
+
+    They jump at random, or, ``"outward"`` or ``"inward"``, to the ends that lead farthest from the middle of the
+    workspace, or nearest to it, in its widths.
+    """
+    if way and agent["winds"]:
+        middle = 0.5 * (np.array(agent["state_high"]) + np.array(agent["state_low"]))[:, None]
+        width = (np.array(agent["state_high"]) - np.array(agent["state_low"]))[:, None]
+        best, least = np.zeros(x.shape), np.full(x.shape[1], np.inf)
+        for ends in product(*agent["winds"].values()):
+            blown = {**agent, "winds": {name: (end, end) for name, end in zip(agent["winds"], ends)}}
+            mean = _bent(blown, x, u, rng, told, "")
+            far = np.sum(((mean - middle) / width) ** 2, axis=0) * (-1.0 if way == "outward" else 1.0)
+            best, least = np.where(far < least, mean, best), np.minimum(far, least)
+        return best
     values = {f"x{k}": row for k, row in enumerate(x)} | {f"u{j}": row for j, row in enumerate(u)} | told
     for name, ends in agent["winds"].items():
         values[name] = np.where(rng.random(x.shape[1]) < 0.7, ends[0], ends[1])

@@ -123,6 +123,15 @@ def _of_path(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     return [(spec, lambda n, seed: Followed(spec, found.paths), found.lower_bound)], _refused(found)
 
 
+def _of_nonlinear(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
+    """The same, against disturbances that jump at random, and against those that push outward or inward."""
+    claims, refusals = _of_path(problem, spec)
+    if any(agent.get("winds") for agent in spec["agents"]):
+        (own, act, bound), *_ = claims
+        claims += [({**own, "blowing": way}, act, bound) for way in ("outward", "inward")]
+    return claims, refusals
+
+
 def _of_hull(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
     """A set of starts: mixtures of few corners, and a corner that is hardly mixed."""
     certificate: Any = cg.synthesize(problem, **spec["options"]).certificate
@@ -191,7 +200,8 @@ def _of_upper_end(problem: cg.Problem, spec: Spec) -> tuple[Claims, str]:
 
 CLAIMS: dict[str, Callable[[cg.Problem, Spec], tuple[Claims, str]]] = {
     "paths": _of_path,
-    "nonlinear": _of_path,
+    "nonlinear": _of_nonlinear,
+    "fleets": _of_nonlinear,
     "hulls": _of_hull,
     "menus": _of_menus,
     "networks": _of_networks,

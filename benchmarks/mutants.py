@@ -220,7 +220,7 @@ MUTANTS = [
     *_in(
         "synthesis/checking/linear_deviations.py",
         ('np.einsum("ij,sjk->sik", F, self.products)', 'np.einsum("sij,jk->sik", self.products, F)'),
-        ("+ np.abs(moved[:, s + 1]) @ drift + wrong", "+ np.abs(moved[:, s]) @ drift + wrong"),
+        ("np.sum(np.abs(moved[:, 1:]) * drifts, axis=(1, 2))", "np.sum(np.abs(moved[:, :-1]) * drifts, axis=(1, 2))"),
         ("total = np.abs(moved[:, 0]) @ self.spread", "total = 0.0 * moved[:, 0] @ self.spread"),
     ),
     *_in(

@@ -297,8 +297,8 @@ def _path(rng: np.random.Generator) -> Spec:
 
 
 def _nonlinear(rng: np.random.Generator) -> Spec:
-    """Certificates along a path of agents written as expressions: one to three states, winds, scales, start boxes."""
-    d = int(rng.choice([1, 2, 3], p=[0.3, 0.4, 0.3]))
+    """Certificates along a path of agents written as expressions: one to six states, winds, scales, start boxes."""
+    d = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.15, 0.3, 0.2, 0.15, 0.1, 0.1]))
     agents = [_linear(rng, f"agent_{i}", d, (0.04, 0.15), wide=d == 1 or rng.random() < 0.5)
               for i in range(1 + int(d == 1 and rng.random() < 0.3))]  # fmt: skip
     for agent in agents:
@@ -309,6 +309,88 @@ def _nonlinear(rng: np.random.Generator) -> Spec:
             agent["laws"] = [{"law": "gaussian", "std": float(std)} for std in deviations]
             agent["written"]["noise"] = agent["laws"]
     return _told_starts(_problem(rng, agents, {"relation": "path"}, (1, 2, 3, 5)))
+
+
+def _fleet(rng: np.random.Generator) -> Spec:
+    """Two or three agents, linear or written as expressions, that keep apart, meet, or stay near each other."""
+    unit = float(rng.choice([1.0, 1.0, 10.0, 0.01]))
+    agents, goals = [], list[str]()
+    propositions: dict[str, Spec] = {}
+    for i in range(int(rng.choice([2, 3], p=[0.75, 0.25]))):
+        d = int(rng.choice([1, 2, 3], p=[0.4, 0.4, 0.2]))
+        agent = _in_units(_linear(rng, f"agent_{i}", d, (0.03, 0.1), wide=d == 1 or rng.random() < 0.7), unit)
+        if rng.random() < 0.7:
+            _in_words(rng, agent, _write)
+        agent["correlated"] = True  # no start boxes: pairs are read at points
+        agents.append(agent)
+    apart = rng.random() < 0.6
+    pairs = []
+    for i, first in enumerate(agents):
+        for second in agents[i + 1 :]:
+            axes = [int(rng.integers(len(agent["state_low"]))) for agent in (first, second)]
+            both = len(first["state_low"]) > 1 and len(second["state_low"]) > 1 and rng.random() < 0.5
+            outputs = [[0, 1], [0, 1]] if both else [[axes[0]], [axes[1]]]
+            half = rng.uniform(0.1, 0.35, 1 + both) if apart else rng.uniform(0.5, 1.0, 1 + both)
+            middle = rng.uniform(-0.1, 0.1, 1 + both)
+            low, high = (unit * (middle - half)).tolist(), (unit * (middle + half)).tolist()
+            name = f"near_{first['name'][-1]}{second['name'][-1]}"
+            pairs.append(name)
+            propositions[name] = {"agents": [first["name"], second["name"]], "low": low, "high": high,
+                                  "outputs": outputs}  # fmt: skip
+    singles: dict[str, Spec] = {}
+    for agent in agents:
+        if rng.random() < 0.6 or not goals:
+            goals.append(f"goal_{agent['name']}")
+            singles[goals[-1]] = _region(rng, agent, "goal")
+        _start(rng, agent, singles)
+    for name in pairs:
+        if rng.random() < 0.15:
+            _on_face(rng, agents, propositions[name])
+    semantics = str(rng.choice(["co-safe", "finite-trace"]))
+    formula = _pair_task(rng, pairs, goals, apart, semantics)
+    spec = {"agents": agents, "propositions": singles | propositions, "formula": formula, "text": text_of(formula),
+            "semantics": semantics, "horizon": int(rng.choice([1, 2, 3, 5, 6])),
+            "options": {"relation": "path"}}  # fmt: skip
+    return _told_starts(spec)
+
+
+def _in_units(agent: Spec, unit: float) -> Spec:
+    """The same agent with all of its states in one unit."""
+    own = np.array(agent["state_high"]) / unit
+    agent["A"] = (np.array(agent["A"]) * own / own[:, None]).tolist()
+    for name in ("state_low", "state_high", "offset"):
+        agent[name] = (np.array(agent[name]) / own).tolist()
+    agent["B"] = (np.array(agent["B"]) / own[:, None]).tolist()
+    covariance = np.array(agent["noise_covariance"]) / np.outer(own, own)
+    agent["noise_covariance"] = (0.5 * (covariance + covariance.T)).tolist()
+    return agent
+
+
+def _on_face(rng: np.random.Generator, agents: list[Spec], pair: Spec) -> None:
+    """Move the start of the second agent of a pair so that their difference lies on a face of its box."""
+    first, second = (next(a for a in agents if a["name"] == name) for name in pair["agents"])
+    k, side = int(rng.integers(len(pair["low"]))), str(rng.choice(["low", "high"]))
+    if "initial_state" in first and "initial_state" in second:
+        i, j = (outputs[k] for outputs in pair["outputs"])
+        place = first["initial_state"][i] - pair[side][k]
+        second["initial_state"][j] = float(np.clip(place, second["state_low"][j], second["state_high"][j]))
+
+
+def _pair_task(rng: np.random.Generator, pairs: list[str], goals: list[str], apart: bool, semantics: str) -> Formula:
+    """Keep apart on the way to goals or for good; or meet, or stay near each other."""
+
+    def every(these: list[str], kind: str = "is") -> Formula:
+        formula: Formula = (kind, these[0])
+        for name in these[1:]:
+            formula = ("and", formula, (kind, name))
+        return formula
+
+    goal, wanted = every(goals), every(pairs, "not" if apart else "is")
+    forms: list[Formula] = [("U", wanted, goal), ("X", ("U", wanted, goal)), ("F", 0, None, ("and", wanted, goal))]
+    if semantics == "finite-trace":
+        forms += [("G", 0, None, wanted), ("and", ("G", 0, None, wanted), ("F", 0, None, goal))]
+        forms.append(("G", 1, None, wanted))
+    return forms[int(rng.integers(len(forms)))]
 
 
 def _hull(rng: np.random.Generator) -> Spec:
@@ -380,6 +462,7 @@ MAKERS: dict[str, Callable[[np.random.Generator], Spec]] = {
     "states": _states,
     "paths": _path,
     "nonlinear": _nonlinear,
+    "fleets": _fleet,
     "hulls": _hull,
     "menus": _menus,
     "networks": _networks,

@@ -1,7 +1,8 @@
 """Synthesis of tasks with propositions about pairs of agents.
 
 By *subtraction* the task without its pairs is certified, and what pairs may spoil is subtracted: any number of agents,
-each of which looks at its own state alone. As a *joint* agent a small team is one agent on the product of its grids:
+each of which looks at its own state alone. Along *paths* agents of any dynamics are planned together, and each looks at
+its own state alone, too. As a *joint* agent a small team is one agent on the product of its grids:
 each agent then looks at the states of all. See docs/theory/pairs.md.
 """
 
@@ -20,12 +21,16 @@ from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
 from .choosing import Results, Way
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
+from .nominal_paths import path_certificate
 from .on_cells import Plan
 from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, Sweep, find_policies, sweep
 
-WAYS = ("auto", "exact", "joint")
+WAYS = ("auto", "exact", "joint", "path")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
+
+PATH = 0.012
+"""Work of paths for each step and state of a team."""
 
 ROUNDS = 6
 """Most times that every agent answers to the others: as a rule two are enough."""
@@ -69,7 +74,16 @@ def ways_together(
         found = as_one_agent(problem, cells, task)
         return replace(found, stats={name: value for name, value in found.stats.items() if name != "tried"})
 
-    ways = [Way("exact", subtraction, 0.0, ENOUGH, ENOUGH), Way("joint", joint, 1.0, ENOUGH, ENOUGH)]
+    def path(results: Results) -> Synthesis:
+        if cells is not None:
+            raise RelationRefused("paths have no grid, and need no `cells`")
+        return path_certificate(problem)
+
+    ways = [
+        Way("exact", subtraction, 0.0, ENOUGH, ENOUGH),
+        Way("joint", joint, 1.0, ENOUGH, ENOUGH),
+        Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH),
+    ]
     return [way for way in ways if relation in ("auto", way.name)]
 
 

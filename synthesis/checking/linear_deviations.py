@@ -76,8 +76,10 @@ class Chain:
         lengths = np.linalg.norm(rows, axis=1) * TAIL
         moved, wrong = self._moved(rows, lengths)
         total = np.abs(moved[:, 0]) @ self.spread + wrong[:, 0] * float(np.linalg.norm(self.spread))
-        for s, drift in enumerate(self.drifts):
-            total = total + np.abs(moved[:, s + 1]) @ drift + wrong[:, s + 1] * float(np.linalg.norm(drift))
+        if self.drifts:
+            drifts = np.array(self.drifts)
+            total = total + np.sum(np.abs(moved[:, 1:]) * drifts, axis=(1, 2))
+            total = total + wrong[:, 1:] @ np.linalg.norm(drifts, axis=1)
         return np.asarray(total * TAIL)
 
     def variances(self, rows: FloatArray) -> FloatArray:
@@ -85,13 +87,15 @@ class Chain:
         rows = rows * self.units
         lengths, d = np.linalg.norm(rows, axis=1) * TAIL, len(self.units)
         moved, wrong = self._moved(rows, lengths)
-        total, error = np.zeros(len(rows)), np.zeros(len(rows))
-        for s, noise in enumerate(self.noises):
-            part, size = moved[:, s + 1], float(np.linalg.norm(noise)) * TAIL
-            total += np.einsum("jd,de,je->j", part, noise, part, optimize=True)
-            length, off = np.linalg.norm(part, axis=1) * TAIL, wrong[:, s + 1]
-            error += size * (2.0 * length * off + off**2 + (2.0 * d + len(self.noises) + 4.0) * UNIT * length**2)
-        return np.asarray(np.maximum(total, 0.0) + error * TAIL)
+        if not self.noises:
+            return np.zeros(len(rows))
+        noises, parts = np.array(self.noises), moved[:, 1:].swapaxes(0, 1)
+        sizes = np.sqrt(np.einsum("sij,sij->s", noises, noises)) * TAIL
+        # One sum over states, then one over times: what is added rounds d and then t times.
+        total = np.sum(np.sum(np.matmul(parts, noises) * parts, axis=2), axis=0)
+        length, off = np.sqrt(np.sum(parts**2, axis=2)) * TAIL, wrong[:, 1:].T
+        error = 2.0 * length * off + off**2 + (2.0 * d + len(noises) + 4.0) * UNIT * length**2
+        return np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL)
 
     def _moved(self, rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows times products (J, t + 1, d) as computed, and bounds (J, t + 1) on the lengths of what they are off."""

@@ -91,24 +91,46 @@ def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], 
 def cubes_of(problem: Problem, q: int) -> dict[int, list[Cube]]:
     """Return, by target, a few cubes of letters that lead from state q there, those that ask for least first.
 
-    What is asked for least is few propositions that must hold, then few that must not.
+    What is asked for least is few propositions that must hold, then few that must not. Dead states are no targets.
     """
     automaton = problem.automaton
     found: dict[int, list[Cube]] = {}
+    wanted = set(np.flatnonzero(~automaton.dead).tolist())
+    leads_to = _leads_to(automaton, int(automaton.root[q]))
     heap: list[tuple[int, int, int, int, Cube]] = [(0, 0, 0, int(automaton.root[q]), ())]
     for number in range(1, MOST_STEPS):
         if not heap:
             break
         hold, fail, _, entry, cube = heappop(heap)
         if entry < 0:
-            cubes = found.setdefault(-1 - entry, [])
-            if len(cubes) < CUBES_KEPT:
+            if -1 - entry in wanted:
+                cubes = found.setdefault(-1 - entry, [])
                 cubes.append(cube)
+                wanted -= {-1 - entry} if len(cubes) == CUBES_KEPT else set()
+            continue
+        # With many propositions most of a diagram leads to states of which enough cubes are known.
+        if not leads_to[entry] & wanted:
             continue
         p = int(automaton.variable[entry])
         heappush(heap, (hold, fail + 1, 2 * number, int(automaton.low[entry]), (*cube, (p, False))))
         heappush(heap, (hold + 1, fail, 2 * number + 1, int(automaton.high[entry]), (*cube, (p, True))))
     return found
+
+
+def _leads_to(automaton: Automaton, root: int) -> dict[int, set[int]]:
+    """Return the states to which each node below a root leads."""
+    result: dict[int, set[int]] = {}
+    stack = [root] if root >= 0 else []
+    while stack:
+        entry = stack[-1]
+        children = [int(automaton.low[entry]), int(automaton.high[entry])]
+        missing = [child for child in children if child >= 0 and child not in result]
+        if missing:
+            stack += missing
+            continue
+        stack.pop()
+        result[entry] = set().union(*({-1 - child} if child < 0 else result[child] for child in children))
+    return result
 
 
 def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
