@@ -242,6 +242,27 @@ MUTANTS = [
         ("kept.append(np.where(np.isnan(distance), -np.inf, distance))", "kept.append(distance)"),
     ),
     *_in(
+        "synthesis/checking/pair_limits_check.py",
+        (
+            "corner = np.maximum(normal * pair.low, normal * pair.high)",
+            "corner = np.minimum(normal * pair.low, normal * pair.high)",
+        ),
+        ("drift[here] += now[i].chain.drift(matrix)", "drift[here] = now[i].chain.drift(matrix)"),
+        ("variance[here] += now[i].chain.variances(matrix)", "variance[here] = now[i].chain.variances(matrix)"),
+        ("rows.add(below - drift, above - drift,", "rows.add(below, above,"),
+        (
+            "        elif value < 0:\n            if not np.any(normal):",
+            "        elif value < -1:\n            if not np.any(normal):",
+        ),
+        ("if not np.any(normal):", "if False:"),
+        ("if value > 0:", "if value > 1:"),
+        (
+            "for i, sign in ((form.pair.first, 1.0), (form.pair.second, -1.0)):",
+            "for i, sign in ((form.pair.first, 1.0), (form.pair.second, 1.0)):",
+        ),
+        ("if any(path.states is None for path in certificate.paths):", "if False:"),
+    ),
+    *_in(
         "synthesis/checking/own_bends.py",
         ("outer if a == b else _sum(outer, outer.swapaxes(1, 2))", "outer"),
         ('"sin": "-sin(x)",', '"sin": "0*x",'),

@@ -50,9 +50,12 @@ class Spreads:
 
     def of(self, candidate: int) -> Spreads:
         """Return those of one candidate."""
-        each = [(sd[:, candidate], drift[:, candidate]) for sd, drift in (self.states, self.outputs, self.inputs)]
+
+        def one(both: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+            return both[0][:, candidate], both[1][:, candidate]
+
         pairs = {t: (drift[candidate], variance[candidate]) for t, (drift, variance) in self.pairs.items()}
-        return Spreads(*each, self.slabs[:, candidate], pairs)
+        return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.slabs[:, candidate], pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,16 +142,19 @@ class _Walk:
         self.model, self.feedback, self.n = paths[0].model, feedback, len(which)
         agent = self.agent = self.model.agent
         self.d, self.m, self.steps = agent.n_states, agent.n_inputs, len(paths[0].inputs)
+
         # What belongs to the paths, candidate by candidate: times, candidates, and the rest.
-        self.x, self.u = (self._each(paths, which, lambda p, k=k: (p.states, p.inputs)[k]) for k in (0, 1))
-        self.A, self.B = (self._each(paths, which, lambda p, k=k: p.linear[k]) for k in (0, 1))
-        self.y, self.C = (self._each(paths, which, lambda p, k=k: p.outputs[k]) for k in (0, 1))
-        self.unknowns = self._each(paths, which, lambda p: p.by_unknowns)
-        self.noises = self._each(paths, which, lambda p: p.noises)
-        self.limits_x = [self._each(paths, which, lambda p, k=k: p.limits.states[k]) for k in (0, 1)]
-        self.limits_y = [self._each(paths, which, lambda p, k=k: p.limits.outputs[k]) for k in (0, 1)]
+        def each(read: Callable[[NominalPath], FloatArray]) -> FloatArray:
+            return np.stack([read(path) for path in paths], axis=1)[:, which]
+
+        self.x, self.u = each(lambda p: p.states), each(lambda p: p.inputs)
+        self.A, self.B = each(lambda p: p.linear[0]), each(lambda p: p.linear[1])
+        self.y, self.C = each(lambda p: p.outputs[0]), each(lambda p: p.outputs[1])
+        self.unknowns, self.noises = each(lambda p: p.by_unknowns), each(lambda p: p.noises)
+        self.limits_x = each(lambda p: p.limits.states[0]), each(lambda p: p.limits.states[1])
+        self.limits_y = each(lambda p: p.limits.outputs[0]), each(lambda p: p.limits.outputs[1])
         if self.model.scale is not None:
-            self.slopes = self._each(paths, which, lambda p: p.scales[1])
+            self.slopes = each(lambda p: p.scales[1])
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
         steps, d = self.steps, self.d
@@ -166,12 +172,6 @@ class _Walk:
         low = np.concatenate([agent.state_low, agent.input_low, self.model.unknown[0]])
         self.ends = low, np.concatenate([agent.state_high, agent.input_high, self.model.unknown[1]])
         self.lost = LOST * width
-
-    def _each(
-        self, paths: Sequence[NominalPath], which: NDArray[np.int64], read: Callable[[NominalPath], FloatArray]
-    ) -> FloatArray:
-        """Return arrays (times, N, ..) of what is read of each path (times, ..)."""
-        return np.stack([read(path) for path in paths], axis=1)[:, which]
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
@@ -207,7 +207,8 @@ class _Walk:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
                 inputs[0, t], inputs[1, t], slabs[t, :, d:] = self._step(t, reach)
-        return self.worth, Spreads(tuple(states), tuple(outputs), tuple(inputs), slabs, pairs)
+        spreads = [(both[0], both[1]) for both in (states, outputs, inputs)]
+        return self.worth, Spreads(spreads[0], spreads[1], spreads[2], slabs, pairs)
 
     def _off_outputs(self, t: int, reach: FloatArray) -> FloatArray:
         """Return what outputs (N, p) are off their linear forms."""

@@ -45,7 +45,8 @@ class Worth:
         parts = zip(self.low, self.high, self.slab, self.variance, self.shared, strict=True)
         kept = [rows for *rows, shared in parts if not shared]
         names = [name for name in self.names if not name.startswith(PAIR)]
-        return Worth(*([rows[k] for rows in kept] for k in range(4)), names, [False] * len(kept))
+        low, high, slab, variance = ([rows[k] for rows in kept] for k in range(4))
+        return Worth(low, high, slab, variance, names, [False] * len(kept))
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
         """Add rows (N, J)."""
@@ -62,10 +63,10 @@ class Worth:
 
     def flattened(self, owners: Sequence[str]) -> Worth:
         """Return the rows of N agents, with their names, as those of one team (1, N J)."""
-        parts = ([rows.reshape(1, -1) for rows in part] for part in (self.low, self.high, self.slab, self.variance))
+        parts = [[rows.reshape(1, -1) for rows in part] for part in (self.low, self.high, self.slab, self.variance)]
         names = self._by_rows()
         told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
-        return Worth(*parts, told, [*self.shared])
+        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared])
 
     def _by_rows(self) -> list[list[str]]:
         """Return the names, part by part."""

@@ -156,7 +156,7 @@ class NonlinearSearch:
     def followed(
         self, letters: NDArray[np.int8], guess: FloatArray, faces: NDArray[np.int64], weight: float, rounds: int
     ) -> FloatArray:
-        """Return inputs (S, m) that follow a guess (S + 1, p) of outputs, with a weight, for some rounds of planning."""
+        """Return inputs (S, m) that follow a guess (S + 1, p) of outputs, with a weight, after some rounds."""
         steps, limits = len(letters) - 1, limits_along(self.problem, self.agent, letters, faces)
         sharp = (
             np.tile(0.02 * self.width, (steps + 1, 1)), np.tile(0.02 * self.spans, (steps + 1, 1)),
@@ -172,7 +172,7 @@ class NonlinearSearch:
     def _pursued(self, guess: FloatArray) -> FloatArray:
         """Return inputs (S, m) by which an agent runs after a guess: at each step the best of some constant ones."""
         agent, steps = self.agent, len(guess) - 1
-        x, inputs = 0.5 * (agent.initial.low + agent.initial.high), []
+        x, inputs = 0.5 * (agent.initial.low + agent.initial.high), list[FloatArray]()
         still = self._still()
         for t in range(steps):
             share = self.rng.uniform(-1.0, 1.0, (PURSUED, len(still)))

@@ -118,8 +118,8 @@ def pair_rows(
                     rows.append(row)
                     forms.append(full)
     done = [{int(t): Side(np.array(rows), np.array(forms)) for t, (rows, forms) in own.items()} for own in sides]
-    ends = [{int(t): np.array(values) for t, values in part.items()} for part in (low, high)]
-    return PairRows(ends[0], ends[1], done, normals)
+    least, most = ({int(t): np.array(values) for t, values in part.items()} for part in (low, high))
+    return PairRows(least, most, done, normals)
 
 
 def max_0(values: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray
 from .nonlinear_model import NonlinearModel
 
@@ -73,9 +73,12 @@ class TeamModel:
             places = [np.array([first[i, k] + np.arange(sizes[i][k]) for i in members]) for k in range(3)]
             self.alike.append(_Alike(models[members[0]], *places))
         self.agent = TeamBounds(
-            *(np.concatenate([getattr(agent, name) for agent in agents])
-              for name in ("state_low", "state_high", "input_low", "input_high")),
-            Box(*(np.concatenate([getattr(agent.initial, name) for agent in agents]) for name in ("low", "high"))),
+            np.concatenate([agent.state_low for agent in agents]),
+            np.concatenate([agent.state_high for agent in agents]),
+            np.concatenate([agent.input_low for agent in agents]),
+            np.concatenate([agent.input_high for agent in agents]),
+            Box(np.concatenate([agent.initial.low for agent in agents]),
+                np.concatenate([agent.initial.high for agent in agents])),
         )  # fmt: skip
 
     @cached_property
@@ -120,7 +123,9 @@ def key_of(agent: AnyAgent) -> object:
     if isinstance(agent, LinearAgent):
         arrays = (agent.A, agent.B, agent.offset, agent.output_matrix, agent.noise_covariance)
         return tuple((array.shape, array.tobytes()) for array in arrays)
-    return (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.trees, agent.output_trees,
+    assert isinstance(agent, Agent)
+    deviations = tuple(law.std for law in agent.laws or ())
+    return deviations, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.trees, agent.output_trees,
             agent.scale_trees, agent.noise_covariance.tobytes())  # fmt: skip
 
 

@@ -205,7 +205,7 @@ class TeamSearch:
         for _ in range(3):
             if (own := self._limits(letters, faces)) is None:
                 return None
-            aim = Aim(own, *pairs_of, outputs, np.zeros(outputs.shape[1]), pairs)
+            aim = Aim(own, pairs_of[0], pairs_of[1], pairs_of[2], outputs, np.zeros(outputs.shape[1]), pairs)
             states, u, cost = Planner(self.model, aim).improved(u, 40)
             if not np.isfinite(cost):
                 return None

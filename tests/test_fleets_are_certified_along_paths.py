@@ -1,0 +1,272 @@
+"""Teams whose agents keep apart, or meet, along nonlinear paths: certified below the truth, checked by other code."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, norm
+
+import certigym as cg
+from certigym.synthesis.certificates import AgentPath, PathCertificate
+from certigym.synthesis.nominal_paths.limit_rows import Worth
+from certigym.synthesis.nominal_paths.pair_rows import PairRows
+from certigym.synthesis.nominal_paths.words import is_accepted, ways_of
+
+FALSE_ALARM = 1e-6
+"""Probability that a test of rollouts fails although the claim is true."""
+
+
+def problem_of(agents: list[Any], regions: dict[str, Any], formula: str, horizon: int) -> cg.Problem:
+    """Return a problem; formulas with G are judged at the end."""
+    task = cg.Specification(formula, "finite-trace" if "G" in formula else "co-safe")
+    return cg.Problem(name="fleet", agents=agents, propositions=regions, specification=task, horizon=horizon)
+
+
+def unicycle(name: str, start: list[float], std: float, side: float = 5.0) -> cg.Agent:
+    return cg.Agent(
+        name=name, states=["x", "y", "heading"], inputs=["speed", "turn"],
+        dynamics=["x + 0.5*speed*cos(heading)", "y + 0.5*speed*sin(heading)", "heading + 0.5*turn"],
+        outputs=["x", "y"], noise_covariance=std**2 * np.eye(3), state_low=[-side, -5, -7], state_high=[side, 5, 7],
+        input_low=[0, -1], input_high=[1.5, 1], initial_state=start,
+    )  # fmt: skip
+
+
+def swap(n: int = 2, std: float = 0.05, near: float = 0.8, horizon: int = 12, side: float = 5.0) -> cg.Problem:
+    """Return unicycles on a circle that swap places with those across, in a street of some width."""
+    agents, regions = [], dict[str, Any]()
+    for k in range(n):
+        angle = 2.0 * math.pi * (k + 0.5) / n
+        x, y = 3.0 * math.cos(angle), 3.0 * math.sin(angle)
+        agents.append(unicycle(f"car_{k}", [x, y, math.atan2(-y, -x)], std, side))
+        regions[f"goal_{k}"] = cg.Proposition(f"car_{k}", [-x - 0.8, -y - 0.8], [-x + 0.8, -y + 0.8])
+    regions["near"] = cg.Pair("car_*", [-near, -near], [near, near])
+    goals = " & ".join(f"goal_{k}" for k in range(n))
+    return problem_of(agents, regions, f"!any(near) U ({goals})", horizon)
+
+
+def walker(name: str, start: list[float], std: float, **changes: Any) -> cg.LinearAgent:
+    d = len(start)
+    arguments: dict[str, Any] = {
+        "A": np.eye(d), "B": np.eye(d), "noise_covariance": std**2 * np.eye(d), "state_low": [-9.0] * d,
+        "state_high": [9.0] * d, "input_low": [-1.0] * d, "input_high": [1.0] * d, "initial_state": start,
+    }  # fmt: skip
+    return cg.LinearAgent(name=name, **{**arguments, **changes})
+
+
+def mixed() -> cg.Problem:
+    """Return a unicycle, a cart with a velocity and a walker: one pair keeps apart, another one meets at last."""
+    cart = cg.LinearAgent(
+        name="cart", A=[[1, 0.5], [0, 1]], B=[[0.125], [0.5]], noise_covariance=np.diag([0.02**2, 0.03**2]),
+        state_low=[-5, -2], state_high=[5, 2], input_low=[-1], input_high=[1], initial_state=[0.0, 0.0],
+        output_matrix=[[1, 0]],
+    )  # fmt: skip
+    regions = {
+        "there": cg.Proposition("car", [2, -1], [4, 1]),
+        "near": cg.Pair(["car", "walker"], [-0.6, -0.6], [0.6, 0.6]),
+        "met": cg.Pair(["cart", "walker"], [-0.5], [0.5], outputs=[[0], [0]]),
+    }
+    agents = [unicycle("car", [-3, 0, 0], 0.03), cart, walker("walker", [2.5, 0.3], 0.05)]
+    return problem_of(agents, regions, "!near U (there & met)", 10)
+
+
+PROBLEMS = {"two": swap(), "four": swap(4, 0.02, 0.4), "mixed": mixed()}
+
+
+def path_of(problem: cg.Problem) -> PathCertificate:
+    found: Any = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(found, PathCertificate)
+    return found
+
+
+@pytest.fixture(scope="module")
+def certificates() -> dict[str, PathCertificate]:
+    return {name: path_of(problem) for name, problem in PROBLEMS.items()}
+
+
+@pytest.mark.parametrize("name", sorted(PROBLEMS))
+def test_certificates_are_checked_and_not_refuted(name: str, certificates: dict[str, PathCertificate]) -> None:
+    certificate = certificates[name]
+    report = cg.check(certificate, PROBLEMS[name])
+    assert report.valid, report.failures
+    assert certificate.lower_bound > 0.9
+    done = cg.rollout(PROBLEMS[name], certificate.controller, 20_000, seed=1)
+    assert binom.cdf(done.successes, 20_000, certificate.lower_bound) > FALSE_ALARM / 3
+
+
+def test_agents_see_themselves_alone(certificates: dict[str, PathCertificate]) -> None:
+    assert certificates["four"].controller.information == "own state, time"
+
+
+def test_the_search_is_deterministic(certificates: dict[str, PathCertificate]) -> None:
+    again, first = path_of(swap()), certificates["two"]
+    assert again.failure == first.failure
+    assert np.array_equal(again.paths[1].gains, first.paths[1].gains)
+
+
+def test_paths_are_found_without_being_asked_for() -> None:
+    found = cg.synthesize(swap(3, 0.02, 0.4))
+    assert isinstance(found.certificate, PathCertificate) and found.certificate.lower_bound > 0.99
+
+
+def _with_letters(certificate: PathCertificate, first: int, value: int) -> PathCertificate:
+    letters = certificate.letters.copy()
+    letters[:, first:] = value
+    return replace(certificate, letters=letters)
+
+
+FORGERIES = {
+    "failure": lambda c: replace(c, failure=0.9 * c.failure),
+    "pair dropped": lambda c: _with_letters(c, c.problem.labeling.first_pair, 0),
+    "pair turned round": lambda c: _with_letters(c, c.problem.labeling.first_pair, 1),
+    "no directions": lambda c: replace(c, normals=None),
+    "directions that are 0": lambda c: replace(c, normals=0.0 * c.normals),
+    "directions that are no numbers": lambda c: replace(c, normals=np.nan * c.normals),
+    "directions of another step": lambda c: replace(c, normals=np.roll(c.normals, 3, axis=0)),
+    "directions turned round": lambda c: replace(c, normals=-c.normals),
+    "directions that do not fit": lambda c: replace(c, normals=c.normals[:, :1]),
+    "paths without states": lambda c: replace(c, paths=(AgentPath(c.paths[0].inputs, c.paths[0].gain), *c.paths[1:])),
+    "agents exchanged": lambda c: replace(c, paths=c.paths[::-1]),
+    "one agent without feedback": lambda c: replace(c, paths=(replace(c.paths[0], gain=0.0 * c.paths[0].gain),
+                                                              *c.paths[1:])),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(FORGERIES))
+def test_forgeries_are_refused(name: str, certificates: dict[str, PathCertificate]) -> None:
+    certificate = certificates["two"]
+    assert 1e-6 < certificate.failure
+    assert not cg.check(FORGERIES[name](certificate))
+
+
+def test_a_half_plane_moved_inward_is_refused() -> None:
+    """What would be true of a smaller box, claimed of the box, where agents pass each other in a narrow street."""
+    honest, smaller = path_of(swap(std=0.03, side=0.9)), swap(std=0.03, near=0.75, side=0.9)
+    easier = cg.check(replace(honest, problem=smaller))
+    failure = 1.0 - easier.recomputed + 1e-9
+    assert cg.check(honest) and failure < 0.9 * honest.failure
+    assert cg.check(replace(honest, problem=smaller, failure=failure))
+    assert not cg.check(replace(honest, failure=failure))
+
+
+def test_what_scales_directions_changes_nothing(certificates: dict[str, PathCertificate]) -> None:
+    certificate = certificates["two"]
+    assert certificate.normals is not None
+    again = replace(certificate, normals=1024.0 * certificate.normals)
+    assert cg.check(again).recomputed == pytest.approx(cg.check(certificate).recomputed, rel=1e-9)
+
+
+@pytest.mark.parametrize("left_out", ["drift", "variance"])
+def test_one_agent_left_out_of_a_pair_is_refused(
+    left_out: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    totals = PairRows._totals
+
+    def without_the_first(self: PairRows, contributions: Any) -> Any:
+        drop = {t: (0.0 * drift, variance) if left_out == "drift" else (drift, 0.0 * variance)
+                for t, (drift, variance) in contributions[0].items()}  # fmt: skip
+        return totals(self, [drop, *contributions[1:]])
+
+    honest = path_of(swap(std=0.06))
+    assert cg.check(honest)
+    monkeypatch.setattr(PairRows, "_totals", without_the_first)
+    forged = path_of(swap(std=0.06))
+    assert not cg.check(forged)
+
+
+def apart(start: float, horizon: int = 1, formula: str = "G !near") -> cg.Problem:
+    agents = [walker("first", [0.0], 0.1), walker("second", [start], 0.2)]
+    return problem_of(agents, {"near": cg.Pair(["first", "second"], [-1.0], [0.5])}, formula, horizon)
+
+
+def test_one_step_of_a_pair_is_exact() -> None:
+    """Both go apart as far as they choose: the distance less that of the box, in deviations of both."""
+    certificate = path_of(apart(1.2, formula="N G !near"))
+    (first, second) = certificate.paths
+    assert first.states is not None and second.states is not None
+    gap = float(second.states[1, 0] - first.states[1, 0])
+    truth = norm.cdf((gap - 1.0) / math.hypot(0.1, 0.2))
+    assert certificate.lower_bound <= truth
+    # Slabs of the workspace are the rest: 9 is 30 deviations away.
+    assert certificate.lower_bound == pytest.approx(truth, abs=1e-9)
+    assert cg.check(certificate)
+
+
+@pytest.mark.parametrize(("start", "holds"), [(1.0, True), (np.nextafter(1.0, 2.0), False), (-0.5, False),
+                                              (np.nextafter(-0.5, 0.0), True), (0.0, True)])  # fmt: skip
+def test_pairs_are_read_at_time_0(start: float, holds: bool) -> None:
+    """The difference first - second lies in [-1, .5) or not; G !near is lost before the first control where it does."""
+    problem = apart(start)
+    safe = apart(3.0)
+    certificate = path_of(safe)
+    assert cg.check(certificate)
+    paths = tuple(
+        replace(path, states=path.states + (0.0 if k == 0 else start - 3.0))  # type: ignore[operator, arg-type]
+        for k, path in enumerate(certificate.paths)
+    )
+    forged = replace(certificate, problem=problem, paths=paths, failure=0.999999)
+    assert problem.labeling.letter([np.zeros(1), np.array([start])])[0] == holds
+    if holds:
+        assert not cg.check(forged)
+        with pytest.raises(ValueError, match="path"):
+            cg.synthesize(problem, relation="path")
+    else:
+        found: Any = cg.synthesize(problem, relation="path").certificate
+        assert found.lower_bound > 0.99 and cg.check(found)
+
+
+def test_pairs_at_a_face_without_noise_are_not_apart() -> None:
+    """Without noise a difference on the face of the closed box is not known to be outside."""
+    still = {"noise_covariance": [[0.0]], "B": [[0.0]]}
+    agents = [walker("first", [0.0], 0.1, **still), walker("second", [1.0], 0.1, **still)]
+    problem = problem_of(agents, {"near": cg.Pair(["first", "second"], [-1.0], [0.5])}, "N G !near", 1)
+    path = [
+        AgentPath(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.full((2, 1), x), np.full((2, 3), np.inf))
+        for x in (0.0, 1.0)
+    ]
+    letters = np.array([[0], [-1]], dtype=np.int8)
+    certificate = PathCertificate(
+        problem, tuple(path), letters, np.full((2, 1), -1), 0.999, {}, np.array([[0.0], [-1.0]])
+    )
+    assert not cg.check(certificate)
+
+
+def test_starts_that_are_drawn_are_refused_in_words() -> None:
+    agents = [
+        walker("first", [0.0], 0.1),
+        walker("second", [3.0], 0.1, initial_state=None, initial_low=[2.9], initial_high=[3.1]),
+    ]
+    problem = problem_of(agents, {"near": cg.Pair(["first", "second"], [-1.0], [0.5])}, "G !near", 2)
+    with pytest.raises(ValueError, match="first letter"):
+        cg.synthesize(problem, relation="path")
+
+
+def test_files_keep_fleets(certificates: dict[str, PathCertificate], tmp_path: Path) -> None:
+    certificate = certificates["mixed"]
+    cg.save_certificate(certificate, tmp_path / "fleet.npz")
+    again: Any = cg.load_certificate(tmp_path / "fleet.npz")
+    assert certificate.normals is not None and np.array_equal(again.normals, certificate.normals)
+    assert cg.check(again, certificate.problem).valid
+    content = cg.report(certificate, tmp_path / "fleet.html", episodes=200)
+    assert content
+
+
+def test_words_of_many_pairs_are_found() -> None:
+    """Forty agents have 780 pairs: ways through the automaton are found in the nodes that still lead somewhere."""
+    problem = swap(40, 0.01, 0.01, 3)
+    way = next(ways_of(problem))
+    letters = way.letters((3,), 3, len(problem.propositions))
+    assert letters is not None and is_accepted(problem, letters)
+    assert np.all(letters[1:3, problem.labeling.first_pair :] == -1)
+
+
+def test_rows_of_a_team_are_counted_once() -> None:
+    one, total = Worth(), Worth()
+    one.add(np.full((2, 3), 2.0), np.full((2, 3), np.inf), np.full((2, 3), np.inf), np.ones((2, 3)), ["a", "b", "c"])
+    total.extend(one.flattened(["first", "second"]))
+    assert total.failures()[0] == pytest.approx(6.0 * norm.sf(2.0), rel=1e-5)
+    assert total.weakest() == "agent `first`, a"
