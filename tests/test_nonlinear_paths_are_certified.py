@@ -18,6 +18,7 @@ from certigym.synthesis.checking.gaussian_inequalities import Inequalities
 from certigym.synthesis.checking.linear_deviations import Chain
 from certigym.synthesis.checking.own_bends import expansion
 from certigym.synthesis.nominal_paths import feedback_bounds
+from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
 
 FALSE_ALARM = 1e-6
@@ -267,28 +268,79 @@ def test_sabotage_of_the_search_is_refused_by_the_check(
     assert not report.valid and forged.failure < 0.99 * found.failure
 
 
-def test_the_nominal_scale_of_noise_alone_is_refused(
-    certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("slab", [3.5, np.inf])
+@pytest.mark.parametrize("forgotten", ["what the scale varies", "that the noise depends on the past"])
+def test_what_is_forgotten_of_scales_is_refused(
+    slab: float, forgotten: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What the scale varies on the tube joins the remainder, and slabs on the noise are asked for."""
+    """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
     certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0)
     found = search.quick(certificate.letters)
     assert found is not None
-    honest = replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
-    assert cg.check(honest)
-    scale = search.model.scale
+    slabs = found.feedback.slabs.copy()
+    slabs[:, 3:] = slab
+    feedback = replace(found.feedback, slabs=slabs)
+
+    def claimed() -> PathCertificate:
+        worth, spreads = found.nominal.worth(feedback)
+        path = replace(found.path, slabs=spreads.slabs)
+        return replace(certificate, paths=(path,), faces=found.faces, failure=float(worth.failures()[0]))
+
+    honest, scale = claimed(), search.model.scale
+    assert cg.check(honest) and honest.failure < 1.0
 
     def nominal(program: Any, *rest: Any) -> Any:
         return true_remainders(program, *rest) * (0.0 if program is scale else 1.0)
 
-    monkeypatch.setattr(feedback_bounds, "remainders", nominal)
-    worth, spreads = found.nominal.worth(found.feedback)
-    path = replace(found.path, slabs=spreads.slabs)
-    forged = replace(honest, paths=(path,), failure=float(worth.failures()[0]))
-    assert forged.failure < 0.999 * found.failure and not cg.check(forged)
-    slabs = found.path.slabs.copy()  # type: ignore[union-attr]
-    slabs[:, 3:] = np.inf
-    assert not cg.check(replace(honest, paths=(replace(found.path, slabs=slabs),)))
+    if forgotten == "what the scale varies":
+        monkeypatch.setattr(feedback_bounds, "remainders", nominal)
+    elif slab == np.inf:
+        monkeypatch.setattr(Worth, "stop", lambda self, which: None)
+    else:  # a slab on the noise has a tail
+        monkeypatch.setattr(Worth, "add", without_noise(Worth.add))
+    forged = claimed()
+    assert forged.failure < 0.999 * honest.failure and not cg.check(forged)
+
+
+def without_noise(add: Any) -> Any:
+    """Add all rows but those on the noise."""
+
+    def kept(self: Worth, *rows: Any) -> None:
+        if not rows[-1][0].startswith("noise"):
+            add(self, *rows)
+
+    return kept
+
+
+def test_noise_that_stops_at_the_limit_needs_twice_the_tail() -> None:
+    """A walk that stands still once it is beyond the limit exceeds it nearly twice as often as a Gaussian number."""
+    rng, n, steps = np.random.default_rng(2), 20_000, 600
+    walk = np.zeros(n)
+    for _ in range(steps):
+        walk += np.where(walk < 2.0, 1.0, 0.0) * rng.standard_normal(n) / math.sqrt(steps)
+    rows = Inequalities(is_stopped=True)
+    rows.add(np.array([np.inf]), np.array([2.0]), np.array([np.inf]), np.array([1.0]))
+    assert rows.failure() == pytest.approx(2.0 * norm.sf(2.0))
+    exceeded = int(np.sum(walk >= 2.0))
+    assert binom.sf(exceeded - 1, n, rows.failure()) > FALSE_ALARM
+    assert binom.sf(exceeded - 1, n, norm.sf(2.0)) < FALSE_ALARM
+
+
+def test_noise_that_grows_with_the_state_is_certified_at_any_size() -> None:
+    """Noise of which no slab is small: the largest scale on the tube counts, and no more than the tails double."""
+    agent = cg.Agent(
+        name="plant", states=["upper", "lower"], inputs=["pump"],
+        dynamics=["upper + 0.5*(pump - 0.4*sqrt(max(upper, 0)))",
+                  "lower + 0.5*(0.4*sqrt(max(upper, 0)) - 0.35*sqrt(max(lower, 0)))"],
+        noise=[{"law": "gaussian", "std": 1.0}] * 2,
+        noise_scale=["0.02 + 0.05*pump", "0.02 + 0.02*sqrt(max(upper, 0))"], state_low=[0, 0], state_high=[4, 4],
+        input_low=[0], input_high=[1], initial_state=[1, 0.5],
+    )  # fmt: skip
+    regions = {"good": cg.Proposition("plant", [0.5, 1.4], [3.0, 2.2]), "full": cg.Proposition("plant", [0, 3], [4, 4])}
+    certificate = path_of(problem_of([agent], regions, "(!full) U good", 25))
+    assert certificate.lower_bound > 0.97  # with slabs on the noise alone .85
+    assert cg.check(certificate) and np.any(np.isinf(certificate.paths[0].slabs[1:-1, 3:]))  # type: ignore[index]
+    assert cg.validate(certificate, 20_000, seed=1, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
 
 
 def test_drift_and_variance_are_those_of_all_products() -> None:

@@ -4,6 +4,11 @@ Each asks that a linear form g of the deviation keeps ``-low <= g <= high`` and,
 Slabs are convex and symmetric: by the Gaussian correlation inequality (Royen 2014) they hold together at least as
 probably as if they were independent. What is left of a limit beyond its slab is a tail, which is taken off the product.
 Any choice of what is a slab and what a tail is a bound; a few are tried.
+
+Where the size of the noise depends on the past the forms are no Gaussian numbers, but martingales whose steps are
+normal given the past, with variances of which only upper bounds are known. Such a form is a Brownian motion, read at a
+random time that is at most the sum V of these bounds. By the reflection principle it exceeds d with a probability of at
+most twice the tail of a normal number with variance V; and all failures are added up.
 """
 
 from __future__ import annotations
@@ -28,6 +33,8 @@ class Inequalities:
     high: list[FloatArray] = field(default_factory=list)
     slab: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
+    is_stopped: bool = False
+    """Whether variances are upper bounds, on noise whose size depends on the past."""
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray) -> None:
         """Add inequalities; infinite where nothing is asked. What is no number is not kept."""
@@ -41,6 +48,10 @@ class Inequalities:
         if not self.low:
             return 0.0
         low, high, slab, variance = map(np.concatenate, (self.low, self.high, self.slab, self.variance))
+        if self.is_stopped:
+            # Either side on its own, each with twice its tail.
+            sides = tails(np.minimum(low, slab), variance) + tails(np.minimum(high, slab), variance)
+            return min(1.0, 2.0 * float(np.sum(sides)) * TAIL)
         both = np.minimum(2.0 * tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
         inner = np.minimum(2.0 * tails(slab, variance), 1.0)
         outer = np.where(low < slab, tails(low, variance), 0.0) + np.where(high < slab, tails(high, variance), 0.0)

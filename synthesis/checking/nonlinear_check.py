@@ -10,7 +10,9 @@ event that all inequalities on g hold, e is in the tube at each time by inductio
 
 All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
 ``own_bends``. Disturbances and states of others are anywhere in their ranges, and may know the noise. What multiplies
-the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r.
+the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r. Or, where there is no
+such slab, variances are those of the largest scale on the tube, and tails those of a Brownian motion that is stopped
+earlier (``gaussian_inequalities``); then disturbances must not know the noise of their step.
 """
 
 from __future__ import annotations
@@ -251,9 +253,14 @@ def _noise(
     nominal = 0.5 * (found.values[0] + found.values[1])
     varied = (found.off + np.maximum(found.values[1] - nominal, nominal - found.values[0])) * TAIL
     varied = np.where((found.off == 0.0) & (found.values[0] == found.values[1]), 0.0, varied)
-    variance = (nominal * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
+    largest = np.where(varied == 0.0, np.abs(nominal), (np.abs(found.values).max(axis=0) + found.off) * TAIL)
     here = (varied != 0.0) & (moving.deviations != 0.0)
     slab = now.slab[m:]
+    # Without a slab on the noise its scale is anything up to the largest one on the tube.
+    is_stopped = here & np.isinf(slab)
+    rows.is_stopped |= bool(np.any(is_stopped))
+    here &= ~is_stopped
+    variance = (np.where(is_stopped, largest, nominal) * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
     rows.add(np.full(d, np.inf)[here], np.full(d, np.inf)[here], slab[here], np.ones(d)[here])
     more = np.zeros(d)
     more[here] = varied[here] * moving.deviations[here] * slab[here] * TAIL

@@ -267,14 +267,24 @@ class _Walk:
         matrix = np.concatenate([A, B, np.zeros((self.n, d, len(half)))], axis=2).transpose(1, 2, 0)
         centre = np.concatenate([np.zeros((self.n, d, d + m)), self.unknowns[t]], axis=2).transpose(1, 2, 0)
         off = remainders(self.model.motion, at, matrix, centre, boxes, ends).T
-        noise_slab = np.full((self.n, d), np.inf)
+        noise_slab, noise = np.full((self.n, d), np.inf), self.noises[t]
         if self.model.scale is not None:
             varied = remainders(
                 self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
             ).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
             noise_slab = np.where(is_varied, self.feedback.slabs[:, d + m :], np.inf)
-            off = off + np.where(is_varied, varied * self.model.deviations * np.where(is_varied, noise_slab, 0.0), 0.0)
+            is_bounded = np.isfinite(noise_slab)
+            off = off + np.where(
+                is_bounded, varied * self.model.deviations * np.where(is_bounded, noise_slab, 0.0), 0.0
+            )
+            # Without a slab the scale is anything up to the largest one on the tube.
+            is_stopped = is_varied & ~is_bounded
+            own = np.where(
+                is_stopped, np.sqrt(np.einsum("nkk->nk", noise)) + varied * self.model.deviations * OUTWARD, 0.0
+            )
+            noise = np.where(is_stopped[:, :, None] * np.eye(d, dtype=bool), own[:, :, None] ** 2, noise)
+            self.worth.stop(np.any(is_stopped, axis=1))
             nothing = np.full((self.n, d), np.inf)
             noises = [f"noise of {name} at step {t}" for name in self.model.names[:d]]
             self.worth.add(nothing, nothing, noise_slab, np.ones((self.n, d)), noises)
@@ -285,7 +295,7 @@ class _Walk:
         self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
         self.products[:, t + 1] = np.eye(d)
         self.drifts[:, t + 1] = off
-        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + self.noises[t]
+        covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + noise
         self.covariance = np.clip(covariance, -1e60, 1e60)
         return sd, drift, np.concatenate([slab, noise_slab], axis=1)
 

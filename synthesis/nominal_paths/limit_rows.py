@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfc, log_ndtr
 
 from ..cells import FloatArray
@@ -38,6 +39,8 @@ class Worth:
     names: list[str] = field(default_factory=list)
     shared: list[bool] = field(default_factory=list)
     """Whether rows are about this agent and another one."""
+    stopped: NDArray[np.bool_] | None = None
+    """Of which candidates (N,) variances are upper bounds, on noise whose size depends on the past; None for none."""
 
     @property
     def own(self) -> Worth:
@@ -46,7 +49,7 @@ class Worth:
         kept = [rows for *rows, shared in parts if not shared]
         names = [name for name in self.names if not name.startswith(PAIR)]
         low, high, slab, variance = ([rows[k] for rows in kept] for k in range(4))
-        return Worth(low, high, slab, variance, names, [False] * len(kept))
+        return Worth(low, high, slab, variance, names, [False] * len(kept), self.stopped)
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
         """Add rows (N, J)."""
@@ -60,13 +63,20 @@ class Worth:
         """Add the rows of another agent of a team."""
         for name in ("low", "high", "slab", "variance", "names", "shared"):
             getattr(self, name).extend(getattr(other, name))
+        if other.stopped is not None:
+            self.stop(other.stopped)
+
+    def stop(self, which: NDArray[np.bool_]) -> None:
+        """Note of which candidates (N,) variances are upper bounds."""
+        self.stopped = which if self.stopped is None else self.stopped | which
 
     def flattened(self, owners: Sequence[str]) -> Worth:
         """Return the rows of N agents, with their names, as those of one team (1, N J)."""
         parts = [[rows.reshape(1, -1) for rows in part] for part in (self.low, self.high, self.slab, self.variance)]
         names = self._by_rows()
         told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
-        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared])
+        stopped = None if self.stopped is None else np.array([bool(np.any(self.stopped))])
+        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared], stopped)
 
     def _by_rows(self) -> list[list[str]]:
         """Return the names, part by part."""
@@ -93,7 +103,11 @@ class Worth:
         one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
         both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
         apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
-        return np.minimum(both, apart)
+        found = np.minimum(both, apart)
+        if self.stopped is None:
+            return found
+        sides = _soft(np.minimum(low, slab), variance) + _soft(np.minimum(high, slab), variance)
+        return np.where(self.stopped[:, None], 2.0 * sides, found)
 
     def failures(self) -> FloatArray:
         """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
@@ -108,6 +122,9 @@ class Worth:
             with np.errstate(divide="ignore"):
                 kept = np.sum(np.log1p(-chosen), axis=1)
             best = np.minimum(best, -np.expm1(kept) + np.sum(np.where(as_slab, 0.0, outer), axis=1))
+        if self.stopped is not None:
+            sides = _tails(np.minimum(low, slab), variance) + _tails(np.minimum(high, slab), variance)
+            best = np.where(self.stopped, 2.0 * np.sum(sides, axis=1), best)
         return np.minimum(1.0, best * OUTWARD)
 
 

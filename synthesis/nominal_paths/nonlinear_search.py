@@ -325,6 +325,8 @@ def _feedback(
     base = np.concatenate([1.0 / (0.05 * search.width) ** 2, 1.0 / search.half**2, [1.0]])
     weights = base * np.exp(np.clip(thetas[:, : d + m + 1], -16.0, 16.0))
     slabs = 4.5 * np.exp(np.clip(thetas[:, d + m + 1 :], -1.5, 1.5))
+    # Noise that varies has a slab, or none at all.
+    slabs[:, d + m :] = np.where(thetas[:, 2 * d + 2 * m + 1 :] > 0.0, np.inf, 1.4 * slabs[:, d + m :])
     low, high = search.agent.input_low, search.agent.input_high
     A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
     inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]
