@@ -30,10 +30,14 @@ def row_of(name: str, cells: int | None = None) -> Row:
     """Return what became of one problem."""
     problem = cg.make_problem(name)
     wanted = {agent.name: cells or CELLS.get(agent.n_states, 8) for agent in problem.agents}
-    row: Row = {"problem": name, "cells": "/".join(map(str, sorted({*wanted.values()}))), "T": problem.horizon}
+    # Where no grid reaches, a path has no cells.
+    on_path = any(agent.n_states > max(CELLS) or (problem.labeling.pairs and isinstance(agent, cg.Agent))
+                  for agent in problem.agents)  # fmt: skip
+    told = "-" if on_path else "/".join(map(str, sorted({*wanted.values()})))
+    row: Row = {"problem": name, "cells": told, "T": problem.horizon}
     row |= dict.fromkeys(("claim", "rank", "check s", "balls s", "margin", "outcome"))
     try:
-        certificate = cg.synthesize(problem, wanted).certificate
+        certificate = cg.synthesize(problem, None if on_path else wanted).certificate
     except ValueError as error:
         return row | {"outcome": f"not synthesized: {_short(error)}"}
     rank = getattr(certificate, "rank", None)  # certificates about pairs have none

@@ -406,7 +406,7 @@ def _numbers(problem: cg.Problem, measured: dict[str, Any] | None) -> str:
         start = {"point": "from the start", "mean": "on average over the start box"}[certificate["start"]]
         lines.append(
             f"- Certified: **{shown_bound(certificate['lower_bound'], certificate['gap'])}** {start} "
-            f"({certificate['method']}; {certificate['bound']} bound; {_cells(certificate['cells'])} cells)."
+            f"({certificate['method']}; {certificate['bound']} bound; {_cells(certificate['cells']) or 'no'} cells)."
         )
         lines.append(
             f"- Measured under the certified controllers: {_rate(certificate['rollouts'])}: {verdict(certificate)}."
@@ -504,7 +504,7 @@ def _measured_rows(measured: dict[str, Any]) -> list[str]:
             f"{rollouts['successes'] / rollouts['episodes']:.5f}",
             f"[{rollouts['low']:.5f}, {rollouts['high']:.5f}]",
             verdict(certificate),
-            _cells(certificate["cells"]),
+            _cells(certificate["cells"]) or "-",
             str(certificate["rank"]),
             _number(certificate["seconds"]),
             str(certificate["mebibytes"]),

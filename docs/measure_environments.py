@@ -43,7 +43,8 @@ def measured(id: str) -> dict[str, Any]:
         cg.save_certificate(certificate, CERTIFICATES / f"{id}.npz")
         # A certificate about pairs stands on one without them.
         base = getattr(certificate, "base", certificate)
-        shapes = sorted({part.grid.shape for part in base.agents})
+        on_cells = base.has_cells  # a certificate along a path has none
+        shapes = sorted({part.grid.shape for part in base.agents}) if on_cells else []
         result["certificate"] = {
             "lower_bound": certificate.lower_bound,
             "gap": certificate.gap,
@@ -53,7 +54,7 @@ def measured(id: str) -> dict[str, Any]:
             "bound": certificate.bound,
             "start": certificate.start,
             "cells": [list(shape) for shape in shapes],
-            "value": "tensor trains" if base.terms is None else "tree",
+            "value": "none" if not on_cells else "tensor trains" if base.terms is None else "tree",
             "rank": certificate.rank,
             "seconds": round(seconds, 2),
             "mebibytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,

@@ -38,6 +38,9 @@ HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a nonlinear path counts as impossible."""
 
 
+WORTHLESS = 0.999
+"""Probability of failing from which no certificate is made: so near to 1 the check rounds more than that is worth."""
+
 Plan = tuple[Way, tuple[int, ...], int]
 """A way through the automaton, the times of its jumps, and the steps."""
 
@@ -186,7 +189,7 @@ def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
             again = team.refined()
             best = again if again.failure < best.failure else best
     failure = min(1.0, best.failure * (1.0 + 1e-9))
-    if failure >= HOPELESS:
+    if failure >= WORTHLESS:
         raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {best.weakest}")
     faces = np.full(best.letters.shape, -1)
     for one in best.found:
