@@ -81,8 +81,6 @@ MISSING: dict[str, dict[str, str]] = {
         [row for row in ROWS if row not in ("exact matrices", "tube")], "balls know normal laws and two relations"
     ),
     "shield": {
-        **dict.fromkeys(["exact Laplace", "boxes Laplace"], "what inputs are worth is read from normal laws alone"),
-        **dict.fromkeys(["boxes noise scale", "boxes no noise"], "what inputs are worth is read from even noise alone"),
         "train": "values in time of trains are not read",
     },
     "permission": {

@@ -10,7 +10,7 @@ from .certificate_file import (
     save_certificate,
 )
 from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
-from .checked_laws import law_charge, scale_charge
+from .checked_laws import law_charge, law_error, probability_below, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
@@ -53,6 +53,8 @@ __all__ = [
     "joint_states",
     "load_certificate",
     "law_charge",
+    "law_error",
+    "probability_below",
     "scale_charge",
     "lost_to_rounding",
     "nameless",

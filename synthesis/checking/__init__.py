@@ -7,7 +7,7 @@ from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
-from .mean_spans import enclosed_means
+from .mean_spans import enclosed_means, enclosed_scales
 from .opposite_task import other_controllers, wrong_opposite
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
@@ -29,6 +29,7 @@ __all__ = [
     "execution_of",
     "masks_of",
     "enclosed_means",
+    "enclosed_scales",
     "greedy_disturbance",
     "regrow",
     "safety_rate",
