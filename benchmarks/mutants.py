@@ -196,7 +196,20 @@ MUTANTS = [
             "vertex[a] = first + second",
         ),
         ("if len(np.unique(origin, axis=0)) != len(origin):", "if False:"),
-        ("return np.asarray(values * (points >= 0))", "return np.asarray(values * 1.0)"),
+        ("if not reading.proved(", "if False and not reading.proved("),
+    ),
+    *_in(
+        "synthesis/permissions/permission_check.py",
+        ("np.minimum(found, values, out=found, where=has)", "np.maximum(found, values, out=found, where=has)"),
+    ),
+    *_in(
+        "synthesis/shielding/noise_masses.py",
+        ("return int(min(MOST_CELLS, np.nan_to_num(sides).max(initial=0.0)))", "return 0"),
+        ("sides = sides / scales", "sides = sides * 1.0"),
+    ),
+    *_in(
+        "synthesis/checking/readings.py",
+        ("found.append(np.asarray(values * (points >= 0)))", "found.append(np.asarray(values * 1.0))"),
     ),
     *_in(
         "synthesis/checking/guard_check.py",

@@ -9,6 +9,7 @@ from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
 from .mean_spans import enclosed_means, enclosed_scales
 from .opposite_task import other_controllers, wrong_opposite
+from .readings import Reading, reading_of
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
@@ -16,6 +17,7 @@ from .team_check import wrong_team
 
 __all__ = [
     "BrokenTreeError",
+    "Reading",
     "CheckReport",
     "Greedy",
     "RigorousReport",
@@ -31,6 +33,7 @@ __all__ = [
     "enclosed_means",
     "enclosed_scales",
     "greedy_disturbance",
+    "reading_of",
     "regrow",
     "safety_rate",
     "standing",

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,11 +210,29 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
     return np.array(steps)
 
 
-def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int) -> FloatArray:
-    """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0."""
-    values = np.zeros((len(factors), part.grid.n_cells))
-    if not len(factors):
-        return values
+def box_values(
+    agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, rows: Sequence[tuple[int, int]]
+) -> list[FloatArray]:
+    """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0.
+
+    One array for each of some rows (t, q) of the policy.
+    """
+    found = [np.zeros((len(factors), part.grid.n_cells)) for _ in rows]
+    moving = [_moving_cells(agent, part, tables, *row) for row in rows]
+    for n, factor in enumerate(factors):
+        smoothed = smooth(factor[None], tables.masses)[0].reshape([len(axis) for axis in part.lattice])
+        slack = tables.slack * factor.max(initial=0.0)
+        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
+        for values, (cells, low, high) in zip(found, moving, strict=True):
+            for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
+                values[n, cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
+    return found
+
+
+def _moving_cells(
+    agent: AnyAgent, part: AgentPart, tables: BoxTables, t: int, q: int
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Cells (C,) whose boxes can be read, and the corners (C, D) of these boxes in lattice steps."""
     policy = part.policy[min(t, len(part.policy) - 1), q]
     cells = np.flatnonzero(policy >= 0)
     low, high = mean_positions(agent, part, tables, cells, policy[cells])
@@ -221,14 +240,7 @@ def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: Flo
     # Second differences are not known at the border of the lattice: what comes nearer is worth nothing.
     inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=1)
     inside &= np.prod(high - low + 3.0, axis=1) <= MOST_POINTS
-    cells, low, high = cells[inside], low[inside], high[inside]
-    for row, factor in zip(values, factors, strict=True):
-        smoothed = smooth(factor[None], tables.masses)[0].reshape(last + 1)
-        slack = tables.slack * factor.max(initial=0.0)
-        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
-        for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
-            row[cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
-    return values
+    return cells[inside], low[inside], high[inside]
 
 
 def mean_positions(
