@@ -77,9 +77,6 @@ MISSING: dict[str, dict[str, str]] = {
         ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
         "the end of the opposite task is no part of certificates",
     ),
-    "rigorous": dict.fromkeys(
-        [row for row in ROWS if row not in ("exact matrices", "tube")], "balls know normal laws and two relations"
-    ),
     "shield": {
         **dict.fromkeys(["exact Laplace", "boxes Laplace"], "what inputs are worth is read from normal laws alone"),
         **dict.fromkeys(["boxes noise scale", "boxes no noise"], "what inputs are worth is read from even noise alone"),

@@ -21,7 +21,7 @@ from .execution import execution_of
 from .forward_mass import mass_at_start
 from .linear_check import linear_values, masks_of, places_of
 from .linear_tables import LinearTables, linear_tables
-from .written_linear import WrittenTables, written_tables
+from .written_linear import MatrixMaps, WrittenTables, state_maps, written_tables
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of
@@ -121,7 +121,12 @@ def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTa
     """Tables of an agent under the relation ``linear``."""
     if "reach" in part.relation:
         return written_tables(agent, part, execution_of(agent, part, part.relation_of(agent)).mean)
-    return linear_tables(linear_agent(agent, "linear"), part)
+    linear = linear_agent(agent, "linear")
+    if len(part.relation["menu"]):
+        # What maps are off by moves positions on the lattice by less than its points may be off.
+        pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+        state_maps(linear, part, MatrixMaps(linear, part, np.zeros(len(pitch))).at, 1e-9 * pitch)
+    return linear_tables(linear, part)
 
 
 def vertices_of(
