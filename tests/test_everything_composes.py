@@ -79,9 +79,6 @@ MISSING: dict[str, dict[str, str]] = {
         ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
         "the end of the opposite task is no part of certificates",
     ),
-    "rigorous": dict.fromkeys(
-        [row for row in ROWS if row not in ("exact matrices", "tube")], "balls know normal laws and two relations"
-    ),
     "shield": {
         "train": "values in time of trains are not read",
     },

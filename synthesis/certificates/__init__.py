@@ -22,6 +22,7 @@ from .product import ProductCertificate, nameless, product_certificate, relation
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .start_hull import StartHull
+from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "PathCertificate",
     "ProductCertificate",
     "StartHull",
+    "Statement",
     "Synthesis",
     "TeamCertificate",
     "Tube",
@@ -58,6 +60,7 @@ __all__ = [
     "scale_charge",
     "lost_to_rounding",
     "nameless",
+    "noted",
     "of_one_task",
     "product_certificate",
     "regrow_trains",
@@ -70,5 +73,6 @@ __all__ = [
     "significant_up",
     "speaks_of_one_start",
     "smooth",
+    "state",
     "tube_along",
 ]

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, lattice_axes
-from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth
+from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
-from .mean_spans import enclosed_means, enclosed_scales, steered_spans
+from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
 from .network_spans import network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -154,6 +154,8 @@ def box_tables(
         )
     slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
     written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
+    if isinstance(agent, LinearAgent):
+        _state_boxes(agent, part, off)
     return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
 
 
@@ -165,7 +167,10 @@ def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
     """Scales (L,) of the noise of a state, by level: the smallest one between a level and its neighbours."""
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
         if axis.kind == "scale" and axis.state == k:
-            return np.exp(np.maximum(points - _step(points), points[0]))
+            logarithms = np.maximum(points - _step(points), points[0])
+            scales = np.exp(logarithms)
+            state("function", "exp", (), logarithms, scales * (1.0 - 1e-13), scales * (1.0 + 1e-13))
+            return scales
     return np.ones(1)
 
 
@@ -254,6 +259,17 @@ def mean_positions(
         scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
         return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
     assert isinstance(agent, LinearAgent)
+    low, high = _affine_boxes(agent, part, cells, choices)
+    for a in np.unique(choices[choices < network_modes(part)]):
+        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
+    off = tables.off
+    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
+
+
+def _affine_boxes(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], choices: NDArray[np.integer]
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
     inverse = np.linalg.inv(part.coordinates)
     plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
     A, B, offset = agent.A, agent.B, agent.offset
@@ -268,11 +284,22 @@ def mean_positions(
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
         reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
-    low, high = mean - reach, mean + reach
-    for a in np.unique(choices[choices < network_modes(part)]):
-        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
-    off = tables.off
-    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
+    return mean - reach, mean + reach
+
+
+def _state_boxes(agent: LinearAgent, part: AgentPart, off: FloatArray) -> None:
+    """State that boxes hold all means, of cells under all inputs that a policy chooses there.
+
+    They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
+    """
+    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    asked = part.policy >= network_modes(part)
+    pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(menu))
+    cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(menu))
+    low, high = _affine_boxes(agent, part, cells, choices)
+    spans = Enclosed(None, agent, menu[choices], part.coordinates, True, fed=gains[choices])
+    corners = tuple(corner[cells] for corner in cell_boxes(part))
+    state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 
 
 def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: FloatArray) -> FloatArray:
@@ -289,7 +316,10 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
             continue
         value = means[:, k]
         if axis.kind == "scale":
-            value = np.log(np.where(scales[:, k] > 0.0, scales[:, k], np.nan))
+            positive = np.where(scales[:, k] > 0.0, scales[:, k], np.nan)
+            value = np.log(positive)
+            off = 4.0 * 2.0**-53 * np.abs(value)
+            state("function", "log", (), positive, value - off, value + off)
         columns.append((value - points[0]) / _step(points))
     return np.stack(columns, axis=1)
 

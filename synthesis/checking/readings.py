@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ...envs.agents import AnyAgent
+from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, Certificate, axis_tables, smooth
 from .boxes_check import BoxTables, box_tables, box_values
 from .execution import execution_of
 from .linear_check import linear_values
 from .linear_tables import LinearTables, linear_tables
-from .written_linear import WrittenTables, written_tables
+from .written_linear import MatrixMaps, WrittenTables, state_maps, written_tables
 
 
 class Reading(Protocol):
@@ -133,7 +133,16 @@ def reading_of(
     if part.is_linear:
         if "reach" in part.relation:
             return Corners(agent, written_tables(agent, part, execution_of(agent, part, relation).mean))
-        return Corners(agent, linear_tables(linear_agent(agent, "linear"), part))
+        return Corners(agent, _tables_of_0_2(linear_agent(agent, "linear"), part))
     if part.relation["kind"] == "boxes":
         return Boxes(agent, box_tables(agent, part, execution_of(agent, part, relation).mean, tables))
     return Points(axis_tables(agent, part, tables), relation.delta if is_robust else 0.0)
+
+
+def _tables_of_0_2(agent: LinearAgent, part: AgentPart) -> LinearTables:
+    """Return the tables of certificates of versions 0.1 and 0.2, whose maps are stated for proofs."""
+    if len(part.relation["menu"]):
+        # What maps are off by moves positions on the lattice by less than its points may be off.
+        pitch = np.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in part.lattice])
+        state_maps(agent, part, MatrixMaps(agent, part, np.zeros(len(pitch))).at, 1e-9 * pitch)
+    return linear_tables(agent, part)
