@@ -196,7 +196,20 @@ MUTANTS = [
             "vertex[a] = first + second",
         ),
         ("if len(np.unique(origin, axis=0)) != len(origin):", "if False:"),
-        ("return np.asarray(values * (points >= 0))", "return np.asarray(values * 1.0)"),
+        ("if not reading.proved(", "if False and not reading.proved("),
+    ),
+    *_in(
+        "synthesis/permissions/permission_check.py",
+        ("np.minimum(found, values, out=found, where=has)", "np.maximum(found, values, out=found, where=has)"),
+    ),
+    *_in(
+        "synthesis/shielding/noise_masses.py",
+        ("return int(min(MOST_CELLS, np.nan_to_num(sides).max(initial=0.0)))", "return 0"),
+        ("sides = sides / scales", "sides = sides * 1.0"),
+    ),
+    *_in(
+        "synthesis/checking/readings.py",
+        ("found.append(np.asarray(values * (points >= 0)))", "found.append(np.asarray(values * 1.0))"),
     ),
     *_in(
         "synthesis/checking/guard_check.py",
@@ -282,7 +295,7 @@ MUTANTS = [
         "synthesis/checking/written_linear.py",
         ('targets = choices >= len(part.relation["menu"])', "targets = choices >= 0"),
         ("np.broadcast_to(2.0 * self.off, (len(cells), d))", "np.zeros((len(cells), d))"),
-        ("asked = (part.policy >= 0) & (part.policy < len(menu))", "asked = part.policy >= 0"),
+        ("asked = (part.policy >= 0) & (part.policy < count)", "asked = part.policy >= 0"),
     ),
     *_in(
         "synthesis/controllers/steering.py",
@@ -318,16 +331,46 @@ MUTANTS = [
             "return Execution(off + 9.9, np.zeros(len(A)), inputs, 0.0 * loss",
         ),
     ),
-    # --- the claim in balls: what it does not read must be refused, and what differs must be judged apart
+    # --- the claim in balls: what the check takes for granted must be stated, and every statement proved
     *_in(
-        "synthesis/checking/ball_facts.py",
-        ("    if agent.laws is not None:", "    if False:"),
-        ("    if agent.noise_scale is not None:", "    if False:"),
-        ("    if np.any(np.diag(covariance) <= 0.0):", "    if False:"),
+        "synthesis/certificates/checked_kernel.py",
+        ('    state("masses", agent, part, known[key])', "    pass"),
+        ("0.5 * erfc(x), 0.5 * erfc(-x)", "0.500000001 * erfc(x), 0.500000001 * erfc(-x)"),
+    ),
+    *_in(
+        "synthesis/certificates/checked_laws.py",
+        (
+            "    charge = exact_charge(law, pitch, FLOATS) * OUTWARD",
+            "    charge = exact_charge(law, pitch, FLOATS) * 0.9",
+        ),
+    ),
+    *_in("synthesis/certificates/stated.py", ("    if notes is not None:", "    if False:")),
+    *_in(
+        "synthesis/checking/ball_proofs.py",
+        ("            if not mass <= tails.between(s, s + 1):", "            if False:"),
+        (
+            "                if not ((left == 0.0 or left <= mass - above)",
+            "                if False and not ((left == 0.0 or left <= mass)",
+        ),
+        ("            if not (bound <= truth if from_below else truth <= bound):", "            if False:"),
+        ("            wrong += not (least <= value and value <= most)", "            wrong += False"),
+    ),
+    *_in(
+        "synthesis/checking/ball_spans.py",
+        ("        wrong += not _holds(outputs.at(i, middle), box, goal, CUTS)", "        wrong += False"),
+        (
+            "return int(np.sum(~np.all((balls(first) <= at - reach)",
+            "return 0 * int(np.sum(~np.all((balls(first) <= at - reach)",
+        ),
     ),
     *_in(
         "synthesis/checking/rigorous.py",
-        ("arrays += [part.coordinates, part.policy, *part.lattice, ", "arrays += [part.coordinates, part.policy, "),
+        ("    if failures:\n", "    if False:\n"),
+        ("    lost = parts * memory.sums + memory.differences", "    lost = -1e-6"),
+    ),
+    *_in(
+        "envs/agents/laws.py",
+        ("return _by_side(x, (-abs(x) / self.scale).exp() / 2)", "return (-abs(x) / self.scale).exp() / 2"),
     ),
     # --- guarantees beside the bound rest on a certificate that was checked
     *_in("synthesis/checking/lasting_safety.py", ("    standing(claim)\n", "    pass\n")),

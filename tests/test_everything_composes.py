@@ -43,8 +43,10 @@ CANNOT: dict[str, dict[str, str]] = {
         "path": NO_VALUES_ON_PATHS,
         "subtraction": NO_VALUES_BY_SUBTRACTION,
     },
-    # Permissions are sets of inputs at states: choices of an abstract state are none.
+    # Permissions are sets of inputs at states: choices of an abstract state are none. Inputs that others rely on are
+    # the same everywhere: nothing is left to choose cell by cell.
     "permission": {
+        "boxes common input": "chosen in common",
         "tube": "expected the relation",
         "ellipsoid": "expected the relation",
         "ellipsoid with delta": "expected the relation",
@@ -77,18 +79,11 @@ MISSING: dict[str, dict[str, str]] = {
         ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
         "the end of the opposite task is no part of certificates",
     ),
-    "rigorous": dict.fromkeys(
-        [row for row in ROWS if row not in ("exact matrices", "tube")], "balls know normal laws and two relations"
-    ),
     "shield": {
-        **dict.fromkeys(["exact Laplace", "boxes Laplace"], "what inputs are worth is read from normal laws alone"),
-        **dict.fromkeys(["boxes noise scale", "boxes no noise"], "what inputs are worth is read from even noise alone"),
         "train": "values in time of trains are not read",
     },
     "permission": {
-        **dict.fromkeys([*LINEAR, *BOXES], "permissions read lattice points alone"),
         "train": "permissions read trees alone",
-        "joint": "a permission is asked of the base by hand",
     },
     "certify": dict.fromkeys(["joint", "subtraction"], "given policies of pairs are not wrapped"),
     "network": {

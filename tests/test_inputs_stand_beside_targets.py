@@ -78,12 +78,12 @@ def test_both_are_worth_more_than_targets_and_no_less_than_inputs(monkeypatch: p
     both = certified(False)
     menu = np.array(both.agents[0].relation["menu"])
     # Targets beside a single input, which is the middle of its box.
-    monkeypatch.setattr(corner_model, "_few_inputs", lambda agent: np.zeros((1, 2)))
+    monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: np.zeros((1, 2)))
     targets = cg.synthesize(planar(False), 14, relation="linear").certificate
     monkeypatch.undo()
     # The same inputs, on the same lattice, without targets.
     monkeypatch.setattr(corner_model, "reaches_every_mean", lambda agent: False)
-    monkeypatch.setattr(corner_model, "with_rest", lambda box: menu)
+    monkeypatch.setattr(corner_model, "with_rest", lambda box, levels: menu)
     inputs = cg.synthesize(planar(False), 14, relation="linear", targets_per_cell=8).certificate
     monkeypatch.undo()
     assert "aims" not in inputs.agents[0].relation and cg.check(inputs)

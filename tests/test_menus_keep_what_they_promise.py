@@ -16,6 +16,7 @@ from certigym.envs.dynamics import worlds as core
 from certigym.synthesis.permissions import Menus
 from certigym.synthesis.shielding import ActionValues, action_values
 from certigym.validation.figures import menu_figure
+from composing import certificate_of, problem_of
 from shield_trials import moved, states_of
 
 FALSE_ALARM = 1e-6
@@ -75,6 +76,57 @@ def test_whoever_keeps_to_the_menus_succeeds(permission: cg.Permission, worst: b
     found = successes(permission, worst, 3, values)
     assert permission.lower_bound >= 0.6
     assert binom.cdf(found, EPISODES, permission.lower_bound) >= FALSE_ALARM
+
+
+KINDS = [
+    "linear matrices",
+    "linear expressions",
+    "boxes matrices",
+    "boxes Laplace",
+    "boxes noise scale",
+    "boxes no noise",
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_menus_of_inputs_keep_what_they_promise(kind: str, tmp_path: Path) -> None:
+    """Relations whose choices are inputs: random and adversarial behaviours, the check, files and forgeries."""
+    found = certificate_of(kind)
+    permission = cg.permit(found, probability=0.7 * found.lower_bound)
+    assert cg.check_permission(permission) and permission.lower_bound >= 0.7 * found.lower_bound
+    values = action_values(permission.certificate)
+    for seed, worst in enumerate((False, True)):
+        assert binom.cdf(successes(permission, worst, seed, values), EPISODES, permission.lower_bound) >= FALSE_ALARM
+    (menus,) = permission.menus
+    assert len(menus.choices) > 1.5 * np.count_nonzero(menus.counts)
+    cg.save_permission(permission, tmp_path / "menus.npz")
+    assert cg.check_permission(cg.load_permission(tmp_path / "menus.npz"))
+    # One more choice on the menu of one cell, where the run begins: the worst input there is.
+    forged = with_one_more(permission)
+    report = cg.check_permission(forged)
+    assert not report and any("exceeds the recomputed" in text for text in report.failures)
+
+
+def with_one_more(permission: cg.Permission) -> cg.Permission:
+    """The permission with an input on the menu of the first cell at which the claim is lost."""
+    (menus,), (part,) = permission.menus, permission.certificate.agents
+    controller = permission.certificate.controller.agents[0]
+    start = permission.problem.agents[0].initial.low[:, None]
+    cell, q = int(controller.grid.cell_of(controller.project(start))[0]), permission.problem.initial_q
+    place = (0 * menus.counts.shape[1] + q) * menus.counts.shape[2] + cell
+    end = int(menus.ends[place])
+    there = menus.choices[end - int(menus.counts[0, q, cell]) : end]
+    least = None
+    for choice in np.setdiff1d(np.arange(len(part.relation["menu"])), there):
+        counts = menus.counts.copy()
+        counts[0, q, cell] += 1
+        at = end - len(there) + int(np.searchsorted(there, choice))
+        forged = replace(permission, menus=(Menus(counts, np.insert(menus.choices, at, choice).astype(np.int32)),))
+        value = cg.check_permission(forged).recomputed
+        if least is None or value < least[0]:
+            least = value, forged
+    assert least is not None
+    return least[1]
 
 
 def test_menus_grow_as_less_is_kept(certificate: cg.Certificate, permission: cg.Permission) -> None:
@@ -137,9 +189,9 @@ def test_what_has_no_menus_is_refused_in_words(certificate: cg.Certificate) -> N
         cg.permit(certificate, probability=0.9)
     with pytest.raises(ValueError, match="`probability`: expected a number"):
         cg.permit(certificate, probability=0)
-    linear = cg.synthesize(certificate.problem, 40, relation="linear").certificate
-    with pytest.raises(ValueError, match="expected the relation 'exact' for all agents, got linear"):
-        cg.permit(linear, probability=0.1)
+    tube = cg.synthesize(problem_of("tube"), 24, relation="tube").certificate
+    with pytest.raises(ValueError, match="expected the relation 'exact', 'boxes' or 'linear' for all agents, got tube"):
+        cg.permit(tube, probability=0.01)
     trains = cg.synthesize(certificate.problem, 40, relation="exact", value="train").certificate
     with pytest.raises(ValueError, match="value tree"):
         cg.permit(trains, probability=0.1)

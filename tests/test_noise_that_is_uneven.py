@@ -310,12 +310,6 @@ def test_pairs_by_subtraction_refuse_such_noise() -> None:
         cg.synthesize(problem, 20)
 
 
-def test_shields_refuse_such_noise_in_words() -> None:
-    problem = task(walker())
-    with pytest.raises(ValueError, match="noise in every state that is the same everywhere"):
-        cg.shield(problem, cg.synthesize(problem, 24, relation="boxes").certificate, probability=0.5)
-
-
 def test_scales_that_may_vanish_are_worth_nothing() -> None:
     """A cell in which the scale is not seen to be positive has no choice; elsewhere nothing changes."""
     certificate = cg.synthesize(task(walker(scale="0.05 + 0.1*x")), [24, 24], relation="boxes").certificate

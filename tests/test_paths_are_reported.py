@@ -88,7 +88,6 @@ def test_what_tests_one_start_runs(saved: str, words: list[str]) -> None:
         ["validate-field"],
         ["validate-field", "--search"],
         ["audit"],
-        ["check", "--rigorous"],
         ["plot", "value"],
         ["plot", "relation"],
         ["plot", "rank"],

@@ -13,9 +13,9 @@ def test_every_module_of_the_check_is_on_a_list() -> None:
     assert set(listed) == trusted_base.reached(trusted_base.CHECK)
 
 
-def test_balls_add_two_modules() -> None:
+def test_balls_add_three_modules() -> None:
     more = trusted_base.reached(trusted_base.RIGOROUS) - trusted_base.reached(trusted_base.CHECK)
-    assert more == {"synthesis.checking.ball_facts", "synthesis.checking.rigorous"}
+    assert more == {*trusted_base.BALLS.split()}
 
 
 def test_the_trusted_base_holds_nothing_of_the_search() -> None:

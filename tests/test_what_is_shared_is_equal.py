@@ -21,7 +21,8 @@ def walker(name: str, scales: list[str]) -> cg.Agent:
     )  # fmt: skip
 
 
-IN_X, IN_Y = ["1.2 + 0.4*sin(x)", "1"], ["1", "1.2 + 0.4*sin(y)"]
+# In the middle of the workspace the scales are 1, so that both agents declare the same covariance.
+IN_X, IN_Y = ["1 + 0.4*sin(x)", "1"], ["1", "1 + 0.4*sin(y)"]
 
 
 def both(first: list[str], second: list[str]) -> cg.Problem:

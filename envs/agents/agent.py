@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .any_agent import AnyAgent, shared_fields, summary_rows
+from .any_agent import AnyAgent, is_passive, shared_fields, summary_rows
 from .checks import float_array, read_only
 from .laws import Law
 from .printing import counted, tree_text
@@ -56,7 +56,7 @@ class LinearAgent(AnyAgent):
     state_low, state_high : array_like, shape (d,)
         Workspace, a closed box. An agent that leaves it violates every task.
     input_low, input_high : array_like, shape (m,)
-        Input box, closed.
+        Input box, closed. An agent that nobody steers has neither `B` nor a box, and is given an input that is 0.
     initial_state : array_like, shape (d,), optional
         Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
     output_matrix : array_like, shape (p, d), optional
@@ -100,12 +100,12 @@ class LinearAgent(AnyAgent):
         *,
         name: str,
         A: Any,
-        B: Any,
+        B: Any = None,
         noise_covariance: Any = None,
         state_low: Any,
         state_high: Any,
-        input_low: Any,
-        input_high: Any,
+        input_low: Any = None,
+        input_high: Any = None,
         initial_state: Any = None,
         initial_low: Any = None,
         initial_high: Any = None,
@@ -120,6 +120,9 @@ class LinearAgent(AnyAgent):
         d = matrix.shape[0]
         if matrix.shape != (d, d):
             raise ValueError(f"`A`: expected a square matrix, got shape {matrix.shape[0]} x {matrix.shape[1]}")
+        if is_passive(B, given):
+            B = np.zeros((d, 1))
+            given |= {"input_low": [0.0], "input_high": [0.0]}
         inputs = float_array(B, "B", (d, None), f"{[[0.5]] * d}")
         identity, zero = np.eye(d), np.zeros(d)
         values = {

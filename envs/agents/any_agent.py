@@ -261,6 +261,23 @@ def shared_fields(d: int, m: int, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+IDLE = "idle"
+"""Name of the input of an agent that nobody steers."""
+
+
+def is_passive(inputs: Any, given: Mapping[str, Any]) -> bool:
+    """Return whether an agent declares no inputs, and so no input box; raise ValueError if it has a box alone.
+
+    Such an agent gets one input that is 0 and moves nothing: spaces of actions, controllers and files are as for all.
+    """
+    if inputs is not None and np.size(inputs):
+        return False
+    for key in ("input_low", "input_high"):
+        if given[key] is not None and np.size(given[key]):
+            raise ValueError(f"`{key}`: expected nothing for an agent without inputs, got {given[key]!r}")
+    return True
+
+
 def checked_start(state: Any, low: Any, high: Any, d: int) -> Box | None:
     """Return the box of the start, from a point or from two corners; None if there is no start."""
     if state is not None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from types import MappingProxyType
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from ..arrays import is_host, namespace
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
-from .any_agent import AnyAgent, shared_fields, summary_rows
+from .any_agent import IDLE, AnyAgent, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
 from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
@@ -55,7 +56,7 @@ class Agent(AnyAgent):
     ----------
     name : str
         Letters, digits and underscores, not starting with a digit.
-    states, inputs : sequence of str
+    states, inputs : sequences of str
         Names of the d states and m inputs, at least one of each.
     dynamics : sequence of str
         The mean of each state one step later, in states, inputs, parameters and disturbances, and in states and inputs
@@ -77,7 +78,7 @@ class Agent(AnyAgent):
     state_low, state_high : array_like, shape (d,)
         Workspace, a closed box. An agent that leaves it violates every task.
     input_low, input_high : array_like, shape (m,)
-        Input box, closed.
+        Input box, closed. An agent that nobody steers has neither inputs nor a box, and is given an input that is 0.
     initial_state : array_like, shape (d,), optional
         Start. Alternatively give a box `initial_low`, `initial_high`, from which the start is drawn uniformly.
     communicated : sequence of str, optional
@@ -131,12 +132,12 @@ class Agent(AnyAgent):
         *,
         name: str,
         states: Any,
-        inputs: Any,
+        inputs: Any = None,
         dynamics: Any,
         state_low: Any,
         state_high: Any,
-        input_low: Any,
-        input_high: Any,
+        input_low: Any = None,
+        input_high: Any = None,
         parameters: Any = None,
         disturbances: Any = None,
         noise: Any = None,
@@ -150,7 +151,11 @@ class Agent(AnyAgent):
         outputs: Any = None,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
-        state_names, input_names = checked_names(states, "states"), checked_names(inputs, "inputs")
+        state_names = checked_names(states, "states")
+        if is_passive(inputs, given):
+            inputs = [next(name for name in (IDLE + "_" * k for k in count()) if name not in state_names)]
+            given |= {"input_low": [0.0], "input_high": [0.0]}
+        input_names = checked_names(inputs, "inputs")
         d, m = len(state_names), len(input_names)
         values = {
             **shared_fields(d, m, given),

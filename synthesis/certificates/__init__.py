@@ -10,7 +10,7 @@ from .certificate_file import (
     save_certificate,
 )
 from .checked_kernel import axis_tables, grid_noise, kernel_key, lost_to_rounding, smooth
-from .checked_laws import law_charge, scale_charge
+from .checked_laws import law_charge, law_error, probability_below, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
@@ -22,6 +22,7 @@ from .product import ProductCertificate, nameless, product_certificate, relation
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .start_hull import StartHull
+from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "PathCertificate",
     "ProductCertificate",
     "StartHull",
+    "Statement",
     "Synthesis",
     "TeamCertificate",
     "Tube",
@@ -53,9 +55,12 @@ __all__ = [
     "joint_states",
     "load_certificate",
     "law_charge",
+    "law_error",
+    "probability_below",
     "scale_charge",
     "lost_to_rounding",
     "nameless",
+    "noted",
     "of_one_task",
     "product_certificate",
     "regrow_trains",
@@ -68,5 +73,6 @@ __all__ = [
     "significant_up",
     "speaks_of_one_start",
     "smooth",
+    "state",
     "tube_along",
 ]

@@ -7,6 +7,7 @@ function and the complementary error function. Each is off by less than ``law_er
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scipy.special import betainc, erfc
 
 from ...envs.agents import Law
 from ..cells import FloatArray
+from .stated import state
 
 ERRORS = {
     "gaussian": 1e-15,
@@ -25,6 +27,25 @@ ERRORS = {
     "truncated-gaussian": 4e-13,
 }
 """Errors of distribution functions: a few units in the last place of 1, or far above what comparisons have shown."""
+
+
+OUTWARD = 1.0 + 1e-12
+"""Factor on charges, far above their rounding."""
+
+
+class Floats:
+    """Functions of doubles; proofs put balls in their place."""
+
+    number, sqrt, exp, log, log1p, erf, erfc = float, math.sqrt, math.exp, math.log, math.log1p, math.erf, math.erfc
+    lgamma, pi = math.lgamma, math.pi
+
+    @staticmethod
+    def betainc(a: float, b: float, x: float) -> float:
+        """Return the regularized incomplete beta function."""
+        return float(betainc(a, b, x))
+
+
+FLOATS = Floats()
 
 
 def law_error(law: Law) -> float:
@@ -93,8 +114,15 @@ def law_charge(law: Law, pitch: float) -> float:
 
     ``pitch / 4`` times the jumps of the density, and ``pitch^2 / 8`` times the positive part of its second derivative.
     """
-    jumps, bend = _shape(law)
-    return 0.25 * pitch * jumps + 0.125 * pitch * pitch * bend
+    charge = exact_charge(law, pitch, FLOATS) * OUTWARD
+    state("charge", exact_charge, law, pitch, charge)
+    return float(charge)
+
+
+def exact_charge(law: Law, pitch: float, m: Any) -> Any:
+    """The same, up to the rounding of the functions ``m``."""
+    step, (jumps, bend) = m.number(pitch), _shape(law, m)
+    return 0.25 * step * jumps + 0.125 * step * step * bend
 
 
 def scale_charge(law: Law, step: float) -> float:
@@ -103,28 +131,37 @@ def scale_charge(law: Law, step: float) -> float:
     Half a step times the slope, or an eighth of the squared step times the second derivative, whichever is less. With
     ``D p = (x p)'`` and a density p they are at most the integrals of the positive parts of D p and of D D p.
     """
-    return min(0.5 * step * _slope_of_scale(law, 0.0), 0.125 * step * step * _bend_of_scale(law, 0.0))
+    charge = exact_scale_charge(law, step, FLOATS) * OUTWARD
+    state("charge", exact_scale_charge, law, step, charge)
+    return float(charge)
 
 
-def _bend_of_scale(law: Law, mean: float) -> float:
+def exact_scale_charge(law: Law, step: float, m: Any) -> Any:
+    """The same, up to the rounding of the functions ``m``."""
+    width = m.number(step)
+    slope, bend = 0.5 * width * _slope_of_scale(law, 0.0, m), 0.125 * width * width * _bend_of_scale(law, 0.0, m)
+    return slope if slope < bend else bend
+
+
+def _bend_of_scale(law: Law, mean: float, m: Any) -> Any:
     """Integral of the positive part of ``D D p = p + 3 x p' + x^2 p''`` for ``mean`` plus noise, from above.
 
     It is half that of ``|D D p|``, whose total integral is 0. Exact for the normal and the Laplace law about 0; for
     others the three parts are bounded one by one.
     """
-    data = _numbers(law)
+    data = _numbers(law, m)
     match data["law"]:
         case "mixture":
             parts = zip(data["weights"], data["means"], data["laws"], strict=True)
-            return float(sum(weight * _bend_of_scale(part, mean + own) for weight, own, part in parts))
+            return sum(weight * _bend_of_scale(part, mean + own, m) for weight, own, part in parts)
         case "gaussian" if mean == 0.0:
             # D D p = (x^4 - 4 x^2 + 1) p is the derivative of (x - x^3) p, which is 0 at 0 and far out.
-            near, far = math.sqrt(2.0 - math.sqrt(3.0)), math.sqrt(2.0 + math.sqrt(3.0))
-            return 2.0 * sum(abs(x - x**3) * math.exp(-0.5 * x * x) for x in (near, far)) / math.sqrt(2.0 * math.pi)
+            near, far = m.sqrt(2.0 - m.sqrt(3.0)), m.sqrt(2.0 + m.sqrt(3.0))
+            return 2.0 * sum(abs(x - x**3) * m.exp(-0.5 * x * x) for x in (near, far)) / m.sqrt(2.0 * m.pi)
         case "laplace" if mean == 0.0:
             # D D p = (x^2 - 3 |x| + 1) p is the derivative of (x - x |x|) p.
-            near, far = 0.5 * (3.0 - math.sqrt(5.0)), 0.5 * (3.0 + math.sqrt(5.0))
-            return float(sum(abs(x - x * x) * math.exp(-x) for x in (near, far)))
+            near, far = 0.5 * (3.0 - m.sqrt(5.0)), 0.5 * (3.0 + m.sqrt(5.0))
+            return sum(abs(x - x * x) * m.exp(-x) for x in (near, far))
         case "triangular" if data["low"] < data["mode"] < data["high"]:
             low, top, high = (mean + data[key] for key in ("low", "mode", "high"))
             peak = 2.0 / (high - low)
@@ -133,73 +170,72 @@ def _bend_of_scale(law: Law, mean: float) -> float:
             return 2.0 + 3.0 * abs(top) * peak + 0.5 * second
         case "gaussian":
             # It bends upward beyond one deviation.
-            inside = 0.5 + 0.5 * math.erf(math.sqrt(0.5))
-            second = 6.0 - 4.0 * (2.0 * inside - 3.0 * math.exp(-0.5) / math.sqrt(2.0 * math.pi))
-            height = 1.0 / (math.sqrt(2.0 * math.pi) * data["std"])
+            inside = 0.5 + 0.5 * m.erf(m.sqrt(0.5))
+            second = 6.0 - 4.0 * (2.0 * inside - 3.0 * m.exp(-0.5) / m.sqrt(2.0 * m.pi))
+            height = 1.0 / (m.sqrt(2.0 * m.pi) * data["std"])
         case "laplace":
             second, height = 2.0, 0.5 / data["scale"]
         case "logistic":
             # It bends upward where the distribution function is beyond (3 + sqrt(3)) / 6, with the density 1/6.
-            c, share = math.log(2.0 + math.sqrt(3.0)), (3.0 + math.sqrt(3.0)) / 6.0
+            c, share = m.log(2.0 + m.sqrt(3.0)), (3.0 + m.sqrt(3.0)) / 6.0
             second = 6.0 - 4.0 * (c * c / 6.0 * (1.0 - 2.0 * share) - c / 3.0 + 2.0 * share)
             height = 0.25 / data["scale"]
         case "student-t":
             nu = data["df"]
-            log = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
+            log = m.lgamma(0.5 * (nu + 1.0)) - m.lgamma(0.5 * nu) - 0.5 * m.log(nu * m.pi)
             square = nu / (nu + 2.0)
-            density = math.exp(log - 0.5 * (nu + 1.0) * math.log1p(square / nu))
-            share = 0.5 + 0.5 * float(betainc(0.5, 0.5 * nu, square / (nu + square)))
+            density = m.exp(log - 0.5 * (nu + 1.0) * m.log1p(square / nu))
+            share = 0.5 + 0.5 * m.betainc(0.5, 0.5 * nu, square / (nu + square))
             slope = -density * (nu + 1.0) / (nu + square)  # over c
-            second = 6.0 - 4.0 * (square * math.sqrt(square) * slope - 2.0 * math.sqrt(square) * density + 2.0 * share)
-            height = math.exp(log) / data["scale"]
+            second = 6.0 - 4.0 * (square * m.sqrt(square) * slope - 2.0 * m.sqrt(square) * density + 2.0 * share)
+            height = m.exp(log) / data["scale"]
         case _:
             return math.inf  # the density jumps, or nothing is known of it
-    bend, m = _shape(law)[1], abs(mean)
-    moved = second + 2.0 * m * math.sqrt(2.0 * second * bend) + 2.0 * m * m * bend
-    return 0.5 * (1.0 + 3.0 * (1.0 + 2.0 * m * height) + moved)
+    bend, away = _shape(law, m)[1], abs(mean)
+    moved = second + 2.0 * away * m.sqrt(2.0 * second * bend) + 2.0 * away * away * bend
+    return 0.5 * (1.0 + 3.0 * (1.0 + 2.0 * away * height) + moved)
 
 
-def _slope_of_scale(law: Law, mean: float) -> float:
+def _slope_of_scale(law: Law, mean: float, m: Any) -> Any:
     """Most that an expected value of a function up to 1 changes by the logarithm of the scale of ``mean`` plus noise.
 
     Infinite for laws whose density is not known to have one top.
     """
-    data = _numbers(law)
+    data = _numbers(law, m)
     match data["law"]:
         case "mixture":
             parts = zip(data["weights"], data["means"], data["laws"], strict=True)
-            return float(sum(weight * _slope_of_scale(part, mean + own) for weight, own, part in parts))
+            return sum(weight * _slope_of_scale(part, mean + own, m) for weight, own, part in parts)
         case "uniform":  # any point of the interval is a top
             top, height = min(max(-mean, data["low"]), data["high"]), 1.0 / (data["high"] - data["low"])
         case "triangular":
             top, height = data["mode"], 2.0 / (data["high"] - data["low"])
         case "gaussian":
-            top, height = 0.0, 1.0 / (math.sqrt(2.0 * math.pi) * data["std"])
+            top, height = 0.0, 1.0 / (m.sqrt(2.0 * m.pi) * data["std"])
         case "laplace":
             top, height = 0.0, 0.5 / data["scale"]
         case "logistic":
             top, height = 0.0, 0.25 / data["scale"]
         case "student-t":
             nu = data["df"]
-            log = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
-            top, height = 0.0, math.exp(log) / data["scale"]
+            log = m.lgamma(0.5 * (nu + 1.0)) - m.lgamma(0.5 * nu) - 0.5 * m.log(nu * m.pi)
+            top, height = 0.0, m.exp(log) / data["scale"]
         case "truncated-gaussian":
-            first, last = _normal_below(np.array([data["low"], data["high"]]), data["spread"])
             top = min(max(0.0, data["low"]), data["high"])
-            peak = math.exp(-0.5 * (top / data["spread"]) ** 2) / (math.sqrt(2.0 * math.pi) * data["spread"])
-            height = peak / float(last - first)
+            peak = m.exp(-0.5 * (top / data["spread"]) ** 2) / (m.sqrt(2.0 * m.pi) * data["spread"])
+            height = peak / _share(data, m)
         case _:
             return math.inf
     return 1.0 + abs(mean + top) * height
 
 
-def _shape(law: Law) -> tuple[float, float]:
+def _shape(law: Law, m: Any) -> tuple[Any, Any]:
     """Sum of the jumps of the density, and integral of the positive part of its second derivative."""
-    data = _numbers(law)
+    data = _numbers(law, m)
     match data["law"]:
         case "gaussian":
             # The second derivative is positive beyond one deviation; the slope there is phi(1).
-            return 0.0, 2.0 * math.exp(-0.5) / math.sqrt(2.0 * math.pi) / data["std"] ** 2
+            return 0.0, 2.0 * m.exp(-0.5) / m.sqrt(2.0 * m.pi) / data["std"] ** 2
         case "uniform":
             return 2.0 / (data["high"] - data["low"]), 0.0
         case "triangular":
@@ -208,37 +244,42 @@ def _shape(law: Law) -> tuple[float, float]:
             bend = (peak / (mode - low) if mode > low else 0.0) + (peak / (high - mode) if high > mode else 0.0)
             return (peak if mode in (low, high) else 0.0), bend
         case "laplace":
-            return 0.0, data["scale"] ** -2.0
+            return 0.0, 1.0 / data["scale"] ** 2
         case "logistic":
-            return 0.0, math.sqrt(3.0) / 9.0 * data["scale"] ** -2.0
+            return 0.0, m.sqrt(3.0) / 9.0 / data["scale"] ** 2
         case "student-t":
-            return 0.0, 2.0 * _steepest(data["df"]) * data["scale"] ** -2.0
+            return 0.0, 2.0 * _steepest(data["df"], m) / data["scale"] ** 2
         case "truncated-gaussian":
-            return _truncated(data)
+            return _truncated(data, m)
         case "mixture":
-            shapes = [_shape(part) for part in data["laws"]]
+            shapes = [_shape(part, m) for part in data["laws"]]
             jumps, bend = (sum(w * s[k] for w, s in zip(data["weights"], shapes, strict=True)) for k in (0, 1))
-            return float(jumps), float(bend)
+            return jumps, bend
     return law.jumps, law.bend
 
 
-def _steepest(nu: float) -> float:
+def _steepest(nu: float, m: Any) -> Any:
     """Largest slope of the standard density of Student's law, where ``x^2 = nu / (nu + 2)``."""
-    x = math.sqrt(nu / (nu + 2.0))
-    log = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
-    density = math.exp(log - 0.5 * (nu + 1.0) * math.log1p(x * x / nu))
+    x = m.sqrt(nu / (nu + 2.0))
+    log = m.lgamma(0.5 * (nu + 1.0)) - m.lgamma(0.5 * nu) - 0.5 * m.log(nu * m.pi)
+    density = m.exp(log - 0.5 * (nu + 1.0) * m.log1p(x * x / nu))
     return density * (nu + 1.0) * x / (nu + x * x)
 
 
-def _truncated(data: dict[str, float]) -> tuple[float, float]:
+def _share(data: dict[str, Any], m: Any) -> Any:
+    """Probability of the interval of a truncated law before it was truncated."""
+    first, last = (0.5 * m.erfc(-data[end] / (data["spread"] * m.sqrt(2.0))) for end in ("low", "high"))
+    return last - first
+
+
+def _truncated(data: dict[str, Any], m: Any) -> tuple[Any, Any]:
     low, high, spread = data["low"], data["high"], data["spread"]
-    first, last = _normal_below(np.array([low, high]), spread)
-    scale = 1.0 / (math.sqrt(2.0 * math.pi) * spread * float(last - first))
-    left, right = (scale * math.exp(-0.5 * (end / spread) ** 2) for end in (low, high))
-    bend = 2.0 * math.exp(-0.5) * scale / spread + (abs(low) * left + abs(high) * right) / spread**2
+    scale = 1.0 / (m.sqrt(2.0 * m.pi) * spread * _share(data, m))
+    left, right = (scale * m.exp(-0.5 * (end / spread) ** 2) for end in (low, high))
+    bend = 2.0 * m.exp(-0.5) * scale / spread + (abs(low) * left + abs(high) * right) / spread**2
     return left + right, bend
 
 
-def _numbers(law: Law) -> dict:
-    """The name of a law and its numbers."""
-    return {"law": law.name, **vars(law)}
+def _numbers(law: Law, m: Any = FLOATS) -> dict[str, Any]:
+    """The name of a law and its numbers, as numbers of ``m``."""
+    return {"law": law.name, **{k: m.number(own) if isinstance(own, float) else own for k, own in vars(law).items()}}

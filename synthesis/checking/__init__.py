@@ -7,8 +7,9 @@ from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
 from .linear_check import masks_of
-from .mean_spans import enclosed_means
+from .mean_spans import enclosed_means, enclosed_scales
 from .opposite_task import other_controllers, wrong_opposite
+from .readings import Reading, reading_of
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value, vertices_of
 from .relation_check import verify_relation
 from .rigorous import RigorousReport, check_rigorous
@@ -16,6 +17,7 @@ from .team_check import wrong_team
 
 __all__ = [
     "BrokenTreeError",
+    "Reading",
     "CheckReport",
     "Greedy",
     "RigorousReport",
@@ -29,7 +31,9 @@ __all__ = [
     "execution_of",
     "masks_of",
     "enclosed_means",
+    "enclosed_scales",
     "greedy_disturbance",
+    "reading_of",
     "regrow",
     "safety_rate",
     "standing",

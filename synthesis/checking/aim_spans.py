@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent
 from ...envs.expressions import Tree, operations_in
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..certificates import AgentPart, state
 from ..relations import Turn, WrittenTargets
 from .geometry import cell_boxes
-from .mean_spans import leaves_of
+from .mean_spans import Enclosed, leaves_of
 from .own_intervals import Span, bounds, computed_off, span
 
 AT_ONCE = 100_000
@@ -162,6 +162,15 @@ def _inside(
         first, last = (np.stack([cuts[k + side][:, axis] for axis, k in enumerate(part)], axis=1) for side in (0, 1))
         with np.errstate(all="ignore"):
             ends = bounds(partial(_spans, relation, relation.trees, targets), _variables(relation.agent, first, last))
+            spans = Enclosed(
+                relation.trees,
+                relation.agent,
+                np.zeros((len(low), 0)),
+                np.eye(relation.agent.n_states),
+                constants=dict(zip(relation.targets, targets.T, strict=True)),
+            )
+            unknown = [(np.full(len(low), a), np.full(len(low), b)) for a, b in relation.agent.unknowns.values()]
+            state("spans", spans, (first, last), unknown, tuple(np.stack(ends, axis=-1)))
             wider = [own + np.stack([-off, off]) for own, off in zip(ends, lost.T, strict=True)]
             inside &= _admissible(relation, dict(zip(relation.columns, wider, strict=True)))
     return inside
@@ -212,6 +221,7 @@ def _seen_within(agent: Agent, turn: Turn, east: FloatArray, north: FloatArray) 
     corners = [(east[i], north[j]) for i, j in itertools.product((0, 1), repeat=2)]
     off = np.stack([np.arctan2(x * b - y * a, x * a + y * b) for a, b in corners])
     middle, slack = np.arctan2(y, x), ROUNDED * _largest_angle(agent, turn)
+    state("angles", (x, y), corners, (middle, off), 0.25 * slack)
     begin, end = middle + off.min(axis=0) - slack, middle + off.max(axis=0) + slack
     turns = 2.0 * np.pi * np.ceil((first - begin) / (2.0 * np.pi))
     return np.asarray(beside & (begin + turns >= first) & (end + turns <= last))

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +26,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, lattice_axes
-from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth
+from ..certificates import AgentPart, axis_tables, grid_noise, law_charge, lost_to_rounding, scale_charge, smooth, state
 from ..relations import commands_of
 from .common_check import by_number, known_inputs
 from .geometry import cell_boxes
-from .mean_spans import enclosed_means, enclosed_scales, steered_spans
+from .mean_spans import Enclosed, enclosed_means, enclosed_scales, steered_spans
 from .network_spans import network_modes, network_spans
 
 STRAIGHT, CROSSED = 1.40031, 0.46840
@@ -153,6 +154,8 @@ def box_tables(
         )
     slack = slack + ROUNDING * (1.0 + float(r.sum())) + lost_to_rounding(agent, part)
     written = WrittenBoxes.of(agent, part) if isinstance(agent, Agent) else None
+    if isinstance(agent, LinearAgent):
+        _state_boxes(agent, part, off)
     return BoxTables(axis_tables(agent, part, known), slack, bent, off, written)
 
 
@@ -164,7 +167,10 @@ def _smallest(agent: AnyAgent, part: AgentPart, k: int) -> FloatArray:
     """Scales (L,) of the noise of a state, by level: the smallest one between a level and its neighbours."""
     for axis, points in zip(lattice_axes(agent), part.lattice, strict=True):
         if axis.kind == "scale" and axis.state == k:
-            return np.exp(np.maximum(points - _step(points), points[0]))
+            logarithms = np.maximum(points - _step(points), points[0])
+            scales = np.exp(logarithms)
+            state("function", "exp", (), logarithms, scales * (1.0 - 1e-13), scales * (1.0 + 1e-13))
+            return scales
     return np.ones(1)
 
 
@@ -209,11 +215,29 @@ def _rounded_steps(agent: AnyAgent, part: AgentPart) -> FloatArray:
     return np.array(steps)
 
 
-def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, t: int, q: int) -> FloatArray:
-    """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0."""
-    values = np.zeros((len(factors), part.grid.n_cells))
-    if not len(factors):
-        return values
+def box_values(
+    agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: FloatArray, rows: Sequence[tuple[int, int]]
+) -> list[FloatArray]:
+    """Value factors (n, S) one step earlier, below the truth from every state of a cell, of factors (n, S) >= 0.
+
+    One array for each of some rows (t, q) of the policy.
+    """
+    found = [np.zeros((len(factors), part.grid.n_cells)) for _ in rows]
+    moving = [_moving_cells(agent, part, tables, *row) for row in rows]
+    for n, factor in enumerate(factors):
+        smoothed = smooth(factor[None], tables.masses)[0].reshape([len(axis) for axis in part.lattice])
+        slack = tables.slack * factor.max(initial=0.0)
+        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
+        for values, (cells, low, high) in zip(found, moving, strict=True):
+            for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
+                values[n, cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
+    return found
+
+
+def _moving_cells(
+    agent: AnyAgent, part: AgentPart, tables: BoxTables, t: int, q: int
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Cells (C,) whose boxes can be read, and the corners (C, D) of these boxes in lattice steps."""
     policy = part.policy[min(t, len(part.policy) - 1), q]
     cells = np.flatnonzero(policy >= 0)
     low, high = mean_positions(agent, part, tables, cells, policy[cells])
@@ -221,14 +245,7 @@ def box_values(agent: AnyAgent, part: AgentPart, tables: BoxTables, factors: Flo
     # Second differences are not known at the border of the lattice: what comes nearer is worth nothing.
     inside = np.all((low >= 1.0) & (high <= last - 1.0), axis=1)
     inside &= np.prod(high - low + 3.0, axis=1) <= MOST_POINTS
-    cells, low, high = cells[inside], low[inside], high[inside]
-    for row, factor in zip(values, factors, strict=True):
-        smoothed = smooth(factor[None], tables.masses)[0].reshape(last + 1)
-        slack = tables.slack * factor.max(initial=0.0)
-        table = smoothed - slack if tables.bent is None else below(smoothed, slack, tables.bent)
-        for some in np.array_split(np.arange(len(cells)), len(cells) // CHUNK + 1):
-            row[cells[some]] = np.maximum(least(table, low[some], high[some]), 0.0)
-    return values
+    return cells[inside], low[inside], high[inside]
 
 
 def mean_positions(
@@ -242,6 +259,17 @@ def mean_positions(
         scales = tables.written.scales_at(numbers) if tables.written.scales is not None else ends
         return _positions(agent, part, ends[0], scales[0]), _positions(agent, part, ends[1], scales[1])
     assert isinstance(agent, LinearAgent)
+    low, high = _affine_boxes(agent, part, cells, choices)
+    for a in np.unique(choices[choices < network_modes(part)]):
+        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
+    off = tables.off
+    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
+
+
+def _affine_boxes(
+    agent: LinearAgent, part: AgentPart, cells: NDArray[np.int64], choices: NDArray[np.integer]
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (C, d) of boxes around means under inputs of the menu; they may be off by what means are off by."""
     inverse = np.linalg.inv(part.coordinates)
     plain = np.array_equal(part.coordinates, np.eye(len(inverse)))
     A, B, offset = agent.A, agent.B, agent.offset
@@ -256,11 +284,22 @@ def mean_positions(
     reach = np.zeros(mean.shape)
     for a in np.unique(choices):
         reach[choices == a] = half[choices == a] @ np.abs(A + B @ gains[a]).T
-    low, high = mean - reach, mean + reach
-    for a in np.unique(choices[choices < network_modes(part)]):
-        low[choices == a], high[choices == a] = network_spans(agent, part, cells[choices == a], int(a))
-    off = tables.off
-    return _positions(agent, part, low - off, low), _positions(agent, part, high + off, high)
+    return mean - reach, mean + reach
+
+
+def _state_boxes(agent: LinearAgent, part: AgentPart, off: FloatArray) -> None:
+    """State that boxes hold all means, of cells under all inputs that a policy chooses there.
+
+    They are said to be off by half of ``off``; the other half is for controllers, which add up the same numbers.
+    """
+    menu, gains = (np.array(part.relation[name], dtype=float) for name in ("menu", "gains"))
+    asked = part.policy >= network_modes(part)
+    pairs = np.broadcast_to(np.arange(part.policy.shape[-1]), asked.shape)[asked] * np.int64(len(menu))
+    cells, choices = np.divmod(np.unique(pairs + part.policy[asked]), len(menu))
+    low, high = _affine_boxes(agent, part, cells, choices)
+    spans = Enclosed(None, agent, menu[choices], part.coordinates, True, fed=gains[choices])
+    corners = tuple(corner[cells] for corner in cell_boxes(part))
+    state("spans", spans, corners, [], (low - 0.5 * off, high + 0.5 * off))
 
 
 def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: FloatArray) -> FloatArray:
@@ -277,7 +316,10 @@ def _positions(agent: AnyAgent, part: AgentPart, means: FloatArray, scales: Floa
             continue
         value = means[:, k]
         if axis.kind == "scale":
-            value = np.log(np.where(scales[:, k] > 0.0, scales[:, k], np.nan))
+            positive = np.where(scales[:, k] > 0.0, scales[:, k], np.nan)
+            value = np.log(positive)
+            off = 4.0 * 2.0**-53 * np.abs(value)
+            state("function", "log", (), positive, value - off, value + off)
         columns.append((value - points[0]) / _step(points))
     return np.stack(columns, axis=1)
 

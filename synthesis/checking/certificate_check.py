@@ -41,8 +41,10 @@ from ..certificates import (
     TeamCertificate,
     any_certificate,
     load_certificate,
+    noted,
     significant_down,
     significant_up,
+    state,
 )
 from ..values import UNIT, Terms
 from .carrying_out import wrong_actions
@@ -116,9 +118,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         Truthy if the lower bounds of the certificate were verified: at its start and, factor by factor, elsewhere; and
         the upper end of its claim (``gap``) where it has one, unless ``above`` is None.
     """
-    if isinstance(certificate, str | Path):
-        certificate = load_certificate(certificate)
-    certificate = certificate if isinstance(certificate, StartHull) else any_certificate(certificate)
+    certificate = checkable(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
     if isinstance(certificate, ProductCertificate):
         return _check_product(certificate, problem)
@@ -139,6 +139,13 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+
+
+def checkable(certificate: Any) -> Any:
+    """Return what there is to be checked: a certificate of any kind, or a set of starts; files are read."""
+    if isinstance(certificate, str | Path):
+        certificate = load_certificate(certificate)
+    return certificate if isinstance(certificate, StartHull) else any_certificate(certificate)
 
 
 def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport:
@@ -218,6 +225,7 @@ def _check_one(certificate: Certificate, problem: Problem) -> CheckReport:
             failures.append(str(error))
         else:
             recomputed = _start_value(certificate, value, loss)
+            state("sums", certificate, recomputed, loss)
             failures += _check_values(certificate, value, recomputed)
             if certificate.gap is not None and not failures:
                 above, failures = _check_above(certificate, certificate.gap, loss)
@@ -293,7 +301,8 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
             relation = controller.relation
             execution = execution_of(agent, part, relation)
             wrong = verify_relation(agent, part, relation, execution)
-            wrong = wrong or wrong_actions(agent, part, controller, execution)
+            with noted():  # what is seen as controllers run proves nothing, and is not stated
+                wrong = wrong or wrong_actions(agent, part, controller, execution)
             failures += [f"agent `{agent.name}`: {text}" for text in wrong]
             verified[key] = label_margin(part, relation, execution), execution.loss
         margins.append(verified[key][0])
@@ -336,6 +345,7 @@ def _undecided(certificate: Certificate) -> float:
         passed = list(masses(certificate, DROPPED, MOST))
     except TooManyProducts:
         return float(certificate.problem.horizon)
+    state("spare", certificate, SPARE)
     return sum(min(1.0, mass.alive + mass.dropped + SPARE) for mass in passed[:-1])
 
 

@@ -19,7 +19,7 @@ from scipy.special import erf
 
 from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart
+from ..certificates import AgentPart, state
 from ..relations import (
     BoxRelation,
     CoupledRelation,
@@ -92,11 +92,11 @@ def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execut
     """How far the controller with this relation may be off."""
     setting = _setting(agent, part)
     if isinstance(relation, ExactRelation):
-        return _exact(setting, part, relation)
+        return _exact(setting, agent, part, relation)
     if isinstance(relation, MapRelation):
-        return _mapped(setting, part, relation)
+        return _mapped(setting, agent, part, relation)
     if isinstance(relation, LinearRelation):
-        return _affine(setting, part, relation)
+        return _affine(setting, agent, part, relation)
     if isinstance(relation, BoxRelation):
         return _boxed(setting, relation.gains)
     if isinstance(relation, WrittenTargets):
@@ -145,7 +145,7 @@ def _setting(agent: AnyAgent, part: AgentPart) -> _Setting:
     )  # fmt: skip
 
 
-def _exact(s: _Setting, part: AgentPart, relation: ExactRelation) -> Execution:
+def _exact(s: _Setting, agent: AnyAgent, part: AgentPart, relation: ExactRelation) -> Execution:
     """The mean of the next state is ``A x + B (R (z - d - A_r x) + mid) + c``; it is to be z."""
     z = np.array([np.max(np.abs(axis)) for axis in part.lattice])
     A, R, drift, middle = relation.A, relation.right_inverse, relation.drift, relation.input_centre
@@ -157,9 +157,11 @@ def _exact(s: _Setting, part: AgentPart, relation: ExactRelation) -> Execution:
     off += s.A_off @ s.x + s.B_off @ asked + s.c_off + np.abs(moved) @ np.abs(A) @ s.read + s.unit * size
     distance = float(np.sqrt(np.sum((off / s.deviations) ** 2)))
     loss = float(erf(distance / (2.0 * np.sqrt(2.0)))) * (1.0 + 1e-12)
+    state("erf", distance / (2.0 * np.sqrt(2.0)), loss)
     if s.lawful:  # the difference of tails is that of Gaussian noise; its slope at 0 bounds all
         loss = min(1.0, DENSITY * distance)
     inputs = s.unit * asked + np.abs(R) @ np.abs(A) @ s.read
+    state("aims", agent, part, relation, off)
     return Execution(off, np.zeros(len(A)), inputs, loss + _misread(s, s.read) + s.law)
 
 
@@ -170,13 +172,13 @@ def _aimed(s: _Setting, part: AgentPart, relation: WrittenTargets) -> Execution:
     return Execution(off, np.zeros(len(off)), np.zeros(len(s.u)), shift + _misread(s, s.read) + s.law)
 
 
-def _affine(s: _Setting, part: AgentPart, relation: LinearRelation) -> Execution:
+def _affine(s: _Setting, agent: AnyAgent, part: AgentPart, relation: LinearRelation) -> Execution:
     """Targets that may move with the state are commanded like those of ``exact``; inputs of a menu are what they are.
 
     The centre of the cell and the gain add as many operations again.
     """
     if relation.steers:
-        one = _exact(s, part, relation.steers[0])
+        one = _exact(s, agent, part, relation.steers[0])
         moving = s.unit * (np.abs(s.B @ relation.steers[0].right_inverse) + np.eye(len(s.x))) @ s.x
         off = one.mean + moving
         added = float(np.sqrt(np.sum((moving / s.deviations) ** 2)))
@@ -193,14 +195,14 @@ def targets_alone(part: AgentPart) -> AgentPart:
     return replace(part, policy=np.where(part.policy >= first, part.policy - first, -1).astype(part.policy.dtype))
 
 
-def _mapped(s: _Setting, part: AgentPart, relation: MapRelation) -> Execution:
+def _mapped(s: _Setting, agent: AnyAgent, part: AgentPart, relation: MapRelation) -> Execution:
     """Inputs of a menu, whose means are off by what goes into their maps; targets miss theirs with some probability."""
     inputs = _boxed(s, np.zeros((1, len(s.u), len(s.x))))
     if relation.aims is None:
         return inputs
     part = targets_alone(part)
     aims = relation.aims
-    aimed = _aimed(s, part, aims) if isinstance(aims, WrittenTargets) else _exact(s, part, aims)
+    aimed = _aimed(s, part, aims) if isinstance(aims, WrittenTargets) else _exact(s, agent, part, aims)
     return Execution(np.maximum(inputs.mean, aimed.mean), aimed.disturbance, aimed.inputs, max(inputs.loss, aimed.loss))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import erfc
 
 from ..cells import FloatArray
+from ..certificates import state
 from .roundings import SMALLEST, TAIL
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
@@ -63,7 +64,9 @@ def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatA
     chosen = np.where(as_slab, both, inner)
     if np.any(chosen >= 1.0):
         return 1.0
-    return float(-np.expm1(np.sum(np.log1p(-chosen))) + np.sum(np.where(as_slab, 0.0, outer))) * TAIL
+    any_slab = float(-np.expm1(np.sum(np.log1p(-chosen))))
+    state("any", chosen, any_slab * TAIL)
+    return (any_slab + float(np.sum(np.where(as_slab, 0.0, outer)))) * TAIL
 
 
 def tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
@@ -76,6 +79,7 @@ def tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
     # Infinite distances are kept for sure; large quotients have no tail that floating point holds.
     z = np.clip(np.where(np.isfinite(distance), distance, 0.0) / scale, -1e3, 1e3)
     tail = np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)
+    state("tails", z, tail)
     known = np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0))
     is_unknown = (distance == -np.inf) | ~np.isfinite(variance)
     return np.asarray(np.where(distance == np.inf, 0.0, np.where(is_unknown, 1.0, known)))

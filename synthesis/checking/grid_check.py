@@ -6,7 +6,7 @@ import numpy as np
 
 from ...envs.agents import AnyAgent, Box
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, grid_noise
+from ..certificates import AgentPart, Certificate, grid_noise, state
 from .execution import UNIT
 from .relation_check import wrong_for_uneven_noise
 
@@ -79,6 +79,7 @@ def _start_on_a_face(agent: AnyAgent, part: AgentPart) -> bool:
     # A coordinate that is a state is read as it is, by both.
     own = np.all(coordinates == np.eye(d), axis=1) & np.all(inverse == np.eye(d), axis=1) & (points == start)
     off = np.where(own, 0.0, off)
+    state("start", part, start, points, own)
     triples = zip(part.grid.edges, points, off, strict=True)
     # A start of zeros is read without rounding.
     return any(width > 0.0 and bool(np.any(np.abs(edges - x) <= width)) for edges, x, width in triples)

@@ -18,7 +18,7 @@ from scipy.special import erfc
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, grid_noise
+from ..certificates import AgentPart, grid_noise, state
 
 HALF_NORMS = (1.40031, 0.60241, 0.46840)
 """Half the L1 norms of ``phi''''``, ``phi''' phi'`` and ``phi'' phi''``, rounded up in the fifth digit."""
@@ -122,6 +122,7 @@ def linear_tables(agent: LinearAgent, part: AgentPart) -> LinearTables:
         table, missing = normal_hats(axis, edges, deviation)
         masses.append(table)
         lost += missing
+    state("hats", agent, part, masses, lost)
     count = sum(float(np.sum(np.abs(move)) ** 2) / share for move, share in zip(moves, shares, strict=True) if share)
     count = 0.5 * count + 16.0 * sum(fourth.values())
     slack = ROUNDING * (2.0 + float(np.sum(step))) + len(deviations) * beyond + count * (lost + PRODUCTS)

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from ...envs.agents import Agent
+from ...envs.agents import Agent, AnyAgent
 from ...envs.expressions import Name, Operation, Tree, substituted
 from ..cells import FloatArray
+from ..certificates import state
 from ..relations import Command
 from .own_intervals import Span, bounds, computed_off, products, span
 
@@ -23,6 +25,47 @@ ROTATED = 1e-13
 
 COMPUTED = 1e-13
 """Share of their size by which targets may be missed, and inputs be off, as they are computed: a thousand roundings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """What was enclosed, for whoever proves it: expressions of states on cells, under an input (n, m) for each.
+
+    Parameters
+    ----------
+    trees : sequence of Tree, or None for the means of matrices
+    agent : AnyAgent
+        Whose states, inputs and unknowns the names are.
+    inputs : (n, m) array
+    coordinates : (d, d) array
+        Grid coordinates to state.
+    turned : bool
+        Whether the expressions are states, and their grid coordinates are enclosed.
+    less : pair of (n, d) and (n, d, d) arrays, optional
+        z and G: what is enclosed is what is left after ``z + G (x - c)``, c being the middle of the cell.
+    constants : mapping
+        Further names, and a number (n,) for each cell.
+    fed : (n, m, d) array, optional
+        What inputs of matrices are moved by per grid coordinate, from the middle of the cell on.
+    """
+
+    trees: Sequence[Tree] | None
+    agent: AnyAgent
+    inputs: FloatArray
+    coordinates: FloatArray
+    turned: bool = False
+    less: tuple[FloatArray, FloatArray] | None = None
+    constants: Mapping[str, FloatArray] = field(default_factory=dict)
+    fed: FloatArray | None = None
+
+    @property
+    def told_apart_by(self) -> tuple[object, ...]:
+        """All that it says: equal agents are proved once."""
+        trees = None if self.trees is None else repr(self.trees)
+        names, rows = tuple(self.constants), tuple(self.constants.values())
+        ranges = None if self.trees is None else repr(getattr(self.agent, "unknowns", None))
+        model = tuple(map(repr, self.agent.model_key))
+        return model, ranges, trees, self.inputs, self.coordinates, self.turned, self.less, names, rows, self.fed
 
 
 def enclosed_means(
@@ -73,6 +116,7 @@ def enclosed_means(
     if rows is not None:
         size = np.maximum(np.abs(first), np.abs(last)) @ (np.abs(rows) @ np.abs(coordinates)).T
         first, last = first - ROTATED * size, last + ROTATED * size
+    state("spans", Enclosed(agent.trees, agent, inputs, coordinates, True), (low, high), calm, (first, last))
     return first, last
 
 
@@ -93,6 +137,8 @@ def enclosed_scales(
             box = [(cuts[k][:, axis], cuts[k + 1][:, axis]) for axis, k in enumerate(part)]
             ends = np.stack(bounds(outputs, np.array(box + unknown)), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+    spans = Enclosed(agent.scale_trees, agent, inputs, np.eye(agent.n_states))
+    state("spans", spans, (low, high), unknown, (first, last))
     return first, last
 
 
@@ -113,6 +159,8 @@ def steered_spans(
     ]
     for command in commands:
         trees[command.axis] = Name(_target(command))
+    targeted = {_target(c): targets[c.axis] for c in commands}
+    spans = Enclosed(trees, agent, inputs, np.eye(agent.n_states), constants=targeted)
     asked_and_parts = [tree for c, u in zip(commands, asked, strict=True) for tree in (u, c.rest, c.factor)]
     first, last = np.full(low.shape, np.inf), np.full(low.shape, -np.inf)
     cuts = [low + (high - low) * (k / parts) for k in range(parts)] + [high]
@@ -132,6 +180,11 @@ def steered_spans(
             ends = np.stack(bounds(partial(outputs, trees), box), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
             found = bounds(partial(outputs, asked_and_parts), box)
+            if commands:
+                sides = tuple(side.T for side in np.moveaxis(box[: low.shape[1]], 1, 0))
+                state(
+                    "spans", replace(spans, trees=asked_and_parts), sides, unmeasured, tuple(np.stack(found, axis=-1))
+                )
             leaves = leaves_of(agent, box, inputs, np.eye(agent.n_states), False)
             for command, asked_for, rest, factor in zip(commands, found[::3], found[1::3], found[2::3], strict=True):
                 least, most = agent.input_low[command.input], agent.input_high[command.input]
@@ -144,6 +197,7 @@ def steered_spans(
                 last[:, command.axis] = np.maximum(last[:, command.axis], target + off)
                 inside = (asked_for[0] >= least + spare) & (asked_for[1] <= most - spare)
                 first[~(inside & (of_factor <= 0.5 * nearest))] = np.nan
+    state("spans", spans, (low, high), unmeasured, (first, last))
     return first, last
 
 
@@ -161,6 +215,7 @@ def output_spans(agent: Agent, low: FloatArray, high: FloatArray) -> tuple[Float
 
     with np.errstate(all="ignore"):
         ends = np.stack(bounds(outputs, box), axis=-1)
+    state("spans", Enclosed(agent.output_trees, agent, no_inputs, np.eye(agent.n_states)), (low, high), [], tuple(ends))
     return np.where(np.isnan(ends[0]), -np.inf, ends[0]), np.where(np.isnan(ends[1]), np.inf, ends[1])
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...envs.agents import LinearAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate
+from ..certificates import AgentPart, Certificate, state
 from .geometry import cell_boxes
 
 HALF_UNIT, TINY = 2.0**-24, 2.0**-126
@@ -221,7 +221,7 @@ def chord(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
     """Slopes, constants and radii of lines around the tangent, the positive part, or numbers cut to [-1, 1]."""
 
     def value(z: FloatArray) -> FloatArray:
-        return np.tanh(z) if kind == "tanh" else np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))
+        return _tangent(z) if kind == "tanh" else np.clip(z, 0.0 if kind == "relu" else -1.0, _most(kind))
 
     wide, first, last = high - low > 1e-12, value(low), value(high)
     slope = np.where(wide, (last - first) / np.where(wide, high - low, 1.0), 0.0)
@@ -244,6 +244,14 @@ def chord(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
     return slope, 0.5 * (smallest + largest), radius * SPARE + 5e-16 * (1.0 + np.abs(low) + np.abs(high))
 
 
+def _tangent(z: FloatArray) -> FloatArray:
+    """The hyperbolic tangent, up to a few units in the last place: single precision is charged far more."""
+    at = np.tanh(z)
+    off = 1e-15 * np.abs(at) + np.finfo(float).tiny
+    state("function", "tanh", (), z, at - off, at + off)
+    return np.asarray(at)
+
+
 def _most(kind: str) -> float:
     return np.inf if kind == "relu" else 1.0
 
@@ -251,7 +259,7 @@ def _most(kind: str) -> float:
 def _ends(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least and largest values as single precision computes them."""
     if kind == "tanh":
-        least, most = np.tanh(low), np.tanh(high)
+        least, most = _tangent(low), _tangent(high)
         return least - TANGENS * SPARE * np.abs(least), most + TANGENS * SPARE * np.abs(most)
     floor = 0.0 if kind == "relu" else -1.0
     return np.clip(low, floor, _most(kind)), np.clip(high, floor, _most(kind))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ...envs.expressions import Name, Number, Operation, Tree, whole_exponent
 from ..cells import FloatArray
+from ..certificates import state
 
 OFF = 2.0**-48
 """Relative error of elementary functions, with room to spare."""
@@ -120,16 +121,20 @@ def _power(ends: FloatArray, n: int) -> FloatArray:
     return np.stack([low, high])
 
 
-def _grown(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Ends that went through an elementary function, moved outward."""
-    tiny = np.finfo(float).tiny
-    return np.stack([low - OFF * np.abs(low) - tiny, high + OFF * np.abs(high) + tiny])
+def _through(name: str, function: Any, ends: FloatArray, *numbers: float) -> FloatArray:
+    """Ends that went through an elementary function that rises, moved outward."""
+    at = function(ends, *numbers)
+    off = OFF * np.abs(at) + np.finfo(float).tiny
+    low, high = at - off, at + off
+    state("function", name, numbers, ends, low, high)
+    return np.stack([low[0], high[1]])
 
 
 def _sine(ends: FloatArray, quarter: float) -> FloatArray:
     """Ends of ``sin(x + quarter turns)``, for the sine (0) and the cosine (1)."""
     function = np.sin if quarter == 0.0 else np.cos
     at = function(ends)
+    state("function", function.__name__, (), ends, at - OFF, at + OFF)
     low, high = at.min(axis=0) - OFF, at.max(axis=0) + OFF
     turns = ends / (2.0 * np.pi) + 0.25 * quarter
     # The sine is 1 a quarter into each turn, and -1 three quarters into it.
@@ -153,17 +158,17 @@ def _tan(f: Span) -> Span:
     halves = f.ends / np.pi - 0.5
     known = np.floor(halves[1] + TURN) < halves[0] - TURN
     inside = np.where(known & (np.abs(f.ends).max(axis=0) < LARGE), f.ends, np.nan)
-    ends = _grown(*np.tan(inside))
+    ends = _through("tan", np.tan, inside)
     return f.scaled(ends, _sum(np.ones_like(ends), _power(ends, 2)))
 
 
 def _exp(f: Span) -> Span:
-    ends = np.maximum(_grown(*np.exp(f.ends)), 0.0)
+    ends = np.maximum(_through("exp", np.exp, f.ends), 0.0)
     return f.scaled(ends, ends)
 
 
 def _log(f: Span) -> Span:
-    return f.scaled(_grown(*np.log(np.where(f.ends[0] > 0.0, f.ends, np.nan))), _inverse(f.ends))
+    return f.scaled(_through("log", np.log, np.where(f.ends[0] > 0.0, f.ends, np.nan)), _inverse(f.ends))
 
 
 def _sqrt(f: Span) -> Span:
@@ -174,11 +179,11 @@ def _sqrt(f: Span) -> Span:
 
 def _atan(f: Span) -> Span:
     square = _power(f.ends, 2)
-    return f.scaled(_grown(*np.arctan(f.ends)), _inverse(_sum(np.ones_like(square), square)))
+    return f.scaled(_through("atan", np.arctan, f.ends), _inverse(_sum(np.ones_like(square), square)))
 
 
 def _tanh(f: Span) -> Span:
-    ends = np.clip(_grown(*np.tanh(f.ends)), -1.0, 1.0)
+    ends = np.clip(_through("tanh", np.tanh, f.ends), -1.0, 1.0)
     return f.scaled(ends, np.maximum(_sum(np.ones_like(ends), -_power(ends, 2)[::-1]), 0.0))
 
 
@@ -238,7 +243,7 @@ def _raised(base: Tree, exponent: Tree, leaves: Leaves) -> Span:
         return _exp(span(exponent, leaves) * _log(f))
     p = exponent.value
     inside = np.where(f.ends[0] >= 0.0, f.ends, np.nan)
-    ends = np.maximum(_grown(*(inside ** abs(p))), 0.0)
+    ends = np.maximum(_through("power", np.power, inside, abs(p)), 0.0)
     ends = ends if p > 0.0 else _inverse(ends)
     return f.scaled(ends, products(products(np.full_like(ends, p), ends), _inverse(f.ends)))
 

@@ -24,7 +24,7 @@ from scipy.special import erfc
 from ...envs.agents import AnyAgent, Gaussian, PairRegion
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import axis_tables, lost_to_rounding
+from ..certificates import axis_tables, lost_to_rounding, state
 from .forward_mass import moved
 from .geometry import start_shares
 
@@ -160,8 +160,8 @@ def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> f
     for t in range(problem.horizon):
         following = []
         for product in products:
-            state = modes[product.mode][0]
-            points = [part.points(t, state) for part in base.agents]
+            first = modes[product.mode][0]
+            points = [part.points(t, first) for part in base.agents]
             about = np.flatnonzero(np.any([asked[q] for q in modes[product.mode]], axis=0))
             charged += charges.of(about, [_on_lattice(*own) for own in zip(base.agents, product.factors, points)])
             pushed = [moved(own[None], to, axes)[0] for own, to, axes in zip(product.factors, points, tables)]
@@ -172,6 +172,7 @@ def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> f
         if len(following) > MOST_PRODUCTS:
             raise OverflowError(f"the mass of its undecided runs has more than {MOST_PRODUCTS} products")
         products = following
+    state("differences", base, len(problem.labeling.pairs), RELATIVE)
     # What the kernels lost on the way may be near, once for each agent.
     lost = sum(lost_to_rounding(a, p) for a, p in zip(problem.agents, base.agents, strict=True)) * problem.horizon
     return min(1.0, (charged + lost) * RELATIVE)
@@ -268,11 +269,11 @@ class _Charges:
         i, j = pair.first, pair.second
         mine, theirs = self.base.agents[i].lattice[a], self.base.agents[j].lattice[b]
         agents = self.problem.agents
-        variance = float(agents[i].noise_covariance[a, a]) + float(agents[j].noise_covariance[b, b])
+        variances = float(agents[i].noise_covariance[a, a]), float(agents[j].noise_covariance[b, b])
         low, high = float(pair.low[n]), float(pair.high[n])
-        name = (mine.tobytes(), theirs.tobytes(), variance, low, high, from_below)
+        name = (mine.tobytes(), theirs.tobytes(), *variances, low, high, from_below)
         if name not in self.known:
-            self.known[name] = _near_probability(mine, theirs, variance, (low, high), from_below)
+            self.known[name] = _near_probability(mine, theirs, variances, (low, high), from_below)
         return name, self.known[name]
 
 
@@ -283,7 +284,7 @@ def _over(masses: FloatArray, axes: list[int]) -> FloatArray:
 
 
 def _near_probability(
-    mine: FloatArray, theirs: FloatArray, variance: float, box: tuple[float, float], from_below: bool
+    mine: FloatArray, theirs: FloatArray, variances: tuple[float, float], box: tuple[float, float], from_below: bool
 ) -> FloatArray:
     """Return bounds (Z, Z') on ``P(low <= z - z' + w < high)``, w Gaussian: from above, or ``from_below``.
 
@@ -292,7 +293,7 @@ def _near_probability(
     low, high = box
     gap = np.subtract.outer(mine, theirs)
     size = np.abs(mine).max() + np.abs(theirs).max() + abs(low) + abs(high)
-    scale = np.sqrt(2.0 * variance)
+    scale = np.sqrt(2.0 * sum(variances))
     wider = (1e-14 * size + 1e-12 * scale) * (-1.0 if from_below else 1.0)
     below, above = (low - wider - gap) / scale, (high + wider - gap) / scale
     # Of both ways to write the probability, the one with the smaller tails keeps its digits.
@@ -300,4 +301,6 @@ def _near_probability(
     lower = 0.5 * (erfc(-above) - erfc(-below))
     mass = np.where(below > 0.0, upper, lower)
     spread = -1.0 if from_below else 1.0
-    return np.asarray(np.clip(mass * (1.0 + 1e-13 * spread) + OWN_ERROR * spread, 0.0, 1.0))
+    bounds = np.asarray(np.clip(mass * (1.0 + 1e-13 * spread) + OWN_ERROR * spread, 0.0, 1.0))
+    state("near", (mine, theirs), variances, box, from_below, bounds)
+    return bounds

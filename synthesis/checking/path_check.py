@@ -17,7 +17,7 @@ from scipy.special import erfc
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from ..certificates import AgentPath, PathCertificate
+from ..certificates import AgentPath, PathCertificate, state
 from .nonlinear_check import nonlinear_failure, wrong_nonlinear_path
 from .pair_limits_check import team_failure, wrong_normals
 from .roundings import SMALLEST, TAIL, UNIT
@@ -174,15 +174,18 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
         return failures, 1.0
     if problem.labeling.pairs:
         return [], min(1.0, team_failure(certificate))
-    log_kept = 0.0
+    each, log_kept = [], 0.0
     for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
         if path.states is not None:
             failure = nonlinear_failure(certificate, i)
         else:
             assert isinstance(agent, LinearAgent)
             failure = _failure(certificate, Motion.of(agent, path))
+        each.append(failure)
         log_kept += float(np.log1p(-min(1.0 - 1e-16, failure)))
-    return [], min(1.0, float(-np.expm1(log_kept)) * TAIL)
+    any_failure = min(1.0, float(-np.expm1(log_kept)) * TAIL)
+    state("any", np.array(each), any_failure)
+    return [], any_failure
 
 
 def both_failures(certificate: PathCertificate) -> tuple[float, float]:
@@ -313,6 +316,7 @@ def _both(certificate: PathCertificate, motion: Motion) -> tuple[float, float, f
     if not np.all(nearer < 0.5):
         return min(1.0, boole), 1.0, 1.0
     correlated = float(-np.expm1(np.sum(np.log1p(-2.0 * nearer)))) * TAIL
+    state("any", 2.0 * nearer, correlated)
     return min(1.0, boole), min(1.0, boole), min(1.0, correlated)
 
 
@@ -373,4 +377,5 @@ def _tails(
         # Without noise a limit either holds for sure or does not.
         z = np.where((variances <= 0.0) & ~(distance > rounded), -np.inf, z)
         tails.append(np.where(z == np.inf, 0.0, np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)))
+        state("tails", z, tails[-1])
     return tails[0], tails[1]

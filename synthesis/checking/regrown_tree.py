@@ -12,16 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent
-from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart, Certificate, axis_tables, smooth
+from ..cells import FloatArray
+from ..certificates import Certificate
 from ..values import Merges, Terms
-from .boxes_check import box_tables, box_values
-from .execution import execution_of
 from .forward_mass import mass_at_start
-from .linear_check import linear_values, masks_of, places_of
-from .linear_tables import LinearTables, linear_tables
-from .written_linear import WrittenTables, written_tables
+from .linear_check import masks_of, places_of
+from .readings import readings_of
 
 KEPT = 1.0 - 1e-9
 """Share of a factor that a remainder is taken from where steps are not additive, as in the search: how a difference of
@@ -38,18 +34,9 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
     ``each(t, terms)`` is called with the value function at every time t = T - 1 .. 0 as it is grown.
     """
     accepting = certificate.problem.automaton.accepting
-    n_agents = len(certificate.agents)
-    tables: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    pairs = list(zip(certificate.problem.agents, certificate.agents, strict=True))
-    kernels = [axis_tables(a, p, tables) if p.is_additive else [] for a, p in pairs]
-    linear = _linear_tables_once(certificate)
-    boxes = [
-        box_tables(a, p, execution_of(a, p, p.relation_of(a)).mean, tables) if p.relation["kind"] == "boxes" else None
-        for a, p in pairs
-    ]
-    masks, is_robust = [masks_of(part, part.masks) for part in certificate.agents], certificate.bound == "robust tree"
+    n_agents, readings = len(certificate.agents), readings_of(certificate)
+    masks = [masks_of(part, part.masks) for part in certificate.agents]
     ones = [np.ones((1, places_of(part))) for part in certificate.agents]
-    deltas = [controller.relation.delta for controller in certificate.controller.agents]
     factors, index = ones, [np.zeros((int(a), n_agents), dtype=np.int64) for a in accepting]
     for t, step in reversed(list(enumerate(certificate.skeleton))):
         stacks, rows = [list(ones) for ones in zip(ones, strict=True)], []
@@ -59,69 +46,28 @@ def regrow(certificate: Certificate, each: Callable[[int, Terms], None] | None =
                 continue
             rows.append(np.zeros((len(kept), n_agents), dtype=np.int64))
             vertices = vertices_of(certificate, t, q, Terms(tuple(factors), tuple(index)), masks)
-            smoothed, of_linear = dict[object, FloatArray](), dict[object, tuple[FloatArray, NDArray[np.bool_]]]()
-            for i, (part, vertex) in enumerate(zip(certificate.agents, vertices, strict=True)):
+            # Agents with one kernel whose factors are equal are smoothed once, and those that are alike read once.
+            smoothed, known = dict[object, FloatArray](), dict[object, FloatArray]()
+            for i, (part, reading, vertex) in enumerate(zip(certificate.agents, readings, vertices, strict=True)):
                 distinct, where = _distinct(vertex, kept)
-                tables_of_agent, tables_of_boxes = linear[i], boxes[i]
-                if tables_of_agent is not None:
-                    stored = None
-                    if t == 0 and certificate.terms is not None and len(certificate.terms.index[q]) == len(kept):
-                        # The stored factors need not be those that are best here, but must be below the truth.
+                if reading.proves_given and t == 0 and certificate.terms is not None:
+                    given = certificate.terms.index[q][:, i]
+                    if len(given) == len(kept):
                         distinct, where = vertex[kept], np.arange(len(kept))
-                        stored = certificate.terms.factors[i][certificate.terms.index[q][:, i]]
-                    agent = certificate.problem.agents[i]
-                    read = (id(tables_of_agent), distinct.tobytes(), None if stored is None else stored.tobytes())
-                    if read not in of_linear:
-                        of_linear[read] = linear_values(agent, part, tables_of_agent, distinct, t, q, stored)
-                    values, proved = of_linear[read]
-                    if not np.all(proved):
-                        raise BrokenTreeError(
-                            f"a stored factor of agent `{agent.name}` is not proved to be a lower bound"
-                        )
-                elif tables_of_boxes is not None:
-                    values = box_values(certificate.problem.agents[i], part, tables_of_boxes, distinct, t, q)
-                else:
-                    # Agents with one kernel whose factors are equal are smoothed once.
-                    alike = (id(kernels[i]), distinct.tobytes())
-                    if alike not in smoothed:
-                        smoothed[alike] = smooth(distinct, kernels[i])
-                    values = _at_targets(part, smoothed[alike], distinct, deltas[i] if is_robust else None, (t, q))
+                        if not reading.proved(part, distinct, (t, q), certificate.terms.factors[i][given]):
+                            raise BrokenTreeError(
+                                f"a stored factor of agent `{certificate.problem.agents[i].name}` is not proved to be "
+                                "a lower bound"
+                            )
+                read = (id(reading), distinct.tobytes())
+                if read not in known:
+                    (known[read],) = reading.values(part, distinct, [(t, q)], smoothed)
                 rows[-1][:, i] = where + sum(len(s) for s in stacks[i])
-                stacks[i].append(values)
+                stacks[i].append(known[read])
         factors, index = [np.concatenate(s) for s in stacks], rows
         if each is not None:
             each(t, Terms(tuple(factors), tuple(index)))
     return Terms(tuple(factors), tuple(index))
-
-
-def _at_targets(
-    part: AgentPart, smoothed: FloatArray, factors: FloatArray, lost: float | None, when: tuple[int, int]
-) -> FloatArray:
-    """Smoothed factors (n, Z) at the lattice points of a policy; less what lost relations take from ``factors``."""
-    points = part.points(*when)
-    values = smoothed[:, np.maximum(points, 0)]
-    if lost is not None:
-        values = np.maximum(0.0, values - lost * factors.max(axis=1, initial=0.0)[:, None])
-    return np.asarray(values * (points >= 0))
-
-
-def _linear_tables_once(certificate: Certificate) -> list[LinearTables | WrittenTables | None]:
-    """Tables of all agents under the relation ``linear``; those that are equal, policies included, share them."""
-    found, known = list[LinearTables | WrittenTables | None](), dict[object, LinearTables | WrittenTables]()
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
-        key = (agent.model_key, repr(part.relation), *((a.shape, a.tobytes()) for a in arrays))
-        if part.is_linear and key not in known:
-            known[key] = _linear_tables(agent, part)
-        found.append(known[key] if part.is_linear else None)
-    return found
-
-
-def _linear_tables(agent: AnyAgent, part: AgentPart) -> LinearTables | WrittenTables:
-    """Tables of an agent under the relation ``linear``."""
-    if "reach" in part.relation:
-        return written_tables(agent, part, execution_of(agent, part, part.relation_of(agent)).mean)
-    return linear_tables(linear_agent(agent, "linear"), part)
 
 
 def vertices_of(

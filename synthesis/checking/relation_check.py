@@ -17,7 +17,7 @@ from scipy.special import erf
 
 from ...envs.agents import AnyAgent, LinearAgent
 from ..cells import FloatArray, lattice_axes
-from ..certificates import AgentPart
+from ..certificates import AgentPart, state
 from ..relations import (
     BoxRelation,
     CoupledRelation,
@@ -97,10 +97,15 @@ def label_margin(part: AgentPart, relation: Relation, execution: Execution) -> F
 def error_support(part: AgentPart, relation: CoupledRelation, execution: Execution, rows: FloatArray) -> FloatArray:
     """Upper bounds (n,) on ``rows @ e`` for all errors of a coupled relation, rows (n, d) in grid coordinates."""
     if relation.shape is not None:
-        return ellipsoid_support(relation.shape, relation.epsilon, rows)
+        support = ellipsoid_support(relation.shape, relation.epsilon, rows)
+        state("ellipsoid support", relation.shape, relation.epsilon, rows, support)
+        return support
     if relation.kind == "paper":
         return np.asarray(np.abs(rows) @ relation.reach * WIDENED)
-    return _tube_support(relation.A + relation.B @ relation.feedback, _disturbance(part, relation, execution), rows)
+    disturbance = _disturbance(part, relation, execution)
+    support = _tube_support(relation.A + relation.B @ relation.feedback, disturbance, rows)
+    state("tube", relation, disturbance, rows, support)
+    return support
 
 
 def _verify_maps(agent: AnyAgent, part: AgentPart, relation: MapRelation, execution: Execution) -> list[str]:
@@ -151,6 +156,7 @@ def _verify_targets(
     agent: LinearAgent, part: AgentPart, relation: ExactRelation, choices: NDArray[Any], execution: Execution
 ) -> list[str]:
     """Every target is reached by an admissible input from every point of its cell."""
+    state("targets", agent, part, relation, choices, execution.inputs)
     R, A = relation.right_inverse, relation.A - relation.gain * np.eye(len(relation.A))
     low, high = cell_boxes(part)
     centres = 0.5 * (low + high)
@@ -201,7 +207,9 @@ def _disturbance(part: AgentPart, relation: CoupledRelation, execution: Executio
     index = np.unravel_index(part.menu, tuple(len(axis) for axis in part.lattice))
     points = np.stack([axis[k] for axis, k in zip(part.lattice, index, strict=True)], axis=-1)
     snapped = np.max(np.abs(points - means), axis=(0, 1))
-    return np.asarray((0.5 * np.max(high - low, axis=0) + snapped) * OUTWARD + execution.disturbance)
+    result = np.asarray((0.5 * np.max(high - low, axis=0) + snapped) * OUTWARD + execution.disturbance)
+    state("disturbance", part, relation, execution.disturbance, result)
+    return result
 
 
 def _tube_support(closed: FloatArray, disturbance: FloatArray, rows: FloatArray) -> FloatArray:
@@ -238,7 +246,9 @@ def _verify_interval(
         kept = abs(closed[0, 0]) * epsilon + disturbance[0] <= epsilon
     if not kept:
         failures.append("its relation is not invariant")
-    if relation.delta < float(erf(coupling * epsilon / (2.0 * np.sqrt(2.0 * variances[0])))) * (1 + 1e-14):
+    distance = coupling * epsilon / (2.0 * np.sqrt(2.0 * variances[0]))
+    state("erf", distance, lost := float(erf(distance)) * (1.0 + 1e-14))
+    if relation.delta < lost:
         failures.append("its delta is smaller than the probability that the coupling fails")
     return failures
 
@@ -253,7 +263,9 @@ def _verify_ellipsoid(
     failures = []
     if not ellipsoid_is_invariant(shape, epsilon, closed, disturbance):
         failures.append("its ellipsoid was not proved invariant")
-    if relation.delta < ellipsoid_failure(shape, epsilon, relation.coupling, variances):
+    lost = ellipsoid_failure(shape, epsilon, relation.coupling, variances)
+    state("ellipsoid", relation, disturbance, variances, lost)
+    if relation.delta < lost:
         failures.append("its delta is smaller than the probability that the coupling fails")
     return failures
 

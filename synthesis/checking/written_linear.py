@@ -13,16 +13,17 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
-from ..certificates import AgentPart, grid_noise
+from ..certificates import AgentPart, grid_noise, state
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, grid_matrix, normal_hats
-from .mean_spans import spans_of_means
+from .mean_spans import Enclosed, spans_of_means
 from .network_spans import network_maps
 from .own_intervals import Span, bounds, products
 from .uniform_noise import Ends, uniform_ends
@@ -150,6 +151,7 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
             table, missing = normal_hats(axis, edges, float(deviations[k]))
         masses.append(table)
         lost += missing
+    state("hats", agent, part, masses, lost)
     normal, slack = [name == "gaussian" for name in names], ROUNDING * (1.0 + float(ratios.sum())) + lost
     for k in np.flatnonzero(normal).tolist():
         # An eighth of: a twelfth of fourth derivatives, and an eighth of them along each axis between lattice points.
@@ -166,15 +168,33 @@ def written_tables(agent: AnyAgent, part: AgentPart, off: FloatArray) -> Written
     else:
         kind = NetworkMaps if "network" in part.relation else MatrixMaps
         maps = kind(linear_agent(agent, "linear"), part, off)
+        if kind is MatrixMaps:
+            # Maps are off by twice this; half of it is for controllers and simulators, which add up the same numbers.
+            state_maps(linear_agent(agent, "linear"), part, maps.at, 0.5 * off)
     return WrittenTables(masses, maps, slack, normal, ends)
+
+
+def _asked(part: AgentPart) -> NDArray[np.int64]:
+    """Numbers (K,) ``cell * A + choice`` of the inputs that policies choose."""
+    count = len(part.relation["menu"])
+    cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
+    asked = (part.policy >= 0) & (part.policy < count)
+    return np.unique(cells[asked] * np.int64(count) + part.policy[asked])
+
+
+def state_maps(agent: LinearAgent, part: AgentPart, at: Any, rho: FloatArray) -> None:
+    """State that maps of matrices, as ``at`` gives them, are off by no more than rho (d,)."""
+    menu, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
+    z, gain = at(numbers)[:2]
+    cells, choices = np.divmod(numbers, len(menu))
+    spans = Enclosed(None, agent, menu[choices], part.coordinates, True, (z, gain))
+    corners = tuple(corner[cells] for corner in cell_boxes(part))
+    state("spans", spans, corners, [], tuple(np.broadcast_to(side * rho, z.shape) for side in (-1.0, 1.0)))
 
 
 def _maps(agent: Agent, part: AgentPart) -> Maps:
     """The maps of every cell under every choice that a policy makes there."""
-    menu = np.array(part.relation["menu"], dtype=float)
-    cells = np.broadcast_to(np.arange(part.policy.shape[-1]), part.policy.shape)
-    asked = (part.policy >= 0) & (part.policy < len(menu))
-    numbers = np.unique(cells[asked] * np.int64(len(menu)) + part.policy[asked])
+    menu, numbers = np.array(part.relation["menu"], dtype=float), _asked(part)
     cell, choice = np.divmod(numbers, len(menu))
     low, high = cell_boxes(part)
     made = [
@@ -209,6 +229,8 @@ def map_spans(
             box = np.array([(cut[k][:, axis], cut[k + 1][:, axis]) for axis, k in enumerate(piece)] + calm)
             ends = np.stack(bounds(outputs, box), axis=-1)
             first, last = np.minimum(first, ends[0]), np.maximum(last, ends[1])
+        spans = Enclosed(agent.trees, agent, inputs, coordinates, True, (z, gain))
+        state("spans", spans, (low, high), calm, (first, last))
         moved = 0.5 * (first + last)
         rho = np.maximum(last - moved, moved - first) + COMPUTED * np.abs(z)
         if rows is not None:

@@ -78,10 +78,35 @@ class PolicyTable:
         """Where the policy of each agent begins in the flat policies, (n, 1)."""
         return np.arange(0, self.policies.size, self.policies[0].size)[:, None]
 
+    @property
+    def flat(self) -> NDArray[np.int32] | None:
+        """All policies in one row; None if they are too many to look something up for each."""
+        return self.policies.reshape(-1) if self.policies.size <= MOST_AIMS else None
+
     @cached_property
     def _idles(self) -> NDArray[np.bool_]:
         """Whether there are, at each time, cells without a choice."""
         return np.asarray((self.policies < 0).any(axis=(0, 2, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class GivenChoices:
+    """Choices (n, M) that somebody made, one for every world, in the place of policies."""
+
+    given: NDArray[np.int32]
+    flat = None
+
+    def places(self, cells: NDArray[Any], q: NDArray[Any], time: int) -> NDArray[np.int64]:
+        """Return a place (n, M) for every world."""
+        return np.arange(self.given.size).reshape(self.given.shape)
+
+    def choices(self, places: NDArray[Any]) -> NDArray[np.int32]:
+        """Return the choices (n, M)."""
+        return self.given
+
+    def has_idle_cells(self, time: int) -> bool:
+        """Return whether there is no choice for some world."""
+        return bool(np.any(self.given < 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +121,7 @@ class TargetSteering:
     relation : ExactRelation or WrittenTargets
     """
 
-    table: PolicyTable
+    table: PolicyTable | GivenChoices
     lattice: tuple[FloatArray, ...]
     relation: ExactRelation | WrittenTargets
 
@@ -121,7 +146,7 @@ class TargetSteering:
     @cached_property
     def _aims(self) -> list[FloatArray]:
         """``_aims_of`` all policies, flat; empty if there were too many."""
-        return [] if self.table.policies.size > MOST_AIMS else self._aims_of(self.table.policies.reshape(-1))
+        return [] if self.table.flat is None else self._aims_of(self.table.flat)
 
     def _aims_of(self, choices: NDArray[np.int32]) -> list[FloatArray]:
         """Return, per axis, what ``ExactRelation.inputs`` takes for choices; not a number where there is none."""
@@ -142,7 +167,7 @@ class MapSteering:
     relation : MapRelation
     """
 
-    table: PolicyTable
+    table: PolicyTable | GivenChoices
     lattice: tuple[FloatArray, ...]
     relation: MapRelation
 
@@ -188,7 +213,7 @@ class AffineSteering:
     relation : LinearRelation
     """
 
-    table: PolicyTable
+    table: PolicyTable | GivenChoices
     grid: Grid
     lattice: tuple[FloatArray, ...]
     relation: LinearRelation
@@ -238,7 +263,7 @@ class BoxSteering:
     relation : BoxRelation
     """
 
-    table: PolicyTable
+    table: PolicyTable | GivenChoices
     grid: Grid
     relation: BoxRelation
 

@@ -130,7 +130,7 @@ def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRela
     if isinstance(agent, LinearAgent):
         menu, gains = input_menu(agent, grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
-    menu, steer = with_rest(agent.input_box), None
+    menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
     if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
@@ -157,11 +157,9 @@ def in_fitting_parts(
     return best
 
 
-def with_rest(box: Box) -> FloatArray:
+def with_rest(box: Box, levels: int) -> FloatArray:
     """Return evenly spaced inputs (A, m) of a box: its corners, and 0 on every axis on which it is admissible."""
-    levels, axes = INPUT_LEVELS.get(box.dimension, 3), []
-    for low, high in zip(box.low.tolist(), box.high.tolist(), strict=True):
-        axes.append(evenly_with_rest(low, high, levels))
+    axes = [evenly_with_rest(*ends, levels) for ends in zip(box.low.tolist(), box.high.tolist(), strict=True)]
     return np.clip(np.array(list(product(*axes))), box.low, box.high)
 
 

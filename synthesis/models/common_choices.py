@@ -80,7 +80,7 @@ def common_relation(agent: Agent, grid: Grid, coordinates: FloatArray, common: C
     Choices of agents without common inputs of their own are offered twice where inputs command axes for every number:
     as they are, and with targets for these axes.
     """
-    own, left = common.own(agent), with_rest(agent.input_box)
+    own, left = common.own(agent), with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3))
     for j in own.values():
         left[:, j] = 0.0
     left = np.unique(left, axis=0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ..relations import AffineBoxes, MapRelation, map_relation
 from .agent_models import reaches_every_mean
 from .bends import SECOND
 from .box_kernel import box_lattice, rounding_of, slack_of
-from .box_model import evenly_with_rest, with_rest
+from .box_model import with_rest
 from .corner_choices import BESIDE, CornerChoices, windows_of
 from .lattice_kernel import LatticeKernel
 from .linear_kernel import hat_table
@@ -58,6 +57,9 @@ of what is left have a sign in each part as a rule, and enclosures are next to e
 LEVELS_BESIDE_TARGETS = {1: 9, 2: 5, 3: 3}
 """Levels of each input beside targets, by the number of inputs; 2 beyond."""
 
+LEVELS_ALONE = {1: 33, 2: 7, 3: 4}
+"""Levels of each input where there are no targets, by the number of inputs; 3 beyond."""
+
 LONGEST = 1e6
 """Lattice steps, in deviations, at which they are cut: nothing is known between them long before."""
 
@@ -82,18 +84,12 @@ def corner_model(
     """
     numbers = 1, CUTS.get(agent.n_states, 1), (0,) * agent.n_states
     if reaches_every_mean(agent):
-        relation = map_relation(agent, coordinates, _few_inputs(agent), numbers, with_aims=True)
+        menu = with_rest(agent.input_box, LEVELS_BESIDE_TARGETS.get(agent.n_inputs, 2))
+        relation = map_relation(agent, coordinates, menu, numbers, with_aims=True)
     else:
-        relation = map_relation(agent, coordinates, with_rest(agent.input_box), numbers)
+        menu = with_rest(agent.input_box, LEVELS_ALONE.get(agent.n_inputs, 3))
+        relation = map_relation(agent, coordinates, menu, numbers)
     return lattice_model(agent, grid, relation, per_cell)
-
-
-def _few_inputs(agent: AnyAgent) -> FloatArray:
-    """Return inputs (A, m) to choose from beside targets: corners and faces of the input box, and 0."""
-    box = agent.input_box
-    levels = LEVELS_BESIDE_TARGETS.get(box.dimension, 2)
-    axes = [evenly_with_rest(*ends, levels) for ends in zip(box.low.tolist(), box.high.tolist(), strict=True)]
-    return np.clip(np.array(list(product(*axes))), box.low, box.high)
 
 
 def lattice_model(

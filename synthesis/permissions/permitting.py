@@ -9,26 +9,22 @@ again.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import AnyAgent
 from ..cells import FloatArray
-from ..certificates import AgentPart, Certificate, as_certificate, axis_tables, rounded_down, smooth
-from ..checking import execution_of, masks_of, standing, tree_start_value, vertices_of
+from ..certificates import AgentPart, Certificate, TeamCertificate, certificate_on_grids, rounded_down
+from ..checking import Reading, execution_of, reading_of, standing
 from ..relations import ExactRelation, WrittenTargets
-from ..values import Terms
-from .permission import Menus, Permission
-
-Aimed = ExactRelation | WrittenTargets
-"""Relations of exact targets."""
+from .permission import Menus, Permission, count_of_choices, in_layers
+from .permission_check import KINDS, least_on_menus, read_in_layers, value_under
 
 HALVINGS = 14
 """Halvings of the tolerance: it is found to 1e-4."""
-
-AT_ONCE = 4_000_000
-"""Most numbers that are compared at once."""
 
 RESERVE = 1e-11
 """What is taken off the bound beside the certificate's own reserve, for a check that sums in another order."""
@@ -41,8 +37,9 @@ def permit(certificate: Any, *, probability: float) -> Permission:
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate or path
-        Of one task, with a value tree, all agents with the relation ``exact``.
+    certificate : Synthesis, certificate or path
+        With a value tree, of one task or of a joint agent, whose menus it then has; relations ``exact``, ``boxes`` or
+        ``linear``, without inputs that are chosen in common.
     probability : float
         Success probability to keep, above 0 and at most the certified bound.
 
@@ -60,10 +57,14 @@ def permit(certificate: Any, *, probability: float) -> Permission:
     >>> permission.lower_bound >= 0.7, bool(cg.check_permission(permission))
     (True, True)
     """
-    certificate = standing(_checked(as_certificate(certificate)))
+    certificate = certificate_on_grids(certificate)
+    _checked(certificate)
+    certificate = _checked(standing(certificate))
     if isinstance(probability, bool) or not isinstance(probability, int | float) or not 0.0 < probability <= 1.0:
         raise ValueError(f"`probability`: expected a number above 0 and at most 1, got {probability!r}")
-    offered = [_admissible(part, relation) for part, relation in _pairs(certificate)]
+    offered = [
+        _offered(agent, part) for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True)
+    ]
     menus, bound = _pass(certificate, offered, 0.0)
     if bound < probability:
         raise ValueError(
@@ -83,30 +84,41 @@ def permit(certificate: Any, *, probability: float) -> Permission:
 
 def _checked(certificate: Any) -> Certificate:
     """Return a certificate that has menus, or raise ValueError with what to do."""
+    if isinstance(certificate, TeamCertificate):
+        certificate = certificate.base  # the menus are those of the joint agent
     if not isinstance(certificate, Certificate):
         raise ValueError("`certificate`: expected that of one task; give one of its `.parts`")
     if certificate.terms is None:
         raise ValueError('`certificate`: expected one with a value tree; synthesize with `value="tree"`')
-    kinds = {part.relation["kind"] for part in certificate.agents} - {"exact"}
+    kinds = {part.relation["kind"] for part in certificate.agents} - set(KINDS)
     if kinds:
         raise ValueError(
-            f"`certificate`: expected the relation 'exact' for all agents, got {', '.join(sorted(kinds))}; synthesize "
-            'with `relation="exact"`'
+            "`certificate`: expected the relation 'exact', 'boxes' or 'linear' for all agents, got "
+            f"{', '.join(sorted(kinds))}; synthesize with one of these"
+        )
+    if any(part.is_linear and not part.relation["menu"] for part in certificate.agents):
+        raise ValueError("`certificate`: expected linear cells with inputs, got those of 0.2; synthesize it anew")
+    if any("common" in part.relation for part in certificate.agents):
+        raise ValueError(
+            "`certificate`: expected one without inputs that are chosen in common, which leave nothing to choose cell "
+            "by cell; synthesize with `common=False`"
         )
     return certificate
 
 
-def _pairs(certificate: Certificate) -> list[tuple[AgentPart, Aimed]]:
-    """Return every agent's part and relation."""
-    found = []
-    for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
-        relation = part.relation_of(agent)
-        assert isinstance(relation, Aimed)
-        found.append((part, relation))
-    return found
+def _offered(agent: AnyAgent, part: AgentPart) -> NDArray[np.int32]:
+    """Return what may come on menus, in layers (K, S): targets that all of a cell reaches, or inputs of its menu."""
+    relation, cells = part.relation_of(agent), np.arange(part.grid.n_cells)
+    if isinstance(relation, ExactRelation | WrittenTargets):
+        return in_layers(*_admissible(part, relation), len(cells))
+    return np.broadcast_to(
+        np.arange(len(part.relation["menu"]), dtype=np.int32)[:, None], (len(part.relation["menu"]), len(cells))
+    )
 
 
-def _admissible(part: AgentPart, relation: Aimed) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _admissible(
+    part: AgentPart, relation: ExactRelation | WrittenTargets
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return all pairs of cells (N,) and lattice points (N,) that inputs reach from the whole cell, cell by cell."""
     centres = part.grid.centres
     if isinstance(relation, WrittenTargets):
@@ -137,44 +149,32 @@ def _admissible(part: AgentPart, relation: Aimed) -> tuple[NDArray[np.int64], ND
     return np.concatenate([nothing, *cells]), np.concatenate([nothing, *points])
 
 
-def _pass(
-    certificate: Certificate, offered: list[tuple[NDArray[np.int64], NDArray[np.int64]]], eps: float
-) -> tuple[tuple[Menus, ...], float]:
+def _pass(certificate: Certificate, offered: list[NDArray[np.int32]], eps: float) -> tuple[tuple[Menus, ...], float]:
     """Return the menus of a tolerance, and what they keep from the start: a lower bound."""
-    problem, automaton, n_agents = certificate.problem, certificate.problem.automaton, len(certificate.agents)
-    known: dict[tuple[bytes, ...], list[FloatArray]] = {}
+    problem, known = certificate.problem, dict[tuple[bytes, ...], list[FloatArray]]()
     pairs = list(zip(problem.agents, certificate.agents, strict=True))
-    kernels = [axis_tables(agent, part, known) for agent, part in pairs]
-    masks = [masks_of(part, part.masks) for part in certificate.agents]
-    ones = tuple(np.ones((1, part.n_places)) for part in certificate.agents)
-    terms = Terms(ones, tuple(np.zeros((int(a), n_agents), dtype=np.int64) for a in automaton.accepting))
-    counts = [
-        np.zeros((problem.horizon, automaton.n_states, part.grid.n_cells), np.int32) for part in certificate.agents
+    readings = [
+        reading_of(agent, _with_offered(part, layers), known, False)
+        for (agent, part), layers in zip(pairs, offered, strict=True)
     ]
+    shape = problem.horizon, problem.automaton.n_states
+    counts = [np.zeros((*shape, part.grid.n_cells), np.int32) for part in certificate.agents]
     chosen: list[dict[tuple[int, int], NDArray[np.int32]]] = [{} for _ in pairs]
-    for t in reversed(range(problem.horizon)):
-        stacks: list[list[FloatArray]] = [[one] for one in ones]
-        index: list[Any] = []
-        for q, kept in enumerate(certificate.skeleton[t].kept):
-            if automaton.finished[q]:
-                index.append(np.zeros((1, n_agents), dtype=np.int64))
-                continue
-            rows = np.zeros((len(kept), n_agents), dtype=np.int64)
-            for i, vertex in enumerate(vertices_of(certificate, t, q, terms, masks)):
-                table = smooth(vertex[kept], kernels[i])
-                cells, points = _on_the_menu(table, certificate.agents[i].points(t, q), offered[i], eps)
-                counts[i][t, q] = np.bincount(cells, minlength=counts[i].shape[2])
-                chosen[i][t, q] = points.astype(np.int32)
-                values = np.zeros((len(kept), counts[i].shape[2]))
-                if len(points) and len(kept):
-                    there, begin = np.unique(cells, return_index=True)
-                    values[:, there] = np.minimum.reduceat(table[:, points], begin, axis=1)
-                rows[:, i] = sum(map(len, stacks[i])) + np.arange(len(kept))
-                stacks[i].append(values)
-            index.append(rows)
-        terms = Terms(tuple(np.concatenate(stack) for stack in stacks), tuple(index))
-    loss = sum(execution_of(agent, part, part.relation_of(agent)).loss for agent, part in pairs) * problem.horizon
-    value = (tree_start_value(certificate, terms) - loss) * (1.0 - certificate.relative_rounding) - RESERVE
+
+    def step(i: int, factors: FloatArray, t: int, q: int) -> FloatArray:
+        part, reading = certificate.agents[i], readings[i]
+        own = part.policy[min(t, len(part.policy) - 1), q]
+        cells, choices = _on_the_menu(reading, part, own, offered[i], factors, eps)
+        counts[i][t, q] = np.bincount(cells, minlength=part.grid.n_cells)
+        chosen[i][t, q] = choices.astype(np.int32)
+        return least_on_menus(reading, part, in_layers(cells, choices, part.grid.n_cells), factors)
+
+    value = value_under(certificate, step)
+    loss = sum(
+        execution_of(agent, _with_offered(part, layers), part.relation_of(agent)).loss
+        for (agent, part), layers in zip(pairs, offered, strict=True)
+    )
+    value = (value - loss * problem.horizon) * (1.0 - certificate.relative_rounding) - RESERVE
     nothing = np.zeros(0, dtype=np.int32)
     menus = tuple(
         Menus(count, np.concatenate([nothing, *(steps[key] for key in sorted(steps))]))
@@ -183,25 +183,46 @@ def _pass(
     return menus, value
 
 
+def _with_offered(part: AgentPart, layers: NDArray[np.int32]) -> AgentPart:
+    """Return an agent's part whose policy has all that is offered, and all that the certificate chooses."""
+    own = part.policy.reshape(-1, part.grid.n_cells)
+    return replace(part, policy=np.concatenate([layers, own])[None])
+
+
 def _on_the_menu(
-    table: FloatArray,
-    policy: NDArray[Any],
-    offered: tuple[NDArray[np.int64], NDArray[np.int64]],
+    reading: Reading,
+    part: AgentPart,
+    own: NDArray[Any],
+    offered: NDArray[np.int32],
+    factors: FloatArray,
     eps: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return cells and lattice points of choices by which no factor loses more than a share, cell by cell.
+    """Return cells and choices by which no factor loses more than a share, cell by cell; choices rise in each.
 
-    ``table`` (n, Z) are the factors around lattice points, ``policy`` (S,) the choices of the certificate, which are
-    on their menus in any case. Cells without a choice have no menu.
+    ``factors`` (n, places) are those of the step, ``own`` (S,) the choices of the certificate, which are on their menus
+    in any case. Cells without a choice have no menu, and where all is lost already there is the own choice alone.
     """
-    cells, points = offered
-    base = table[:, np.maximum(policy, 0)]
-    allowed = (policy[cells] >= 0) & (points == policy[cells])
-    for some in np.array_split(np.arange(len(cells)), len(cells) * len(table) // AT_ONCE + 1):
-        enough = table[:, points[some]] >= (1.0 - eps) * base[:, cells[some]]
-        allowed[some] |= np.all(enough, axis=0) & (policy[cells[some]] >= 0)
-    # A choice of the certificate that the window leaves out by rounding is put on its menu as well.
-    cells, points = cells[allowed], points[allowed]
-    missing = np.setdiff1d(np.flatnonzero(policy >= 0), cells[points == policy[cells]])
-    order = np.argsort(np.concatenate([cells, missing]), kind="stable")
-    return np.concatenate([cells, missing])[order], np.concatenate([points, policy[missing]])[order]
+    ((base, _),) = read_in_layers(reading, part, own[None].astype(np.int32), factors)
+    wanted = (1.0 - eps) * base
+    pairs = [_pairs(np.flatnonzero(own >= 0), own[own >= 0], part)]
+    open_cells = (own >= 0) & _by_cell(part, (base > 0.0).any(axis=0)).any(axis=1)
+    for layer, (values, _) in zip(offered, read_in_layers(reading, part, offered, factors), strict=True):
+        enough = _by_cell(part, np.all(values >= wanted, axis=0)).all(axis=1) & (layer >= 0) & open_cells
+        pairs.append(_pairs(np.flatnonzero(enough), layer[enough], part))
+    cells, choices = np.divmod(np.unique(np.concatenate(pairs)), count_of_choices(part))
+    return cells, choices
+
+
+def _pairs(cells: NDArray[np.int64], choices: NDArray[Any], part: AgentPart) -> NDArray[np.int64]:
+    """Return numbers of pairs of cells and choices."""
+    return cells * count_of_choices(part) + choices
+
+
+def _by_cell(part: AgentPart, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return what is true at places (places,) cell by cell (S, K): in each cell, or at its K corners."""
+    if not part.is_linear:
+        return places[:, None]
+    # Axis by axis, cells come before their two ends.
+    sizes = [n for size in part.grid.shape for n in (size, 2)]
+    order = [*range(0, len(sizes), 2), *range(1, len(sizes), 2)]
+    return places.reshape(sizes).transpose(order).reshape(part.grid.n_cells, -1)

@@ -23,7 +23,7 @@ from .networks import (
     scaled,
     write_task,
 )
-from .rounding import mean_loss
+from .rounding import mean_loss, mean_off
 from .rows import Row, product, rows_of, times
 from .scalar import paper_relation
 from .solved_means import WrittenTargets, written_targets
@@ -77,6 +77,7 @@ __all__ = [
     "linear_relation",
     "map_relation",
     "mean_loss",
+    "mean_off",
     "network_linear_relation",
     "network_of",
     "network_policy",

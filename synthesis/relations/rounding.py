@@ -150,10 +150,15 @@ def mean_loss(agent: LinearAgent, coordinates: FloatArray, edges: Sequence[Float
 
     Both are off by rounding, and a cell may be misread; the cost is a probability.
     """
-    sizes = sizes_of(agent, coordinates)
-    off = COMPUTED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means)
+    sizes, off = sizes_of(agent, coordinates), mean_off(agent, coordinates)
     moved = DENSITY * float(np.linalg.norm(off / sizes.deviations)) * (1 + 1e-9)
     return moved + missed_cells(sizes, sizes.read, edges)
+
+
+def mean_off(agent: LinearAgent, coordinates: FloatArray) -> FloatArray:
+    """Return upper bounds (d,) on what means under given inputs are off by, here and in the agent together."""
+    sizes = sizes_of(agent, coordinates)
+    return np.asarray(COMPUTED_TWICE * sizes.unit * (sizes.means + sizes.spread @ sizes.means))
 
 
 def missed_cells(sizes: Sizes | Reading, off: FloatArray, edges: Sequence[FloatArray]) -> float:

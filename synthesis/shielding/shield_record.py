@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Gaussian, tree_text
+from ...envs.agents import tree_text
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import (
@@ -240,20 +240,15 @@ def _check_certificate(certificate: Certificate) -> None:
         )
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         relation = part.relation_of(agent)
-        if agent.laws is not None and not all(isinstance(law, Gaussian) for law in agent.laws):
+        if part.is_linear and agent.laws is not None and any(law.name != "gaussian" for law in agent.laws):
             raise ValueError(
-                f"`certificate`: expected Gaussian noise, got another law for agent `{agent.name}`; a shield does not "
-                "compute what inputs are worth under other laws"
+                f"`certificate`: expected Gaussian noise under linear cells, got another law for agent `{agent.name}`; "
+                'synthesize with `relation="exact"` or "boxes"'
             )
         if "common" in part.relation:
             raise ValueError(
                 f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "
                 "relies on what others apply, and nobody knows what a learner applies; synthesize with `common=False`"
-            )
-        if not agent.has_plain_noise:
-            raise ValueError(
-                f"`certificate`: expected noise in every state that is the same everywhere, got another for agent "
-                f"`{agent.name}`; a shield does not compute what inputs are worth there"
             )
         if relation.delta > 0.0:
             raise ValueError(

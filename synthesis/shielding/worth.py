@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from ...envs.agents import Agent, place_of, tree_text
 from ..cells import FloatArray, linear_agent
-from ..certificates import Certificate, grid_noise
+from ..certificates import Certificate
 from ..checking import masks_of, regrow, vertices_of
-from ..relations import Relation, mean_loss
+from ..relations import Relation, mean_loss, mean_off
 from ..values import Terms
-from .noise_masses import NoiseAxis
+from .noise_masses import Axis, noise_axes
 from .unknown_means import MeanBox
 
 UNIT = 2.0**-53
@@ -59,7 +59,7 @@ class ActionValues:
     ----------
     certificate : Certificate
     relations : tuple of Relation
-    axes : tuple of tuples of NoiseAxis
+    axes : tuple of tuples of Axis
         Per agent and axis of its grid.
     values : tuple of Terms
         Value functions at times 0 .. T - 1.
@@ -69,7 +69,7 @@ class ActionValues:
 
     certificate: Certificate
     relations: tuple[Relation, ...]
-    axes: tuple[tuple[NoiseAxis, ...], ...]
+    axes: tuple[tuple[Axis, ...], ...]
     values: tuple[Terms, ...]
     vertices: tuple[tuple[Vertices, ...], ...]
 
@@ -114,12 +114,17 @@ class ActionValues:
         ``inputs`` (m, M) are its own.
         """
         agent = self.certificate.problem.agents[i]
-        if not isinstance(agent, Agent):
+        if isinstance(agent, Agent):
+            moving, beside = (self.relations[i].to_grid(states[i]), inputs), self.beside(i, states)
+            box = MeanBox.of(agent, self.certificate.agents[i].coordinates, self.axes[i], moving, beside)
+        elif agent.has_plain_noise:
             return self.smoothed(time, q, i, self.mean(i, states[i], inputs))
-        points, deviations = self.relations[i].to_grid(states[i]), np.array([a.deviation for a in self.axes[i]])
-        moving, beside = (points, inputs), self.beside(i, states)
-        box = MeanBox.of(agent, self.certificate.agents[i].coordinates, deviations, moving, beside)
-        least = np.minimum.reduce([self.smoothed(time, q, i, means) for means in box.points])
+        else:
+            # Where there is no noise it matters what means are off by.
+            means, off = self.mean(i, states[i], inputs), mean_off(agent, self.certificate.agents[i].coordinates)
+            known = np.ones(means.shape[1], dtype=bool)
+            box = MeanBox.around(means - off[:, None], means + off[:, None], self.axes[i], known)
+        least = np.minimum.reduce([self.smoothed(time, q, i, *read) for read in box.points])
         vertices = self.vertices[time][q]
         largest = vertices.distinct[i].max(axis=1, initial=0.0)[vertices.which[i]]
         return np.asarray(np.maximum(least - largest[:, None] * box.charge, 0.0))
@@ -145,17 +150,22 @@ class ActionValues:
         agent = linear_agent(self.certificate.problem.agents[i], "exact")
         return self.relations[i].to_grid(agent.A @ x + agent.B @ u + agent.offset[:, None])
 
-    def smoothed(self, time: int, q: int, i: int, means: FloatArray) -> FloatArray:
-        """Return agent i's factors of all terms (R, M), expected around means (d, M) in grid coordinates."""
-        vertices = self.vertices[time][q]
-        tables = [axis.masses(mean) for axis, mean in zip(self.axes[i], means, strict=True)]
+    def smoothed(self, time: int, q: int, i: int, places: FloatArray, scales: FloatArray | None = None) -> FloatArray:
+        """Return agent i's factors of all terms (R, M), expected around places (d, M) of the axes of its grid.
+
+        Places are means in grid coordinates, and numbers of cells where there is no noise; ``scales`` (d, M) are those
+        of the noise, 1 by default.
+        """
+        vertices, scales = self.vertices[time][q], np.ones(places.shape) if scales is None else scales
+        rows = zip(self.axes[i], places, scales, strict=True)
+        tables = [axis.masses(place, scale) for axis, place, scale in rows]
         factors = vertices.distinct[i]
         # The last axis is one product of matrices; the others, if there are any, go world by world.
         tensor = factors.reshape(-1, tables[-1].shape[1]) @ tables[-1].T
         for table in reversed(tables[:-1]):
             tensor = tensor.reshape(-1, table.shape[1], table.shape[0])
             tensor = np.einsum("rsm,ms->rm", tensor, table, optimize=False)
-        return np.asarray(tensor.reshape(len(factors), means.shape[1])[vertices.which[i]])
+        return np.asarray(tensor.reshape(len(factors), places.shape[1])[vertices.which[i]])
 
     def of_inputs(
         self, time: int, q: int, states: tuple[FloatArray, ...], inputs: tuple[FloatArray, ...]
@@ -206,7 +216,7 @@ class ActionValues:
         triples = zip(self.certificate.problem.agents, self.certificate.agents, self.relations, strict=True)
         for agent, part, relation in triples:
             per_step += relation.execution_loss(agent, part.grid.edges)
-            if isinstance(agent, Agent):
+            if isinstance(agent, Agent) or not agent.has_plain_noise:
                 continue  # what means are off by is in their boxes
             per_step += mean_loss(linear_agent(agent, "exact"), part.coordinates, part.grid.edges)
         return per_step * len(self.certificate.skeleton) * (1.0 + 1e-9)
@@ -234,12 +244,8 @@ def action_values(certificate: Certificate) -> ActionValues:
         tuple(_vertices(certificate, t, q, later[t], masks) for q in range(n_states)) for t in range(problem.horizon)
     )
     relations = tuple(part.relation_of(agent) for agent, part in zip(problem.agents, certificate.agents, strict=True))
-    axes = []
-    for agent, part in zip(problem.agents, certificate.agents, strict=True):
-        deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
-        pairs = zip(part.grid.edges, deviations.tolist(), strict=True)
-        axes.append(tuple(NoiseAxis(edges, deviation, part.is_linear) for edges, deviation in pairs))
-    return ActionValues(certificate, relations, tuple(axes), tuple(grown), vertices)
+    axes = tuple(noise_axes(agent, part) for agent, part in zip(problem.agents, certificate.agents, strict=True))
+    return ActionValues(certificate, relations, axes, tuple(grown), vertices)
 
 
 def _vertices(certificate: Certificate, t: int, q: int, later: Terms, masks: list[NDArray[np.bool_]]) -> Vertices:

@@ -117,7 +117,9 @@ def _add_synthesis(commands: Any) -> None:
     check.add_argument("--problem", metavar="ID|FILE", help="the certificate must be about this problem")
     check.add_argument("--horizon", type=int, metavar="T", help="horizon of --problem")
     check.add_argument(
-        "--rigorous", action="store_true", help="compute the claim in ball arithmetic (needs certigym[rigorous])"
+        "--rigorous",
+        action="store_true",
+        help="prove every number of the check in ball arithmetic (needs certigym[rigorous])",
     )
 
 

@@ -151,7 +151,8 @@ def _check_in_balls(options: Namespace, certificate: Any, problem: Any) -> int:
     outcome = {
         "valid": report.valid,
         "lower_bound": report.claimed,
-        "ball": None if np.isnan(report.low) else [report.low, report.high],
+        "proved": None if np.isnan(report.low) else report.low,
+        "numbers": report.numbers,
         "failures": list(report.failures),
         "fingerprint": certificate.fingerprint,
     }
