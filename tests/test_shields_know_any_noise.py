@@ -95,7 +95,7 @@ def test_least_values_hold_all_over_the_box(name: str, widths: tuple[float, floa
     axes = LawAxis(EDGES, laws_of([LAWS[name]], 1)[0], True), NoiseAxis(EDGES, 0.3, False), StillAxis(EDGES)
     low = rng.uniform(-2.2, 1.8, size=(3, count))
     high = low + widths[0] * np.array([[1.0], [0.2], [2.0]])
-    least = np.ones((3, count)) * 0.7
+    least = np.ones((3, count)) * 0.15
     most = least * np.array([[widths[1]], [1.0], [1.0]])
     box = MeanBox.around(low, high, axes, np.ones(count, dtype=bool), (least, most))
     factor = (rng.random((5, 5, 5)) < 0.4).astype(float)  # cells that count or do not: the sharpest there are
