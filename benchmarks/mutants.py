@@ -259,7 +259,6 @@ MUTANTS = [
             "for i, sign in ((form.pair.first, 1.0), (form.pair.second, -1.0)):",
             "for i, sign in ((form.pair.first, 1.0), (form.pair.second, 1.0)):",
         ),
-        ("if any(path.states is None for path in certificate.paths):", "if False:"),
     ),
     *_in(
         "synthesis/checking/own_bends.py",
