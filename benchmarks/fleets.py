@@ -24,8 +24,8 @@ AGENTS, STEPS, STATES = (5, 10, 20, 40), (20, 40, 80), (4, 8, 12)
 
 
 def chain(d: int, horizon: int = 20) -> cg.Problem:
-    """An agent whose states pull each other by a little more than linearly; the last one is pushed."""
-    rows = [f"x{k} + 0.3*sin(x{k + 1})" for k in range(d - 1)] + [f"x{d - 1} + u"]
+    """An agent whose states pull each other along a sine; the last one is pushed."""
+    rows = [f"0.8*x{k} + 0.2*sin(x{k + 1})" for k in range(d - 1)] + [f"0.8*x{d - 1} + u"]
     agent = cg.Agent(
         name="chain", states=[f"x{k}" for k in range(d)], inputs=["u"], dynamics=rows, outputs=["x0"],
         noise_covariance=1e-4 * np.eye(d), state_low=[-3.0] * d, state_high=[3.0] * d, input_low=[-1], input_high=[1],

@@ -196,6 +196,15 @@ def test_one_step_of_a_pair_is_exact() -> None:
     assert cg.check(certificate)
 
 
+def test_one_step_of_a_meeting_is_exact() -> None:
+    """Both meet in the middle of the box at best: two limits, half its width in deviations of both."""
+    certificate = path_of(apart(1.2, formula="N G near"))
+    truth = 2.0 * norm.cdf(0.75 / math.hypot(0.1, 0.2)) - 1.0
+    assert truth - 1e-3 < certificate.lower_bound <= truth
+    assert cg.check(certificate)
+    assert not cg.check(replace(certificate, failure=0.9 * certificate.failure))
+
+
 @pytest.mark.parametrize(("start", "holds"), [(1.0, True), (np.nextafter(1.0, 2.0), False), (-0.5, False),
                                               (np.nextafter(-0.5, 0.0), True), (0.0, True)])  # fmt: skip
 def test_pairs_are_read_at_time_0(start: float, holds: bool) -> None:
