@@ -72,10 +72,8 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> cg.Problem:
 def test_no_inputs_are_one_that_is_always_zero(make: Any) -> None:
     agent = make()
     assert agent.n_inputs == 1 and agent.input_low == agent.input_high == 0.0
-    assert (
-        type(agent).__call__
-        and make(**({"inputs": []} if make is expression else {"B": None})).model_key == agent.model_key
-    )
+    none: dict[str, Any] = {"inputs": []} if make is expression else {"B": None}
+    assert make(**none).model_key == agent.model_key
     np.testing.assert_allclose(agent.mean(np.array([1.0]), np.array([0.0])), [1.8])
 
 

@@ -92,7 +92,11 @@ def test_a_state_without_noise_is_in_the_cell_of_its_mean() -> None:
 def test_least_values_hold_all_over_the_box(name: str, widths: tuple[float, float]) -> None:
     """Means and scales between those that are read, three axes at once: a law, normal noise, none."""
     rng, count = np.random.default_rng(7), 30
-    axes = LawAxis(EDGES, laws_of([LAWS[name]], 1)[0], True), NoiseAxis(EDGES, 0.3, False), StillAxis(EDGES)
+    axes: tuple[Any, ...] = (
+        LawAxis(EDGES, laws_of([LAWS[name]], 1)[0], True),
+        NoiseAxis(EDGES, 0.3, False),
+        StillAxis(EDGES),
+    )
     low = rng.uniform(-2.2, 1.8, size=(3, count))
     high = low + widths[0] * np.array([[1.0], [0.2], [2.0]])
     least = np.ones((3, count)) * 0.15

@@ -205,9 +205,9 @@ def _on_the_menu(
     ((base, _),) = read_in_layers(reading, part, own[None].astype(np.int32), factors)
     wanted = (1.0 - eps) * base
     pairs = [_pairs(np.flatnonzero(own >= 0), own[own >= 0], part)]
-    open_cells = (own >= 0) & _by_cell(part, (base > 0.0).any(axis=0)).any(axis=1)
+    open_cells = (own >= 0) & _by_cell(part, np.asarray((base > 0.0).any(axis=0))).any(axis=1)
     for layer, (values, _) in zip(offered, read_in_layers(reading, part, offered, factors), strict=True):
-        enough = _by_cell(part, np.all(values >= wanted, axis=0)).all(axis=1) & (layer >= 0) & open_cells
+        enough = _by_cell(part, np.asarray(np.all(values >= wanted, axis=0))).all(axis=1) & (layer >= 0) & open_cells
         pairs.append(_pairs(np.flatnonzero(enough), layer[enough], part))
     cells, choices = np.divmod(np.unique(np.concatenate(pairs)), count_of_choices(part))
     return cells, choices

@@ -121,7 +121,10 @@ class ActionValues:
             return self.smoothed(time, q, i, self.mean(i, states[i], inputs))
         else:
             # Where there is no noise it matters what means are off by.
-            means, off = self.mean(i, states[i], inputs), mean_off(agent, self.certificate.agents[i].coordinates)
+            means, off = (
+                self.mean(i, states[i], inputs),
+                mean_off(linear_agent(agent, "exact"), self.certificate.agents[i].coordinates),
+            )
             known = np.ones(means.shape[1], dtype=bool)
             box = MeanBox.around(means - off[:, None], means + off[:, None], self.axes[i], known)
         least = np.minimum.reduce([self.smoothed(time, q, i, *read) for read in box.points])
