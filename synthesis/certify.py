@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from ..envs.agents import AnyAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts, FloatArray, corner_sides
-from .certificates import Synthesis
+from .cells import CellCounts, FloatArray, RelationRefused, corner_sides
+from .certificates import Synthesis, TeamCertificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
 from .models import (
@@ -44,8 +44,10 @@ from .models import (
     join,
     start_of,
 )
+from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .raw_networks import certify_network
 from .search import FINAL, Limits, Search, Sweep, sweep
+from .together import joint_cells, less_nearness, nearness
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""
@@ -76,7 +78,7 @@ def certify(
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; with more cells the wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
-        As for ``abstract``. Relations are not compared.
+        As for ``abstract``; ``exact`` or ``joint`` for tasks about pairs. Relations are not compared.
     raw : bool
         Whether to certify a trained actor as it is, not wrapped: the relation is ``linear`` or ``boxes`` then.
     **settings
@@ -98,11 +100,64 @@ def certify(
             raise ValueError("`relation`: expected one for all agents with `raw`, got a mapping; leave it out")
         kind = "auto" if relation == "quick" else relation
         return certify_network(problem, policy, cells, relation=kind, **settings)
-    clock, problem = _Clock(), as_problem(problem)
+    problem = as_problem(problem)
+    if problem.labeling.pairs:
+        return _about_pairs(problem, policy, cells, relation, settings)
+    return _of_task(problem, policy, cells, relation, settings)[0]
+
+
+def _of_task(
+    problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
+) -> tuple[Synthesis, _Wrapped]:
+    """Certify a policy for a task that does not speak of pairs."""
+    clock = _Clock()
     wrapped = _wrapped(problem, policy, cells, relation, settings)
     clock.abstracted()
     best = sweep(wrapped.joint, wrapped.policies, start_of(problem, wrapped.joint), FINAL, improve=False)
-    return _synthesis(problem, wrapped, best, [], "given policy on the cells", clock, {})
+    return _synthesis(problem, wrapped, best, [], "given policy on the cells", clock, {}), wrapped
+
+
+@dataclass(frozen=True, eq=False)
+class _OfJointAgent:
+    """Policies of a team as one of its joint agent, whose states and inputs are those of all."""
+
+    problem: Problem
+    policy: Decentralised
+
+    def inputs(self, agent: int, states: FloatArray, q: NDArray[Any], time: int) -> FloatArray:
+        """Return inputs (m, N) for joint states (d, N) and automaton states (N,)."""
+        own = [self.policy.inputs(i, states[columns], q, time) for i, columns in enumerate(self.problem.columns)]
+        return np.concatenate(own)
+
+
+def _about_pairs(
+    problem: Problem, policy: Policy, cells: CellCounts, relation: Relations, settings: dict[str, Any]
+) -> Synthesis:
+    """Certify a policy for a task about pairs: by subtraction where all agents are ``exact``, or as a joint agent."""
+    if relation not in ("auto", "exact", "joint"):
+        raise ValueError(f"`relation`: expected auto, exact or joint for a task about pairs, got {relation!r}")
+    raw = decentralised(problem, policy)
+    if relation != "joint":
+        try:
+            return _by_subtraction(problem, raw, cells, settings)
+        except RelationRefused:
+            if relation == "exact":
+                raise
+    joint = joint_problem(problem)
+    found, _ = _of_task(joint, _OfJointAgent(problem, raw), joint_cells(problem, cells), "auto", settings)
+    held: Any = TeamCertificate(problem, found.certificate)
+    return Synthesis(held, held.controller, found.stats)
+
+
+def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
+    """Certify a policy without the pairs, and subtract what they may spoil."""
+    usual = usual_values(problem)
+    base = without_pairs(problem, usual)
+    found, wrapped = _of_task(base, policy, cells, "exact", settings)
+    model = replace(wrapped.joint, finds_alike=True)
+    near = nearness(NearMass(problem, base, model, relevant_pairs(problem), usual), wrapped.policies)
+    held: Any = less_nearness(problem, found.certificate, usual, near, dict(found.certificate.settings))
+    return Synthesis(held, held.controller, {**found.stats, "near": held.near})
 
 
 def improve(

@@ -9,7 +9,7 @@ from typing import Any
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts
-from .certificates import Certificate, Synthesis, checked_certificate
+from .certificates import Certificate, Synthesis, TeamCertificate, checked_certificate
 from .choosing import Budget, Effort, best_of, settings_of
 from .models import (
     RELATIONS,
@@ -142,12 +142,17 @@ def _of_task(
 ) -> Synthesis:
     """Synthesize one task, in the ways that relations, budget and start leave open."""
     if problem.labeling.pairs:
-        _refuse_for_pairs(plan, start)
+        if plan.budget is not None and cells is not None:
+            raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
+        base = None if start is None else _of_joint_agent(start)
 
         def without_pairs(task: Problem, sizes: CellCounts, kinds: Relations) -> Synthesis:
-            return _of_task(task, sizes, kinds, plan.anew())
+            if base is None:
+                return _of_task(task, sizes, kinds, plan.anew())
+            again = replace(plan.anew(), settings=Settings(**_settings_of_start(task, kinds, base)))
+            return _of_task(task, sizes, kinds, again, base)
 
-        return best_of(ways_together(problem, cells, relation, plan, without_pairs), plan.effort)
+        return best_of(ways_together(problem, cells, relation, plan, without_pairs, start), plan.effort)
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
@@ -177,14 +182,16 @@ def _refuse_outside(problem: Problem) -> None:
             )
 
 
-def _refuse_for_pairs(plan: Plan, start: Certificate | None) -> None:
-    """Refuse what tasks about pairs have no answer to."""
-    _refuse_start(start, "tasks about pairs")
-    if plan.budget is not None or plan.search.stationary or plan.search.value == "train":
-        raise ValueError(
-            "`problem`: expected no budget, no `stationary` and no tensor trains with propositions about pairs of "
-            "agents; leave them out"
-        )
+def _of_joint_agent(start: Any) -> Certificate:
+    """Return the certificate of the joint agent that a team begins with; raise ValueError if it is of another kind."""
+    if isinstance(start, TeamCertificate):
+        if isinstance(start.base, Certificate):
+            return start.base
+        raise ValueError("`start`: expected the certificate of a joint agent on a grid, got one along a path")
+    raise ValueError(
+        f"`start`: expected the certificate of a joint agent for a task about pairs, got {type(start).__name__}; other "
+        "ways begin anew; leave it out"
+    )
 
 
 def _continued(problem: Problem, cells: CellCounts, kinds: list[str], plan: Plan, start: Certificate) -> Synthesis:

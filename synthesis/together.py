@@ -14,10 +14,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..envs.problem import Problem
 from .cells import CellCounts, RelationRefused
-from .certificates import PairsCertificate, Synthesis, TeamCertificate
+from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
 from .choosing import Results, Way
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
@@ -55,9 +56,14 @@ SynthesizeTask = Callable[[Problem, CellCounts, Relations], Synthesis]
 
 
 def ways_together(
-    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, task: SynthesizeTask
+    problem: Problem,
+    cells: CellCounts,
+    relation: Relations,
+    plan: Plan,
+    task: SynthesizeTask,
+    start: TeamCertificate | None = None,
 ) -> list[Way]:
-    """Return the ways to certify a problem with pairs."""
+    """Return the ways to certify a problem with pairs; ``task`` begins with ``start``, if there is one."""
     if problem.groups:
         raise ValueError(
             "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
@@ -68,15 +74,18 @@ def ways_together(
     check_names("cells", cells, problem)
 
     def subtraction(results: Results) -> Synthesis:
+        _refuse_for_subtraction(plan, start)
         return by_subtraction(problem, cells, plan.search, plan.settings)
 
     def joint(results: Results) -> Synthesis:
+        if problem.n_states > MOST_GRID_STATES and _asks_for_grid(plan, start):
+            raise RelationRefused(f"a joint agent of {problem.n_states} states has no room for a grid")
         found = as_one_agent(problem, cells, task)
         return replace(found, stats={name: value for name, value in found.stats.items() if name != "tried"})
 
     def path(results: Results) -> Synthesis:
-        if cells is not None:
-            raise RelationRefused("paths have no grid, and need no `cells`")
+        if cells is not None or _asks_for_grid(plan, start):
+            raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
         return path_certificate(problem)
 
     ways = [
@@ -85,6 +94,22 @@ def ways_together(
         Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH),
     ]
     return [way for way in ways if relation in ("auto", way.name)]
+
+
+def _asks_for_grid(plan: Plan, start: TeamCertificate | None) -> bool:
+    """Return whether something is asked for that only grids have."""
+    return start is not None or plan.budget is not None or plan.search.stationary or plan.search.value == "train"
+
+
+def _refuse_for_subtraction(plan: Plan, start: TeamCertificate | None) -> None:
+    """Refuse what the bound by subtraction has no answer to."""
+    if plan.search.stationary:
+        raise RelationRefused(
+            "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
+            "deadline; ask for `joint`"
+        )
+    if _asks_for_grid(plan, start):
+        raise RelationRefused("the bound by subtraction has no budget, start or tensor trains; ask for `joint`")
 
 
 def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:
@@ -111,10 +136,7 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     part = certificate_of(base, abstraction, joint, best, used, name)
-    # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
-    if not np.array_equal(base.automaton.dead, problem.automaton.dead):
-        part = replace(part, gap=None, exact=False)
-    certificate = PairsCertificate(problem, part, tuple(usual.tolist()), min(1.0, near), {**used, "answers": record})
+    certificate = less_nearness(problem, part, usual, near, {**used, "answers": record})
     stats: dict[str, object] = {
         "seconds": {"abstract": abstracted - began, "synthesize": time.perf_counter() - abstracted},
         "sweeps": found.values,
@@ -123,6 +145,16 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
         "near": certificate.near,
     }
     return _synthesis(certificate, stats)
+
+
+def less_nearness(
+    problem: Problem, base: Certificate, usual: NDArray[np.bool_], near: float, used: dict[str, Any]
+) -> PairsCertificate:
+    """Return the certificate of a problem with pairs: that of the task without them, less what they may spoil."""
+    # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
+    if not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
+        base = replace(base, gap=None, exact=False)
+    return PairsCertificate(problem, base, tuple(usual.tolist()), min(1.0, near), used)
 
 
 def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
@@ -146,12 +178,12 @@ def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> S
             )
         found = task(joint, None, "path")
     else:
-        found = task(joint, _joint_cells(problem, cells), "auto")
+        found = task(joint, joint_cells(problem, cells), "auto")
     held: Any = TeamCertificate(problem, found.certificate)
     return Synthesis(held, held.controller, found.stats)
 
 
-def _joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
+def joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
     """Return the cells of the joint agent: those of all agents, axis by axis."""
     if not isinstance(cells, Mapping):
         return cells
@@ -168,18 +200,18 @@ def _kept_apart(
     base: Problem, joint: JointModel, masses: NearMass, first: Sweep, search: Search
 ) -> tuple[Sweep, float, list[list[float]]]:
     """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
-    best, near = first, _bound(masses, first.policies)
+    best, near = first, nearness(masses, first.policies)
     record = [[first.value, min(near, MOST_RECORDED)]]
     if near <= WORTH or not search.max_sweeps:
         return best, near, record
     avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
     for k in range(min(ROUNDS, search.max_sweeps)):
         policies = avoidance.answers(policies, heed_all=k > 0)
-        outcome, nearness = sweep(joint, policies, start, FINAL, improve=False), _bound(masses, policies)
-        record.append([outcome.value, min(nearness, MOST_RECORDED)])
-        gain = (outcome.value - nearness) - (best.value - near)
+        outcome, spoilt = sweep(joint, policies, start, FINAL, improve=False), nearness(masses, policies)
+        record.append([outcome.value, min(spoilt, MOST_RECORDED)])
+        gain = (outcome.value - spoilt) - (best.value - near)
         if gain > 0.0:
-            best, near = outcome, nearness
+            best, near = outcome, spoilt
         search.tell("keeping apart", max(0.0, best.value - near))
         # A round that everybody has heeded and that gains nothing is the last, unless nothing is certified yet.
         if near <= WORTH or (k > 0 and gain <= WORTH and near < best.value):
@@ -187,7 +219,7 @@ def _kept_apart(
     return best, near, record
 
 
-def _bound(masses: NearMass, policies: Policies) -> float:
+def nearness(masses: NearMass, policies: Policies) -> float:
     """Return what pairs may spoil at most, a sum that may exceed 1; infinite where it would take too long to say."""
     try:
         return masses.bound(policies)

@@ -27,6 +27,9 @@ NO_VALUES_ON_PATHS = "along a path"
 NO_VALUES_BY_SUBTRACTION = "by subtraction"
 """What pairs may spoil is bounded for the whole run: what is subtracted is no function of the state."""
 
+GROWS = "what pairs may spoil grows with every step"
+"""What is subtracted is a sum over all steps: nothing is left of it without a deadline."""
+
 CANNOT: dict[str, dict[str, str]] = {
     # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
     "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
@@ -67,14 +70,16 @@ CANNOT: dict[str, dict[str, str]] = {
         "paper": "delta = 0",
         "boxes no noise": "falls to 0",
         "path": NO_VALUES_ON_PATHS,
+        "subtraction": GROWS,
     },
+    "no deadline": {"subtraction": GROWS},
     "budget": {"path": "has no grid"},
     "start=": {"path": "expected a Certificate"},
 }
 """Refusals by mathematics: column, row, and what the message says."""
 
 MISSING: dict[str, dict[str, str]] = {
-    "train": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for trains"),
+    "train": {"subtraction": "tasks about pairs do not ask for trains"},
     "own upper end": dict.fromkeys(
         ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
         "the end of the opposite task is no part of certificates",
@@ -85,7 +90,6 @@ MISSING: dict[str, dict[str, str]] = {
     "permission": {
         "train": "permissions read trees alone",
     },
-    "certify": dict.fromkeys(["joint", "subtraction"], "given policies of pairs are not wrapped"),
     "network": {
         **dict.fromkeys(EXPRESSIONS, "networks are enclosed with matrices alone"),
         **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
@@ -94,13 +98,9 @@ MISSING: dict[str, dict[str, str]] = {
         "exact correlated": "start boxes are read on cells that are boxes of states",
         "subtraction": "pairs are read at points",
     },
-    "no deadline": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for stationary policies"),
-    "safety rate": {
-        **dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for stationary policies"),
-        "train": "rates read trees alone",
-    },
-    "budget": dict.fromkeys(["joint", "subtraction"], "tasks about pairs do not ask for budgets"),
-    "start=": dict.fromkeys(["joint", "subtraction"], "tasks about pairs begin anew"),
+    "safety rate": {"train": "rates read trees alone"},
+    "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
+    "start=": {"subtraction": "tasks about pairs begin anew"},
     "device": {
         **dict.fromkeys([*LINEAR, *BOXES], "only points are read on devices"),
         "joint": "its relation has no devices, and another one is taken",

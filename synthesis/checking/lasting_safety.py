@@ -21,7 +21,7 @@ import numpy as np
 from ...envs.agents import checked_count, tree_text
 from ...envs.logic import Automaton
 from ..cells import FloatArray
-from ..certificates import Certificate, ProductCertificate, as_certificate, rounded_down
+from ..certificates import Certificate, ProductCertificate, TeamCertificate, certificate_on_grids, rounded_down
 from ..values import Terms
 from .checked_first import standing
 from .regrown_tree import regrow
@@ -83,9 +83,10 @@ def safety_rate(certificate: Any) -> SafetyRate:
 
     Parameters
     ----------
-    certificate : Synthesis, Certificate, ProductCertificate or path
-        Of a safety task (semantics "finite-trace", satisfied as long as it has not failed), with stationary policies
-        (``synthesize(..., stationary=True)``) and a horizon of at least 4. A longer horizon gives a better v.
+    certificate : Synthesis, certificate or path
+        Of one task, of independent ones, or of a joint agent on a grid: a safety task (semantics "finite-trace",
+        satisfied as long as it has not failed), with stationary policies (``synthesize(..., stationary=True)``) and a
+        horizon of at least 4. A longer horizon gives a better v.
 
     Returns
     -------
@@ -98,8 +99,10 @@ def safety_rate(certificate: Any) -> SafetyRate:
         If the certificate is about something else, if ``check`` refuses it, or if its value function has no such
         quotient.
     """
-    claim = as_certificate(certificate)
-    parts = claim.parts if isinstance(claim, ProductCertificate) else (claim,)
+    claim = certificate_on_grids(certificate)
+    # A joint agent stands for its team, which the check of the team verifies.
+    one = claim.base if isinstance(claim, TeamCertificate) else claim
+    parts = one.parts if isinstance(one, ProductCertificate) else (one,)
     for part in parts:
         _refuse_other_kinds(part)
     standing(claim)
