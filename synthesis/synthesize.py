@@ -152,7 +152,7 @@ def _of_task(
             again = replace(plan.anew(), settings=Settings(**_settings_of_start(task, kinds, base)))
             return _of_task(task, sizes, kinds, again, base)
 
-        return best_of(ways_together(problem, cells, relation, plan, without_pairs, start), plan.effort)
+        return best_of(ways_together(problem, cells, relation, plan, without_pairs, base is not None), plan.effort)
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")

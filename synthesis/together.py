@@ -61,9 +61,9 @@ def ways_together(
     relation: Relations,
     plan: Plan,
     task: SynthesizeTask,
-    start: TeamCertificate | None = None,
+    has_start: bool = False,
 ) -> list[Way]:
-    """Return the ways to certify a problem with pairs; ``task`` begins with ``start``, if there is one."""
+    """Return the ways to certify a problem with pairs; ``has_start`` says whether ``task`` begins with policies."""
     if problem.groups:
         raise ValueError(
             "`problem`: expected one task where propositions are about pairs, got independent tasks whose joint "
@@ -74,17 +74,17 @@ def ways_together(
     check_names("cells", cells, problem)
 
     def subtraction(results: Results) -> Synthesis:
-        _refuse_for_subtraction(plan, start)
+        _refuse_for_subtraction(plan, has_start)
         return by_subtraction(problem, cells, plan.search, plan.settings)
 
     def joint(results: Results) -> Synthesis:
-        if problem.n_states > MOST_GRID_STATES and _asks_for_grid(plan, start):
+        if problem.n_states > MOST_GRID_STATES and _asks_for_grid(plan, has_start):
             raise RelationRefused(f"a joint agent of {problem.n_states} states has no room for a grid")
         found = as_one_agent(problem, cells, task)
         return replace(found, stats={name: value for name, value in found.stats.items() if name != "tried"})
 
     def path(results: Results) -> Synthesis:
-        if cells is not None or _asks_for_grid(plan, start):
+        if cells is not None or _asks_for_grid(plan, has_start):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
         return path_certificate(problem)
 
@@ -96,19 +96,19 @@ def ways_together(
     return [way for way in ways if relation in ("auto", way.name)]
 
 
-def _asks_for_grid(plan: Plan, start: TeamCertificate | None) -> bool:
+def _asks_for_grid(plan: Plan, has_start: bool) -> bool:
     """Return whether something is asked for that only grids have."""
-    return start is not None or plan.budget is not None or plan.search.stationary or plan.search.value == "train"
+    return has_start or plan.budget is not None or plan.search.stationary or plan.search.value == "train"
 
 
-def _refuse_for_subtraction(plan: Plan, start: TeamCertificate | None) -> None:
+def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
     """Refuse what the bound by subtraction has no answer to."""
     if plan.search.stationary:
         raise RelationRefused(
             "what pairs may spoil grows with every step, and nothing is left of a bound by subtraction without a "
             "deadline; ask for `joint`"
         )
-    if _asks_for_grid(plan, start):
+    if _asks_for_grid(plan, has_start):
         raise RelationRefused("the bound by subtraction has no budget, start or tensor trains; ask for `joint`")
 
 

@@ -49,7 +49,7 @@ class SafetyRate:
     share: float
     rate: float
     loss: float
-    certificate: Certificate | ProductCertificate
+    certificate: Certificate | ProductCertificate | TeamCertificate
 
     def __repr__(self) -> str:
         name = self.certificate.problem.name
@@ -101,7 +101,7 @@ def safety_rate(certificate: Any) -> SafetyRate:
     """
     claim = certificate_on_grids(certificate)
     # A joint agent stands for its team, which the check of the team verifies.
-    one = claim.base if isinstance(claim, TeamCertificate) else claim
+    one: Any = claim.base if isinstance(claim, TeamCertificate) else claim
     parts = one.parts if isinstance(one, ProductCertificate) else (one,)
     for part in parts:
         _refuse_other_kinds(part)
