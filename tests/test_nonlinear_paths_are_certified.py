@@ -312,6 +312,19 @@ def without_noise(add: Any) -> Any:
     return kept
 
 
+@pytest.mark.parametrize("longest", [30.0, 3000.0])
+def test_a_clock_is_a_state_without_noise(longest: float) -> None:
+    """A reference that moves with the time: the check refused slabs that were thinner than what it rounds by."""
+    agent = cg.Agent(
+        name="one", states=["x", "clock"], inputs=["u"], dynamics=["x + u", "clock + 1"],
+        outputs=["x - 2*sin(0.4*clock)"], noise=[{"law": "gaussian", "std": std} for std in (0.1, 0.0)],
+        state_low=[-4, -1], state_high=[4, longest], input_low=[-1], input_high=[1], initial_state=[0, 0],
+    )  # fmt: skip
+    certificate = path_of(problem_of([agent], {"near": cg.Proposition("one", [-0.5], [0.5])}, "G near", 20))
+    assert certificate.lower_bound > 0.999 and cg.check(certificate)
+    assert cg.validate(certificate, 20_000, seed=2, confidence=1.0 - FALSE_ALARM).verdict != "refuted"
+
+
 def test_noise_that_stops_at_the_limit_needs_twice_the_tail() -> None:
     """A walk that stands still once it is beyond the limit exceeds it nearly twice as often as a Gaussian number."""
     rng, n, steps = np.random.default_rng(2), 20_000, 600

@@ -18,8 +18,9 @@ from .limit_rows import INWARD, OUTWARD, PAIR, Worth
 from .nonlinear_model import NonlinearModel, remainders
 from .path_limits import Limits
 
-LEAST = 1e-9
-"""Slabs, as a share of the range of a state, of states without noise."""
+LEAST = 1e-6
+"""Slabs, as a share of the range of a state, of states without noise: the check knows variances up to rounding alone,
+which leaves a deviation of some 1e-8 of the range where there is none."""
 
 LOST = 1e6
 """Drift, in ranges of states, from which a candidate is given up."""
