@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import binom, norm
 
 import certigym as cg
+from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.pair_rows import PairRows
@@ -279,3 +280,18 @@ def test_rows_of_a_team_are_counted_once() -> None:
     total.extend(one.flattened(["first", "second"]))
     assert total.failures()[0] == pytest.approx(6.0 * norm.sf(2.0), rel=1e-5)
     assert total.weakest() == "agent `first`, a"
+
+
+def test_nominal_paths_stay_in_the_workspaces() -> None:
+    """A task that nobody can do in time: the plan leaves the workspace, and no certificate says that it may."""
+    unstable = walker(
+        "first", [1.8], 0.1, A=[[1.5]], input_low=[-0.1], input_high=[0.1], state_low=[-2.0], state_high=[2.0]
+    )
+    other = walker("second", [-5.0], 0.1)
+    problem = cg.Problem(
+        name="out", horizon=3, agents=[unstable, other],
+        propositions={"near": cg.Pair(["first", "second"], [-0.5], [0.5])},
+        specification=cg.Specification("G !near", "finite-trace"),
+    )  # fmt: skip
+    with pytest.raises(RelationRefused, match="inside the workspaces"):
+        cg.synthesize(problem, relation="path")

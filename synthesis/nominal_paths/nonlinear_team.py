@@ -151,6 +151,16 @@ class _Together:
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
 
+def _first_outside(problem: Problem, found: Sequence[Found]) -> str:
+    """Say which nominal state is outside its workspace, if there is one: nothing is certified along such a path."""
+    for agent, one in zip(problem.agents, found, strict=True):
+        states = one.nominal.states
+        outside = np.any((states < agent.state_low) | (states > agent.state_high), axis=1)
+        if np.any(outside):
+            return f"that of agent `{agent.name}` leaves it at step {int(np.argmax(outside))}"
+    return ""
+
+
 def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
@@ -189,6 +199,9 @@ def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
             again = team.refined()
             best = again if again.failure < best.failure else best
     failure = min(1.0, best.failure * (1.0 + 1e-9))
+    outside = _first_outside(problem, best.found)
+    if outside:
+        raise RelationRefused(f"no nominal path inside the workspaces was found: {outside}")
     if failure >= WORTHLESS:
         raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {best.weakest}")
     faces = np.full(best.letters.shape, -1)
