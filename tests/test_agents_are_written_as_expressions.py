@@ -167,7 +167,7 @@ def test_outputs_may_be_expressions() -> None:
         ({"states": ["x", "sin"]}, "no function"),
         ({"states": ["x", "lambda"]}, "no word of Python"),
         ({"inputs": ["x"]}, "'x' twice"),
-        ({"inputs": []}, "1 to 30 strings"),
+        ({"inputs": []}, "`input_low`: expected nothing for an agent without inputs"),
         ({"parameters": {"step": "0.1"}}, "plain numbers"),
         ({"parameters": [0.1]}, "mapping"),
         ({"disturbances": {"wind": [1, 0]}}, "exchange the two"),
@@ -190,7 +190,7 @@ def test_mistakes_in_files_are_named_with_a_caret_under_expressions(tmp_path: Pa
     text = EXAMPLE.read_text(encoding="utf-8")
     for old, new, message in (
         ("damping*rate", "dampin*rate", "did you mean 'damping'"),
-        ('inputs = ["torque"]', "", "`inputs` is missing"),
+        ('inputs = ["torque"]', "", "without inputs, got .*; give `inputs`"),
         ("dynamics =", "dynamic =", "did you mean `dynamics`"),
         ("parameters =", "A =", "unknown key 'A'"),
     ):

@@ -274,7 +274,10 @@ def is_passive(inputs: Any, given: Mapping[str, Any]) -> bool:
         return False
     for key in ("input_low", "input_high"):
         if given[key] is not None and np.size(given[key]):
-            raise ValueError(f"`{key}`: expected nothing for an agent without inputs, got {given[key]!r}")
+            raise ValueError(
+                f"`{key}`: expected nothing for an agent without inputs, got {shown(given[key])}; give `inputs` (of linear "
+                "agents `B`), or leave the box out"
+            )
     return True
 
 
