@@ -275,8 +275,8 @@ def is_passive(inputs: Any, given: Mapping[str, Any]) -> bool:
     for key in ("input_low", "input_high"):
         if given[key] is not None and np.size(given[key]):
             raise ValueError(
-                f"`{key}`: expected nothing for an agent without inputs, got {shown(given[key])}; give `inputs` (of linear "
-                "agents `B`), or leave the box out"
+                f"`{key}`: expected nothing for an agent without inputs, got {shown(given[key])}; give `inputs` (or "
+                "`B`), or leave the box out"
             )
     return True
 
