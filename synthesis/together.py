@@ -109,7 +109,7 @@ def _refuse_for_subtraction(plan: Plan, has_start: bool) -> None:
             "deadline; ask for `joint`"
         )
     if _asks_for_grid(plan, has_start):
-        raise RelationRefused("the bound by subtraction has no budget, start or tensor trains; ask for `joint`")
+        raise RelationRefused("subtracting what pairs may spoil has no budget, start or tensor trains; ask for `joint`")
 
 
 def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings: Settings) -> Synthesis:
