@@ -222,7 +222,7 @@ MUTANTS = [
         ("if np.any(low < agent.input_box.low) or np.any(high > agent.input_box.high):", "if False:"),
     ),
     *_in(
-        "synthesis/checking/path_check.py",
+        "synthesis/path_checking/path_check.py",
         (
             '"noise_covariance": (agent.noise_covariance, state, 1.0 / state)',
             '"noise_covariance": (agent.noise_covariance, state, state)',
@@ -231,13 +231,13 @@ MUTANTS = [
         ("if region.agent != owner or value == 0:", "if region.agent != name or value == 0:"),
     ),
     *_in(
-        "synthesis/checking/linear_deviations.py",
+        "synthesis/path_checking/linear_deviations.py",
         ('np.einsum("ij,sjk->sik", F, self.products)', 'np.einsum("sij,jk->sik", self.products, F)'),
         ("np.sum(np.abs(moved[:, 1:]) * drifts, axis=(1, 2))", "np.sum(np.abs(moved[:, :-1]) * drifts, axis=(1, 2))"),
         ("total = np.abs(moved[:, 0]) @ self.spread", "total = 0.0 * moved[:, 0] @ self.spread"),
     ),
     *_in(
-        "synthesis/checking/nonlinear_check.py",
+        "synthesis/path_checking/nonlinear_check.py",
         ("reach = (slab + chain.drift(np.eye(d))) * TAIL", "reach = slab * TAIL"),
         ("drift = self.chain.drift(forms)", "drift = 0.0 * self.chain.drift(forms)"),
         ("ends[:, 2], self.chain", "np.inf * (1.0 + ends[:, 2]), self.chain"),
@@ -248,14 +248,14 @@ MUTANTS = [
         ("remainder = (remainder + more) * TAIL", "remainder = remainder * TAIL"),
     ),
     *_in(
-        "synthesis/checking/gaussian_inequalities.py",
+        "synthesis/path_checking/gaussian_inequalities.py",
         ("chosen = np.where(as_slab, both, inner)", "chosen = np.where(as_slab, 0.5 * both, inner)"),
         ("np.sum(np.where(as_slab, 0.0, outer))", "0.0"),
         ("np.where(is_unknown, 1.0, known)", "known"),
         ("kept.append(np.where(np.isnan(distance), -np.inf, distance))", "kept.append(distance)"),
     ),
     *_in(
-        "synthesis/checking/pair_limits_check.py",
+        "synthesis/path_checking/pair_limits_check.py",
         (
             "corner = np.maximum(normal * pair.low, normal * pair.high)",
             "corner = np.minimum(normal * pair.low, normal * pair.high)",
@@ -274,7 +274,7 @@ MUTANTS = [
         ),
     ),
     *_in(
-        "synthesis/checking/own_bends.py",
+        "synthesis/path_checking/own_bends.py",
         ("outer if a == b else _sum(outer, outer.swapaxes(1, 2))", "outer"),
         ('"sin": "-sin(x)",', '"sin": "0*x",'),
         ("reach = np.where((box[0] == at) & (box[1] == at), 0.0, reach)", "reach = 0.0 * reach"),
@@ -300,7 +300,7 @@ MUTANTS = [
         ("aimed = choices >= n_inputs", "aimed = choices > n_inputs"),
     ),
     *_in(
-        "synthesis/checking/start_check.py",
+        "synthesis/path_checking/start_check.py",
         ("if problem.starts_outside:", "if False:"),
         ("if problem.initial_q is None:", "if False:"),
     ),
@@ -311,7 +311,7 @@ MUTANTS = [
         ('off = off + np.einsum("nkj,nj->nk", factors, inner_losses(relation, low, high))', "off = off + 0.0"),
     ),
     *_in(
-        "synthesis/checking/own_intervals.py",
+        "synthesis/path_checking/own_intervals.py",
         ("np.where((off == 0.0) | (slope == 0.0), 0.0, slope * off)", "0.0"),
     ),
     *_in(
@@ -344,17 +344,20 @@ MUTANTS = [
     ),
     *_in("synthesis/certificates/stated.py", ("    if notes is not None:", "    if False:")),
     *_in(
-        "synthesis/checking/ball_proofs.py",
+        "synthesis/balls/ball_masses.py",
         ("            if not mass <= tails.between(s, s + 1):", "            if False:"),
         (
             "                if not ((left == 0.0 or left <= mass - above)",
             "                if False and not ((left == 0.0 or left <= mass)",
         ),
         ("            if not (bound <= truth if from_below else truth <= bound):", "            if False:"),
+    ),
+    *_in(
+        "synthesis/balls/ball_numbers.py",
         ("            wrong += not (least <= value and value <= most)", "            wrong += False"),
     ),
     *_in(
-        "synthesis/checking/ball_spans.py",
+        "synthesis/balls/ball_spans.py",
         ("        wrong += not _holds(outputs.at(i, middle), box, goal, CUTS)", "        wrong += False"),
         (
             "return int(np.sum(~np.all((balls(first) <= at - reach)",
@@ -362,7 +365,7 @@ MUTANTS = [
         ),
     ),
     *_in(
-        "synthesis/checking/rigorous.py",
+        "synthesis/balls/rigorous.py",
         ("    if failures:\n", "    if False:\n"),
         ("    lost = parts * memory.sums + memory.differences", "    lost = -1e-6"),
     ),

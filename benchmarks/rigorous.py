@@ -17,7 +17,7 @@ import argparse
 import math
 
 import certigym as cg
-from certigym.synthesis.checking import check_rigorous
+from certigym.synthesis.balls import check_rigorous
 from measuring import Row, Rows, once, save, show
 
 CELLS = {1: 200, 2: 40, 3: 16, 4: 10}

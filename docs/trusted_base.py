@@ -12,7 +12,7 @@ PAGE = Path(__file__).with_name("trusted-base.md")
 ROOT = PAGE.parents[1]
 BEGIN, END = "<!-- trusted base, written by docs/trusted_base.py -->", "<!-- end of trusted base -->"
 
-CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.checking.rigorous"
+CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.balls.rigorous"
 
 TRUSTED = {
     "What the problem means": (
@@ -60,12 +60,13 @@ TRUSTED = {
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
-        "synthesis.checking.own_intervals synthesis.checking.pairs_check synthesis.checking.path_check "
-        "synthesis.checking.hull_check synthesis.checking.own_bends synthesis.checking.linear_deviations "
-        "synthesis.checking.nonlinear_check synthesis.checking.gaussian_inequalities "
-        "synthesis.checking.pair_limits_check synthesis.checking.roundings "
+        "synthesis.path_checking.own_intervals synthesis.checking.pairs_check synthesis.path_checking.path_check "
+        "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
+        "synthesis.path_checking.linear_deviations "
+        "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
+        "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
         "synthesis.checking.readings synthesis.checking.regrown_tree synthesis.checking.relation_check "
-        "synthesis.checking.start_check "
+        "synthesis.path_checking.start_check "
         "synthesis.checking.team_check "
         "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
@@ -93,7 +94,10 @@ BESIDE = (
 )
 """Modules that are loaded with the others and that the check of a lower bound at the start does not use."""
 
-BALLS = "synthesis.checking.ball_proofs synthesis.checking.ball_spans synthesis.checking.rigorous"
+BALLS = (
+    "synthesis.balls.ball_masses synthesis.balls.ball_memory synthesis.balls.ball_numbers synthesis.balls.ball_proofs "
+    "synthesis.balls.ball_relations synthesis.balls.ball_spans synthesis.balls.ball_sums synthesis.balls.rigorous"
+)
 """Modules that ``check --rigorous`` adds."""
 
 

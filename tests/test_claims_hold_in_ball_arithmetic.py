@@ -15,23 +15,20 @@ import pytest
 import certigym as cg
 from certigym.cli.main import main
 from certigym.envs.agents import Gaussian, Law
+from certigym.synthesis.balls import check_rigorous, rigorous
 from certigym.synthesis.certificates import checked_kernel, checked_laws
 from certigym.synthesis.checking import (
     boxes_check,
-    check_rigorous,
     execution_of,
-    gaussian_inequalities,
     linear_tables,
     mean_spans,
     network_spans,
-    own_intervals,
     pairs_check,
-    path_check,
     relation_check,
-    rigorous,
     uniform_noise,
     written_linear,
 )
+from certigym.synthesis.path_checking import gaussian_inequalities, own_intervals, path_check
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor
 from certigym.validation.policies.views import SharedView
@@ -41,7 +38,10 @@ from test_nonlinear_paths_are_certified import bend, path_of
 
 flint = pytest.importorskip("flint")
 
-from certigym.synthesis.checking.ball_proofs import PROOFS, Memory, aims, lost, targets  # noqa: E402
+from certigym.synthesis.balls.ball_masses import lost  # noqa: E402
+from certigym.synthesis.balls.ball_memory import Memory  # noqa: E402
+from certigym.synthesis.balls.ball_proofs import PROOFS  # noqa: E402
+from certigym.synthesis.balls.ball_relations import aims, targets  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 
@@ -385,7 +385,8 @@ def test_what_masses_lack_is_proved() -> None:
 
 
 def test_every_statement_has_a_proof() -> None:
-    files = [*(ROOT / "synthesis" / "checking").glob("*.py"), *(ROOT / "synthesis" / "certificates").glob("*.py")]
+    rooms = ("certificates", "path_checking", "checking")
+    files = [file for room in rooms for file in (ROOT / "synthesis" / room).glob("*.py")]
     stated = {name for file in files for name in re.findall(r"\bstate\(\s*\"([\w ]+)\"", file.read_text("utf-8"))}
     assert stated == {*PROOFS}
 

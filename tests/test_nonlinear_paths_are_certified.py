@@ -14,12 +14,12 @@ from scipy.stats import binom, norm
 import certigym as cg
 from certigym.envs.expressions import Program, read_expression
 from certigym.synthesis.certificates import AgentPath, PathCertificate
-from certigym.synthesis.checking.gaussian_inequalities import Inequalities
-from certigym.synthesis.checking.linear_deviations import Chain
-from certigym.synthesis.checking.own_bends import expansion
 from certigym.synthesis.nominal_paths import feedback_bounds
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
+from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities
+from certigym.synthesis.path_checking.linear_deviations import Chain
+from certigym.synthesis.path_checking.own_bends import expansion
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""

@@ -10,9 +10,9 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, PathCertificate, TeamCertificate
-from certigym.synthesis.checking.start_check import wrong_start
 from certigym.synthesis.nominal_paths import path_search
 from certigym.synthesis.pairs import joint_problem
+from certigym.synthesis.path_checking.start_check import wrong_start
 
 
 def robot(name: str, start: Any, **changes: Any) -> cg.LinearAgent:

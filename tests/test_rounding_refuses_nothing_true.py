@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
-from certigym.synthesis.checking.path_check import Motion
+from certigym.synthesis.path_checking.path_check import Motion
 from certigym.synthesis.raw_networks import certify_network
 from certigym.synthesis.relations import Network
 from certigym.validation.policies.actors import SharedActor

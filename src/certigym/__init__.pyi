@@ -20,6 +20,7 @@ from .envs.suite import parallel_env as parallel_env
 from .envs.suite import problem_ids as problem_ids
 from .envs.suite import team_env as team_env
 from .envs.suite import vector_env as vector_env
+from .synthesis.balls import check_rigorous as check_rigorous
 from .synthesis.certificates import Certificate as Certificate
 from .synthesis.certificates import ProductCertificate as ProductCertificate
 from .synthesis.certificates import Synthesis as Synthesis
@@ -28,7 +29,6 @@ from .synthesis.certificates import save_certificate as save_certificate
 from .synthesis.certify import certify as certify
 from .synthesis.certify import improve as improve
 from .synthesis.checking import check as check
-from .synthesis.checking import check_rigorous as check_rigorous
 from .synthesis.checking import safety_rate as safety_rate
 from .synthesis.checking import value_in_time as value_in_time
 from .synthesis.controllers import Controller as Controller

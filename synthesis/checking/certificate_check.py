@@ -46,6 +46,7 @@ from ..certificates import (
     significant_up,
     state,
 )
+from ..path_checking import wrong_hull, wrong_paths
 from ..values import UNIT, Terms
 from .carrying_out import wrong_actions
 from .common_check import wrong_common
@@ -53,11 +54,9 @@ from .execution import execution_of
 from .forward_mass import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
-from .hull_check import wrong_hull
 from .linear_check import places_of
 from .network_spans import wrong_networks
 from .pairs_check import wrong_pairs
-from .path_check import wrong_paths
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .team_check import wrong_team

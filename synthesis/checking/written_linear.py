@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from ...envs.agents import Agent, AnyAgent, LinearAgent
 from ..cells import FloatArray, linear_agent
 from ..certificates import AgentPart, grid_noise, state
+from ..path_checking import Span, bounds, products
 from .geometry import cell_boxes
 from .linear_tables import UNIT, applied, grid_matrix, normal_hats
 from .mean_spans import Enclosed, spans_of_means
 from .network_spans import network_maps
-from .own_intervals import Span, bounds, products
 from .uniform_noise import Ends, uniform_ends
 
 ROUNDING = 2.999e-9

@@ -10,9 +10,10 @@ import numpy as np
 from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, counted
 from ..envs.problem import Problem
 from ..envs.suite import make_problem, problem_ids
+from ..synthesis.balls import check_rigorous
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
 from ..synthesis.checking import check as check_certificate
-from ..synthesis.checking import check_rigorous, safety_rate
+from ..synthesis.checking import safety_rate
 from ..synthesis.nominal_paths import certified_starts as starts_around
 from ..validation.simulation import LABEL_WIDTH
 from .given import named_problem, problem_of, show, write_json

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.suite import as_problem
 from ..certificates import Statement, noted
-from .certificate_check import check, checkable
+from ..checking import check, checkable
 
 BITS = 106
 """Precision of the balls: twice that of doubles."""
@@ -98,7 +98,8 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
 
 def _proved(statements: list[Statement]) -> tuple[int, list[str], Any]:
     """Prove statements: how many numbers they hold, what is wrong, and what is remembered of all of them."""
-    from .ball_proofs import PROOFS, Memory
+    from .ball_memory import Memory
+    from .ball_proofs import PROOFS
 
     memory, seen, failures, numbers = Memory(), set[Hashable](), list[str](), 0
     for statement in statements:

@@ -18,8 +18,8 @@ from flint import arb, arb_mat
 
 from ...envs.agents import LinearAgent
 from ...envs.expressions import Name, Number, Tree, whole_exponent
-from .mean_spans import Enclosed
-from .nonlinear_check import Moving
+from ..checking import Enclosed
+from ..path_checking import Moving
 
 Ends = tuple[Any, Any]
 """Least and largest value: balls of radius 0, not numbers where nothing is known."""

@@ -1,0 +1,25 @@
+"""Proofs, in ball arithmetic, of what the check states: one function for every kind of statement.
+
+Numbers of the problem and of the certificate are the doubles that they are; everything that follows from them is
+computed anew with python-flint, each result being a ball that holds the true number. A function returns how many
+numbers it looked at, and what is wrong in words. What laws of noise mean is said by themselves (``Law.exact_above``);
+no special function of scipy or numpy is used, and what is guessed in doubles is proved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .ball_masses import hats, lost, masses, near
+from .ball_memory import Proof
+from .ball_numbers import angles, any_of, charge, error_function, function, spans, start, tails
+from .ball_relations import aims, disturbance, ellipsoid, ellipsoid_support, targets, tube
+from .ball_sums import differences, spare, sums
+
+PROOFS: dict[str, Callable[..., Proof]] = {
+    "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": charge, "erf": error_function,
+    "tails": tails, "any": any_of, "function": function, "spans": spans, "aims": aims, "targets": targets,
+    "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
+    "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,
+}  # fmt: skip
+"""By the names of statements."""

@@ -1,0 +1,8 @@
+"""Proofs along paths done again: intervals of its own, linear deviations, what they must keep, and time 0."""
+
+from .hull_check import wrong_hull
+from .nonlinear_check import Moving
+from .own_intervals import Span, bounds, computed_off, products, span
+from .path_check import wrong_paths
+
+__all__ = ["Moving", "Span", "bounds", "computed_off", "products", "span", "wrong_hull", "wrong_paths"]
