@@ -208,6 +208,10 @@ MUTANTS = [
         ("sides = sides / scales", "sides = sides * 1.0"),
     ),
     *_in(
+        "synthesis/certificates/part.py",
+        ('named = getattr(agent, "others", ()) if "common" in self.relation else ()', "named = ()"),
+    ),
+    *_in(
         "synthesis/checking/readings.py",
         ("found.append(np.asarray(values * (points >= 0)))", "found.append(np.asarray(values * 1.0))"),
     ),

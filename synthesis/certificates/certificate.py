@@ -224,7 +224,7 @@ def _controller(certificate: Certificate) -> Controller:
     controllers, known = [], dict[object, Relation]()
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         # Agents with equal dynamics and cells share the relation of the first of them.
-        key = (agent.model_key, id(part.grid), part.coordinates.tobytes(), repr(part.relation))
+        key = (*part.sharing_key(agent), id(part.grid), part.coordinates.tobytes())
         relation = known[key] = known.get(key) or part.relation_of(agent)
         controllers.append(AgentController(agent.name, part.grid, part.lattice, relation, part.policy, part.menu))
     return Controller(certificate.problem, tuple(controllers))

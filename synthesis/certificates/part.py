@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +59,15 @@ class AgentPart:
     def relation_of(self, agent: AnyAgent) -> Relation:
         """Return the relation of ``agent`` that is described, its numbers computed anew."""
         return relation_from(self.relation, agent, self.grid, self.coordinates)
+
+    def sharing_key(self, agent: AnyAgent) -> tuple[object, ...]:
+        """Return what the relation of ``agent`` and its motions are made of, apart from cells and policies.
+
+        Agents that differ in none of it may share what is computed from it. Inputs of others that are known in common
+        go by name, and agents whose dynamics are equal may have them in other places.
+        """
+        named = getattr(agent, "others", ()) if "common" in self.relation else ()
+        return (*agent.model_key, json.dumps(self.relation, sort_keys=True), *named)
 
     def points(self, t: int, q: int) -> NDArray[Any]:
         """Return the lattice point (S,) that each cell leads to at time t in automaton state q; -1 for none."""

@@ -19,7 +19,6 @@ United terms are regrown by a rule that is sound for any choice: ``a x b + a' x 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -289,11 +288,10 @@ def _check_agents(certificate: Certificate) -> tuple[list[str], list[FloatArray 
     for agent, part, controller in zip(certificate.problem.agents, certificate.agents, controllers, strict=True):
         arrays = [part.coordinates, part.policy, *part.lattice, *([] if part.menu is None else [part.menu])]
         key = (
-            *agent.model_key,
+            *part.sharing_key(agent),
             *agent.output_key,
             repr(lattice_axes(agent)),
             id(part.grid),
-            json.dumps(part.relation, sort_keys=True),
             *((own.shape, own.dtype.str, own.tobytes()) for own in arrays),
         )
         if key not in verified:

@@ -118,7 +118,7 @@ def readings_of(certificate: Certificate) -> list[Reading]:
     known, found = dict[object, Reading](), list[Reading]()
     for agent, part in zip(certificate.problem.agents, certificate.agents, strict=True):
         arrays = (*part.grid.edges, *part.lattice, part.coordinates, part.policy)
-        key = (agent.model_key, repr(part.relation), *((a.shape, a.tobytes()) for a in arrays))
+        key = (*part.sharing_key(agent), *((a.shape, a.dtype.str, a.tobytes()) for a in arrays))
         if key not in known:
             known[key] = reading_of(agent, part, tables, is_robust)
         found.append(known[key])

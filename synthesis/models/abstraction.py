@@ -345,7 +345,8 @@ def models_of(
         alike = (kind, *agent.model_key, *(e.tobytes() for e in grid.edges))
         depends_on_room = kind in ("tube", "ellipsoid") or not has_full_rank(agent)
         known = common.get(i)
-        numbers_known = b"" if known is None else repr(known.description).encode()
+        # Numbers go by names, which agents with equal dynamics may have in other places.
+        numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
         wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
         if wish not in by_wish:
             if known is None:
