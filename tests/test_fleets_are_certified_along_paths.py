@@ -17,6 +17,7 @@ from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.pair_rows import PairRows
 from certigym.synthesis.nominal_paths.words import is_accepted, ways_of
+from test_nonlinear_paths_are_certified import path_of
 
 FALSE_ALARM = 1e-6
 """Probability that a test of rollouts fails although the claim is true."""
@@ -76,12 +77,6 @@ def mixed() -> cg.Problem:
 
 
 PROBLEMS = {"two": swap(), "four": swap(4, 0.02, 0.4), "mixed": mixed()}
-
-
-def path_of(problem: cg.Problem) -> PathCertificate:
-    found: Any = cg.synthesize(problem, relation="path").certificate
-    assert isinstance(found, PathCertificate)
-    return found
 
 
 @pytest.fixture(scope="module")

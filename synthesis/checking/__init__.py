@@ -7,7 +7,7 @@ from .geometry import cell_boxes
 from .greedy import Greedy, greedy_disturbance
 from .lasting_safety import SHORTEST, SafetyRate, is_safety, safety_rate
 from .later_values import ValueInTime, claimed_values, value_in_time
-from .linear_check import masks_of, places_of
+from .linear_check import by_cell, masks_of, places_of
 from .mean_spans import Enclosed, enclosed_means, enclosed_scales
 from .opposite_task import other_controllers, wrong_opposite
 from .readings import Reading, reading_of
@@ -17,6 +17,7 @@ from .team_check import wrong_team
 
 __all__ = [
     "BrokenTreeError",
+    "by_cell",
     "cell_boxes",
     "check",
     "checkable",

@@ -48,9 +48,9 @@ def linear_values(
     chosen_cells = np.flatnonzero(policy >= 0)
     proved = np.ones(len(factors), dtype=bool)
     if stored is not None:
-        by_cell = _by_cell(stored, part.grid.shape)
+        given = by_cell(stored, part.grid.shape)
         # Where there is no choice the value is 0.
-        proved = np.all(stored >= 0.0, axis=1) & ~by_cell[:, policy < 0].any(axis=(1, 2))
+        proved = np.all(stored >= 0.0, axis=1) & ~given[:, policy < 0].any(axis=(1, 2))
     pieces = len(chosen_cells) * len(factors) * (parts + 1) ** d // CHUNK + 1
     for cells in np.array_split(chosen_cells, pieces):
         if len(cells):
@@ -58,7 +58,7 @@ def linear_values(
             result[:, cells] = lower
             if stored is not None:
                 # Any multilinear function will do that is below f at the points that are read by what f may lack.
-                between = by_cell[:, cells] @ blend
+                between = given[:, cells] @ blend
                 fits = np.all(between + lacking[:, :, None] <= at * (1.0 + RELATIVE), axis=2)
                 proved &= np.all(fits | ~between.any(axis=2), axis=1)
     # From the corners of each cell to the ends of intervals, axis by axis.
@@ -75,7 +75,7 @@ def _smoothed(part: AgentPart, tables: LinearTables | WrittenTables, factors: Fl
     return [*values_and_bends(tables, factors), largest]
 
 
-def _by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def by_cell(rows: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Factors (n, places) by cell and corner: (n, S, 2^d)."""
     d = len(shape)
     table = rows.reshape(len(rows), *(n for size in shape for n in (size, 2)))

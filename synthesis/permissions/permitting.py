@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...envs.agents import AnyAgent
 from ..cells import FloatArray
 from ..certificates import AgentPart, Certificate, TeamCertificate, certificate_on_grids, rounded_down
-from ..checking import Reading, execution_of, reading_of, standing
+from ..checking import Reading, by_cell, execution_of, reading_of, standing
 from ..relations import ExactRelation, WrittenTargets
 from .permission import Menus, Permission, count_of_choices, in_layers
 from .permission_check import KINDS, least_on_menus, read_in_layers, value_under
@@ -220,9 +220,4 @@ def _pairs(cells: NDArray[np.int64], choices: NDArray[Any], part: AgentPart) -> 
 
 def _by_cell(part: AgentPart, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return what is true at places (places,) cell by cell (S, K): in each cell, or at its K corners."""
-    if not part.is_linear:
-        return places[:, None]
-    # Axis by axis, cells come before their two ends.
-    sizes = [n for size in part.grid.shape for n in (size, 2)]
-    order = [*range(0, len(sizes), 2), *range(1, len(sizes), 2)]
-    return places.reshape(sizes).transpose(order).reshape(part.grid.n_cells, -1)
+    return by_cell(places[None], part.grid.shape)[0] if part.is_linear else places[:, None]
