@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -17,13 +17,16 @@ from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, Synthesis
 from .nonlinear_search import Found, NonlinearSearch
 from .team_search import TeamFound, TeamSearch
-from .words import Way, without_implied, without_needless
+from .words import Plan, letters_of
 
 MOST_PLANS = 6
 """Ways with times that are tried at first."""
 
 MOST_MOVES = 6
 """Moves of the times of jumps that are tried after that."""
+
+HARDLY = -0.05
+"""Logarithm of the failure from which words of few cubes are tried, too."""
 
 PROMISING = -4.0
 """Logarithm of the failure after little work from which no further way is looked for."""
@@ -40,9 +43,6 @@ HOPELESS = 1.0 - 1e-12
 
 WORTHLESS = 0.999
 """Probability of failing from which no certificate is made: so near to 1 the check rounds more than that is worth."""
-
-Plan = tuple[Way, tuple[int, ...], int]
-"""A way through the automaton, the times of its jumps, and the steps."""
 
 
 def refuse_other_noise(agent: AnyAgent) -> None:
@@ -85,26 +85,26 @@ class _Apart:
         """Candidates of feedbacks that were tried."""
         return sum(search.tried for search in self.searches)
 
-    def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
-        """Look for nonlinear paths along a way that jumps at some times, and keep them if they are the best."""
-        letters = letters_of(self.problem, way, times, steps)
+    def of_plan(self, plan: Plan) -> None:
+        """Look for nonlinear paths along a plan, and keep them if they are the best."""
+        letters = letters_of(self.problem, plan)
         if letters is None:
             return
         found = []
         for i, search in enumerate(self.searches):
             own = self._own(i)
-            key = (i, letters[:, own].tobytes() + bytes(str(steps), "ascii"))
+            key = (i, letters[:, own].tobytes() + bytes(str(plan.steps), "ascii"))
             if key not in self.known:
                 self.known[key] = search.quick(letters, self.warm[i])
             one = self.known[key]
             if one is None:
-                self.stopped = f"agent `{search.agent.name}` finds no way around regions in {steps} steps"
+                self.stopped = f"agent `{search.agent.name}` finds no way around regions in {plan.steps} steps"
                 return
             self.warm[i] = one.theta
             found.append(one)
         score = float(np.logaddexp.reduce([one.score for one in found]))
         if self.best is None or score < self.best[0]:
-            self.best = score, (way, times, steps), letters, found
+            self.best = score, plan, letters, found
 
     def refined(self) -> Refined:
         """Return the best plan after more work."""
@@ -136,12 +136,12 @@ class _Together:
         """Candidates of feedbacks that were tried."""
         return self.search.tried
 
-    def of_plan(self, way: Way, times: tuple[int, ...], steps: int) -> None:
-        """Look for nonlinear paths along a way that jumps at some times, and keep them if they are the best."""
-        letters = letters_of(self.problem, way, times, steps)
+    def of_plan(self, plan: Plan) -> None:
+        """Look for nonlinear paths along a plan, and keep them if they are the best."""
+        letters = letters_of(self.problem, plan)
         found = None if letters is None else self.search.quick(letters)
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
-            self.best = found.score, (way, times, steps), letters, found
+            self.best = found.score, plan, letters, found
 
     def refined(self) -> Refined:
         """Return the best plan after more work."""
@@ -161,14 +161,16 @@ def _first_outside(problem: Problem, found: Sequence[Found]) -> str:
     return ""
 
 
-def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
+def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: Iterable[Plan]) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
     Parameters
     ----------
     problem : Problem
-    plans : iterable of (way, times, steps)
+    plans : iterable of Plan
         Ways through the automaton with the times of their jumps, in order of promise.
+    segmented : iterable of Plan
+        Further ones, for which there is time where those give nothing.
 
     Raises
     ------
@@ -182,10 +184,13 @@ def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
         raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem) if pairs else _Apart(problem)
-    possible = (plan for plan in plans if letters_of(problem, *plan) is not None)
-    for way, times, steps in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
-        team.of_plan(way, times, steps)
-        if team.best is not None and team.best[0] < PROMISING:
+    for some in (plans, segmented):
+        possible = (plan for plan in some if letters_of(problem, plan) is not None)
+        for plan in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
+            team.of_plan(plan)
+            if team.best is not None and team.best[0] < PROMISING:
+                break
+        if team.best is not None and team.best[0] < HARDLY:
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
@@ -218,12 +223,6 @@ def nonlinear_certificate(problem: Problem, plans: Any) -> Synthesis:
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
-def letters_of(problem: Problem, way: Way, times: tuple[int, ...], steps: int) -> NDArray[np.int8] | None:
-    """Return the letters (S + 1, P) of a way, less what follows or is not needed; None if they contradict."""
-    letters = way.letters(times, steps, len(problem.automaton.propositions))
-    return None if letters is None else without_implied(problem, without_needless(problem, letters))
-
-
 def _with_better_times(team: _Apart | _Together) -> None:
     """Move single jumps, as long as that helps."""
     problem, tried = team.problem, 0
@@ -239,5 +238,5 @@ def _with_better_times(team: _Apart | _Together) -> None:
                     continue
                 tried += 1
                 is_last = k == len(times) - 1 and problem.automaton.is_co_safe
-                team.of_plan(way, tuple(moved), moved[-1] if is_last else steps)
+                team.of_plan(Plan(way, tuple(moved), moved[-1] if is_last else steps))
         step = step if team.best[0] < before else step // 2

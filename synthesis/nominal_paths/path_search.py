@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,12 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
+from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import nonlinear_certificate
+from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
-from .words import Way, ways_of, without_implied, without_needless
+from .words import Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
 """Costs of inputs, against states, of the feedbacks that are tried."""
@@ -28,19 +30,13 @@ FACE_ROUNDS = 4
 """How often the sides on which regions are passed are chosen anew."""
 
 MOST_PLANS = 40
-"""Ways with times that are tried, and moves of single times after that."""
+"""Ways with times that are tried, and as many words of few cubes."""
+
+GOOD = 1e-3
+"""Probability of failing from which no words of few cubes are tried."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A way with the times of its jumps, over some steps."""
-
-    way: Way
-    times: tuple[int, ...]
-    steps: int
 
 
 def path_certificate(problem: Problem) -> Synthesis:
@@ -58,17 +54,18 @@ def path_certificate(problem: Problem) -> Synthesis:
         )
     linear = all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents)
     if problem.labeling.pairs or not linear:
-        return nonlinear_certificate(problem, ((plan.way, plan.times, plan.steps) for plan in _plans(problem)))
+        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem))
     _check(problem)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
-    for number, plan in enumerate(_plans(problem)):
-        if number >= MOST_PLANS or (best is not None and best[0] <= ENOUGH):
-            break
-        found = finder.of_plan(plan)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found[0], plan, found[1]
-    best = None if best is None else _with_better_times(finder, best)
+    for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
+        for plan in islice(plans, MOST_PLANS):
+            if best is not None and best[0] <= enough:
+                break
+            found = finder.of_plan(plan)
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found[0], plan, found[1]
+        best = None if best is None else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         raise RelationRefused("no nominal path along which the task is satisfied was found; ask for another relation")
     failure, plan, (paths, letters, faces) = best
@@ -89,18 +86,32 @@ def _check(problem: Problem) -> None:
 
 def _plans(problem: Problem) -> Iterator[Plan]:
     """Yield ways with times of their jumps: evenly spread, or as early or as late as possible."""
-    horizon, co_safe = problem.horizon, problem.automaton.is_co_safe
+    drifts = Drifts(problem)
     for way in ways_of(problem):
-        n = len(way.jumps)
-        if n > horizon or (n == 0 and co_safe):
+        n, seen = len(way.jumps), set[tuple[int, ...]]()
+        if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
             continue
-        seen = set()
         for share in (1.0, 0.6, 0.8):
-            last = max(n, round(share * horizon))
+            last = max(n, round(share * problem.horizon))
             times = tuple(max(k + 1, round((k + 1) * last / n)) for k in range(n))
             if times not in seen and all(a < b for a, b in zip(times, times[1:])):
                 seen.add(times)
-                yield Plan(way, times, times[-1] if co_safe else horizon)
+                yield from _possible(problem, drifts, way, times)
+
+
+def _segmented_plans(problem: Problem) -> Iterator[Plan]:
+    """Yield words of few cubes, each read from some time on."""
+    drifts = Drifts(problem)
+    for way, times in segmented_ways(problem):
+        yield from _possible(problem, drifts, way, times)
+
+
+def _possible(problem: Problem, drifts: Drifts, way: Way, times: tuple[int, ...]) -> Iterator[Plan]:
+    """Yield the plan of a way with times, unless agents that nobody steers rule it out."""
+    steps = times[-1] if problem.automaton.is_co_safe else problem.horizon
+    letters = way.letters(times, steps, len(problem.automaton.propositions))
+    if letters is not None and drifts.may_read(without_needless(problem, letters)):
+        yield Plan(way, times, steps)
 
 
 def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[float, Plan, Any]:
@@ -137,10 +148,7 @@ class _Finder:
         """Return failure, paths, letters and faces of a plan; None if it cannot be followed."""
         self.tried += 1
         problem = self.problem
-        letters = plan.way.letters(plan.times, plan.steps, len(problem.automaton.propositions))
-        if letters is None:
-            return None
-        letters = without_implied(problem, without_needless(problem, letters))
+        letters = letters_of(problem, plan)
         if letters is None:
             return None
         faces = np.full(letters.shape, -1)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,11 @@ Cube = tuple[tuple[int, bool], ...]
 
 @dataclass(frozen=True)
 class Way:
-    """A way through the automaton: the cube of each stay (None where it does not stay), and of each jump."""
+    """What is read: the cube of each stay (None where there is none), and of each jump from one stay to the next.
+
+    As a rule stays and jumps are those in the automaton. Where another cube is read from some time on, though, that is
+    a jump, too: one waits beside a lane until nobody else is in it, for instance.
+    """
 
     stays: tuple[Cube | None, ...]
     jumps: tuple[Cube, ...]
@@ -51,6 +56,14 @@ class Way:
                 letters[t, p] = 1 if holds else -1
             state += jumps_now
         return letters
+
+
+class Plan(NamedTuple):
+    """A way with the times of its jumps, over some steps."""
+
+    way: Way
+    times: tuple[int, ...]
+    steps: int
 
 
 def ways_of(problem: Problem) -> Iterator[Way]:
@@ -142,7 +155,7 @@ def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
         key = letter.tobytes()
         for q in states:
             if (q, key) not in known:
-                known[q, key] = _targets(automaton, q, letter.tolist())
+                known[q, key] = targets_of(automaton, q, letter.tolist())
         states = {target for q in states for target in known[q, key]}
         # From a dead state no word is accepted.
         if any(automaton.dead[q] for q in states):
@@ -150,7 +163,7 @@ def is_accepted(problem: Problem, letters: NDArray[np.int8]) -> bool:
     return all(automaton.accepting[q] for q in states)
 
 
-def _targets(automaton: Automaton, q: int, letter: list[int]) -> set[int]:
+def targets_of(automaton: Automaton, q: int, letter: list[int]) -> set[int]:
     """Return the states to which letters lead that agree with one, -1, 0 or 1 for each proposition."""
     entries, seen, targets = [int(automaton.root[q])], set[int](), set[int]()
     while entries:
@@ -197,3 +210,14 @@ def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.i
                 return None
             letters[both, p] = 0
     return letters
+
+
+def letters_of(problem: Problem, plan: Plan) -> NDArray[np.int8] | None:
+    """Return the letters (S + 1, P) of a plan, less what follows or is not needed.
+
+    None if they contradict each other, or are not accepted: times may be moved although a task counts steps.
+    """
+    letters = plan.way.letters(plan.times, plan.steps, len(problem.automaton.propositions))
+    if letters is None or not is_accepted(problem, letters):
+        return None
+    return without_implied(problem, without_needless(problem, letters))

@@ -1,0 +1,45 @@
+"""Agents that nobody steers: what they do without noise says which letters are likely, before any path is planned."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.agents import contains
+from ...envs.problem import Problem
+from .nonlinear_model import NonlinearModel
+
+
+class Drifts:
+    """The letters that agents without a choice of inputs read if there is no noise.
+
+    Nothing is proved by them: they spare the search plans in which such an agent would have to be elsewhere.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    @cached_property
+    def letters(self) -> NDArray[np.int8]:
+        """Letters (T + 1, P): 1 where a proposition holds, -1 where it does not, 0 where inputs decide."""
+        problem = self.problem
+        names = problem.automaton.propositions
+        letters = np.zeros((problem.horizon + 1, len(names)), dtype=np.int8)
+        for agent, own in zip(problem.agents, problem.labeling.agent_propositions, strict=True):
+            if not len(own) or not np.array_equal(agent.input_low, agent.input_high):
+                continue
+            model, states = NonlinearModel(agent), [0.5 * (agent.initial.low + agent.initial.high)]
+            for _ in range(problem.horizon):
+                states.append(model.step(states[-1][:, None], agent.input_low[:, None])[:, 0])
+            outputs = agent.outputs(np.array(states))
+            for p in own:
+                region = problem.propositions[names[p]]
+                letters[:, p] = np.where(contains(outputs.T, region.low, region.high), 1, -1)
+        return letters
+
+    def may_read(self, letters: NDArray[np.int8]) -> bool:
+        """Return whether letters (S + 1, P), of which 0 asks for nothing, agree with all that nobody steers."""
+        asked, told = letters[1:], self.letters[1 : len(letters)]
+        return not np.any(asked * told < 0)
