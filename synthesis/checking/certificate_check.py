@@ -137,6 +137,10 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     except FloatingPointError as error:
         failures = (f"its numbers are too large or too small to be computed with ({error})",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+    except (IndexError, ValueError) as error:
+        # The reader of files refuses arrays that do not fit together; in memory nobody has looked at them.
+        failures = (f"its arrays do not fit together ({error})",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
 
 
 def checkable(certificate: Any) -> Any:

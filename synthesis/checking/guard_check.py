@@ -62,6 +62,12 @@ def _wrong_guards(
 ) -> list[str]:
     """What is wrong with one set of guards."""
     problem, automaton = certificate.problem, certificate.problem.automaton
+    # numpy would count numbers below 0 from the end, which is nobody's guard
+    sizes = np.array([len(own) for own in masks])
+    if np.any((mask < 0) | (mask >= sizes)):
+        return ["a guard names a set of cells that is not in the certificate"]
+    if any(np.any((states < 0) | (states >= automaton.n_states)) for states in (source, target)):
+        return ["a guard names an automaton state that there is not"]
     meets, letters = [], []
     for i, (part, own, margin) in enumerate(zip(certificate.agents, masks, margins, strict=True)):
         meets.append((own.astype(np.int64) @ own.T.astype(np.int64)) > 0)
