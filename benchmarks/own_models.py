@@ -1,0 +1,97 @@
+"""What a stranger's models get without any option: certify, check and simulate every file of ``examples/own``.
+
+``python benchmarks/own_models.py [FILE ...]`` prints a line for each file; without files, all of them, and the page
+``docs/own_models.md`` is written anew. Seconds are processor seconds of search and check.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import certigym as cg
+from certigym.envs.agents import write_json, write_text
+from certigym.synthesis.certificates import significant_down
+
+ROOT = Path(__file__).parent.parent
+FOLDER, PAGE, NUMBERS = ROOT / "examples" / "own", ROOT / "docs" / "own_models.md", ROOT / "docs" / "own_models.json"
+
+EPISODES, SEED = 100_000, 0
+
+HEAD = """# Models as strangers bring them
+
+Files of [`examples/own`](https://github.com/certigym/certigym/tree/main/examples/own), written as a newcomer would: from textbooks, and without an eye on what the
+package is good at. Each was certified **without any option**, checked, and met by 100,000 rollouts: `python benchmarks/own_models.py`. Seconds are processor
+seconds of search and check on one core. "Failure at most" is one less the certified bound, rounded up; rollouts say how often the certified controller succeeded.
+
+| file | what it is | way | certified | failure at most | rollouts | seconds | check |
+|---|---|---|---|---|---|---|---|
+"""
+
+
+def measured(file: Path) -> dict[str, Any]:
+    """Return what one file gets: way, bound, share of rollouts, seconds and check."""
+    problem = cg.load_problem(file)
+    began = time.process_time()
+    row: dict[str, Any] = {"file": file.name, "what": _what(problem)}
+    try:
+        result = cg.synthesize(problem)
+    except ValueError as refusal:
+        return {**row, "refused": " ".join(str(refusal).split()), "seconds": round(time.process_time() - began, 1)}
+    report = cg.check(result.certificate, problem)
+    seconds = time.process_time() - began
+    rate = cg.validate(result, EPISODES, seed=SEED)
+    tried = result.stats.get("tried") or {}
+    bounds = {name: value for name, value in tried.items() if isinstance(value, float)}
+    way = max(bounds, key=lambda name: bounds[name]) if bounds else _way(result.certificate)
+    return {
+        **row,
+        "way": way,
+        "certified": float(result.certificate.lower_bound),
+        "rollouts": float(rate.estimate),
+        "seconds": round(seconds, 1),
+        "check": "valid" if report else "NOT valid",
+    }
+
+
+def _way(certificate: Any) -> str:
+    settings = getattr(certificate, "settings", {})
+    return str(settings.get("relation", type(certificate).__name__))
+
+
+def _what(problem: cg.Problem) -> str:
+    """Return agents, states, inputs and steps in a few words."""
+    sizes = [f"{agent.n_states}/{agent.n_inputs}" for agent in problem.agents]
+    n = len(sizes)
+    kinds = ", ".join(
+        f"{sizes.count(size)} x {size}" if sizes.count(size) > 1 else size for size in dict.fromkeys(sizes)
+    )
+    return f"{n} agent{'s' * (n > 1)} (states/inputs {kinds}), {problem.horizon} steps"
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """Return the page."""
+    lines = []
+    for row in rows:
+        if "refused" in row:
+            lines.append(f"| {row['file']} | {row['what']} | refused: {row['refused']} | | | | {row['seconds']} | |")
+            continue
+        lines.append(
+            f"| {row['file']} | {row['what']} | {row['way']} | {significant_down(row['certified'], 6)} "
+            f"| {1.0 - row['certified']:.2g} | {row['rollouts']:.5f} | {row['seconds']} | {row['check']} |"
+        )
+    return HEAD + "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    files = [Path(name) for name in sys.argv[1:]] or sorted(FOLDER.glob("*.toml"))
+    found = []
+    for file in files:
+        found.append(measured(file))
+        print(json.dumps(found[-1]), flush=True)
+    if not sys.argv[1:]:
+        write_json(NUMBERS, found)
+        write_text(PAGE, page(found))
