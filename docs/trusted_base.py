@@ -20,7 +20,7 @@ TRUSTED = {
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
         "envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
-        "envs.agents.products envs.arrays.libraries "
+        "envs.agents.products envs.agents.proposition envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "

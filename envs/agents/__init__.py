@@ -14,12 +14,13 @@ from .checks import (
     unknown_argument,
 )
 from .expression_agent import Agent
-from .labeling import Labeling, Proposition, contains, inside
+from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
+from .proposition import TIME, Proposition
 from .saving import write_bytes, write_json, write_text
 
 __all__ = [
@@ -31,11 +32,13 @@ __all__ = [
     "Law",
     "LinearAgent",
     "MOST_AGENTS",
+    "MOVING_REFUSAL",
     "Pair",
     "PairRegion",
     "Place",
     "Proposition",
     "REFUSAL",
+    "TIME",
     "Uniform",
     "UnknownArgument",
     "box_text",

@@ -84,6 +84,15 @@ class AnyAgent(ABC):
         """What determines how the agent moves, apart from noise, boxes and names of agents: for comparisons."""
 
     @property
+    def names_time(self) -> bool:
+        """Whether the dynamics, or the scale of the noise, name the time `t`."""
+        return False
+
+    def at(self, time: int) -> Self:
+        """Return the agent as it moves at one control step, 0 to T - 1; itself where no expression names the time."""
+        return self
+
+    @property
     def model_key(self) -> tuple[bytes, ...]:
         """What determines finite models of the agent apart from relation, cells and labels, as bytes."""
         arrays = (self.state_low, self.state_high, self.input_low, self.input_high)

@@ -4,7 +4,9 @@ Model (docs/theory/boxes.md, "Boxes of expressions"), with noise w independent o
 
     x' = f(x, u, v) + w,      y = g(x),      x in the workspace,      u in the input box,      v in the disturbance box.
 
-`f` may also name states and inputs of other agents, such as `leader.position` and `boiler.heat` (see ``neighbours``).
+`f` may also name states and inputs of other agents, such as `leader.position` and `boiler.heat` (see ``neighbours``),
+and the time: `t` is the number of control steps taken before this one, 0 to T - 1, unless something declared has this
+name. At each step such an agent is one with a number in the place of `t` (`at`).
 
 `f` and `g` are functions of real numbers; simulations compute them in double precision.
 """
@@ -20,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import is_host, namespace
+from ..arrays import double, is_host, namespace
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
 from .any_agent import IDLE, AnyAgent, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
@@ -30,6 +32,10 @@ from .laws import Law
 from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
 from .printing import counted, names_text, shortened, tree_text
+from .proposition import TIME
+
+MOST_TIMES = 4096
+"""Steps for which the agent is remembered as it moves then: beyond them the memory starts afresh."""
 
 MOST_SHOWN = 4
 """Dynamics that are written out when an agent prints itself."""
@@ -59,8 +65,8 @@ class Agent(AnyAgent):
     states, inputs : sequences of str
         Names of the d states and m inputs, at least one of each.
     dynamics : sequence of str
-        The mean of each state one step later, in states, inputs, parameters and disturbances, and in states and inputs
-        of other agents of the problem (`leader.position`, `boiler.heat`).
+        The mean of each state one step later, in states, inputs, parameters and disturbances, in states and inputs
+        of other agents of the problem (`leader.position`, `boiler.heat`), and in the time `t` of the step, 0 to T - 1.
     parameters : mapping from str to float, optional
         Numbers by name.
     disturbances : mapping from str to (low, high), optional
@@ -72,7 +78,7 @@ class Agent(AnyAgent):
         Directions of the components with those laws, as columns; the states by default.
     noise_scale : sequence of str, optional
         What the noise of each state is multiplied with, such as `0.1 + 0.05*abs(x)`: expressions in states, inputs,
-        parameters and disturbances, positive in the workspace. They go with `noise`, one law for each state.
+        parameters, disturbances and `t`, positive in the workspace. They go with `noise`, one law for each state.
     noise_covariance : array_like, shape (d, d), optional
         **Covariance** (not standard deviation) of the noise: exactly symmetric, positive semidefinite.
     state_low, state_high : array_like, shape (d,)
@@ -174,7 +180,7 @@ class Agent(AnyAgent):
             object.__setattr__(self, key, value)  # the record is frozen
         self._check_names()
         # Read all expressions now, so that mistakes show where they are made.
-        assert self.trees and self.output_trees
+        assert self._all_trees and self.output_trees
         if self.noise_scale is not None:
             self._scale_noise(noise)
 
@@ -186,14 +192,14 @@ class Agent(AnyAgent):
         if any(isinstance(law, ScipyLaw) for law in laws):
             raise ValueError("`noise_scale`: expected laws that can be scaled, got one of scipy")
         # A scale of 1 everywhere, however it is written, is none: nothing is charged for what does not vary.
-        if set(self.scale_trees) == {Number(1.0)}:
-            del self.__dict__["scale_trees"]
+        if set(self._all_scale_trees) == {Number(1.0)}:
+            del self.__dict__["_all_scale_trees"]
             object.__setattr__(self, "noise_scale", None)
             return
         # As laws even where all are Gaussian: what is made for Gaussian noise counts on a covariance everywhere.
         object.__setattr__(self, "laws", laws)
         middle = np.array(self.workspace.center)
-        scale = self.scales(middle, np.array(self.input_box.center))
+        scale = self.scales(middle, np.array(self.input_box.center), time=0)
         usable = np.where(np.isfinite(scale) & (scale > 0.0), scale, 1.0)
         variances = np.array([law.std for law in laws]) * usable
         object.__setattr__(self, "noise_covariance", read_only(np.diag(variances**2)))
@@ -236,19 +242,78 @@ class Agent(AnyAgent):
 
     @cached_property
     def trees(self) -> tuple[Tree, ...]:
-        """Dynamics as expression trees, the parameters put in."""
-        names = (*self.states, *self.inputs, *self.disturbances, *self.others)
-        inside: dict[str, Tree] = {name: Name(neighbour(k)) for k, name in enumerate(self.others)}
-        trees = (self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
-        return tuple(substituted(tree, inside) if inside else tree for tree in trees)
+        """Dynamics as expression trees, the parameters put in; ValueError where they name the time (see `at`)."""
+        self._refuse_time()
+        return self._all_trees
 
     @cached_property
     def scale_trees(self) -> tuple[Tree, ...]:
         """What the noise of each state is multiplied with, the parameters put in; empty without a `noise_scale`.
 
-        What has no names and is 1 is the number 1, whatever it was written as.
+        What has no names and is 1 is the number 1, whatever it was written as. ValueError where the agent names the
+        time (see `at`).
         """
-        names = (*self.states, *self.inputs, *self.disturbances)
+        self._refuse_time()
+        return self._all_scale_trees
+
+    @cached_property
+    def names_time(self) -> bool:
+        """Whether the dynamics, or the scale of the noise, name the time `t`."""
+        return bool(self._time) and any(TIME in names_in(tree) for tree in (*self._all_trees, *self._all_scale_trees))
+
+    @cached_property
+    def _time(self) -> tuple[str, ...]:
+        """The name of the time, unless something that is declared has it."""
+        declared = (*self.states, *self.inputs, *self.parameters, *self.disturbances)
+        return () if TIME in declared else (TIME,)
+
+    def at(self, time: int) -> Agent:
+        """Return the agent as it moves at one control step, 0 to T - 1: the time becomes one of its parameters.
+
+        Raises
+        ------
+        ValueError
+            If an expression is not defined at this time, such as `1/t` at 0.
+        """
+        if not self.names_time:
+            return self
+        if time not in self._at_times:
+            if len(self._at_times) >= MOST_TIMES:
+                self._at_times.clear()
+            data = {**self.to_dict(), "parameters": {**self.parameters, TIME: float(time)}}
+            try:
+                agent = type(self)(**data)
+            except ValueError as error:
+                raise ValueError(f"agent `{self.name}` at t = {time}: {error}") from None
+            tied_to = () if self.neighbour_ranges is None else (self.neighbour_ranges, self.neighbour_inputs)
+            self._at_times[time] = agent.tied_to(*tied_to) if tied_to else agent
+        return self._at_times[time]
+
+    @cached_property
+    def _at_times(self) -> dict[int, Agent]:
+        """The agent at the steps that were asked for."""
+        return {}
+
+    def _refuse_time(self) -> None:
+        """Raise ValueError if the agent moves otherwise at every time: it has no expressions of its own then."""
+        if self.names_time:
+            raise ValueError(
+                f"agent `{self.name}`: expected dynamics that are the same at every step, got some that name the time "
+                "`t`; ask for the agent `at` a step, and certify with the relation `path`, or `boxes`"
+            )
+
+    @cached_property
+    def _all_trees(self) -> tuple[Tree, ...]:
+        """Dynamics as expression trees, the parameters put in; they may name the time."""
+        names = (*self.states, *self.inputs, *self.disturbances, *self.others, *self._time)
+        inside: dict[str, Tree] = {name: Name(neighbour(k)) for k, name in enumerate(self.others)}
+        trees = (self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
+        return tuple(substituted(tree, inside) if inside else tree for tree in trees)
+
+    @cached_property
+    def _all_scale_trees(self) -> tuple[Tree, ...]:
+        """What the noise is multiplied with, as `scale_trees`; it may name the time."""
+        names = (*self.states, *self.inputs, *self.disturbances, *self._time)
         trees = [self._tree(text, "noise_scale", k, names) for k, text in enumerate(self.noise_scale or ())]
         return tuple(
             Number(1.0) if not names_in(tree) and computed([tree], {})[0][0] == 1.0 else tree for tree in trees
@@ -346,7 +411,7 @@ class Agent(AnyAgent):
             parts = (*parts, self.noise_scale)
         if self.others:  # agents in equal places are equal, though their neighbours have other names
             beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
-            parts = (*parts[:2], repr(self.trees), *parts[3:], *beside)
+            parts = (*parts[:2], repr(self._all_trees), *parts[3:], *beside)
         return (b"expressions", repr(parts).encode())
 
     @cached_property
@@ -360,11 +425,13 @@ class Agent(AnyAgent):
         u: np.ndarray,
         disturbances: np.ndarray | None = None,
         neighbours: np.ndarray | None = None,
+        time: Any = None,
     ) -> np.ndarray:
         """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)`` (rounded).
 
         `disturbances` ``(k, *S)`` are those of the step; by default each is the number of its interval nearest to 0.
         `neighbours` ``(l, *S)`` are the states and inputs of `others`; by default the middles of their intervals.
+        `time` is the step, a number or an array ``(S[-1],)``; ValueError without one if the dynamics name the time.
         """
         disturbances = self._calm(x) if disturbances is None else disturbances
         if neighbours is None and self.others:
@@ -374,14 +441,26 @@ class Agent(AnyAgent):
             )
         arrays = (x, u, disturbances, () if neighbours is None else neighbours)
         values = {name: _one_axis(row) for names, rows in self._rows(*arrays) for name, row in zip(names, rows)}
-        return namespace(x).stack(computed(self.trees, values)).reshape(x.shape)
+        values |= self._at(time, x)
+        return namespace(x).stack(computed(self._all_trees, values)).reshape(x.shape)
 
-    def scales(self, x: np.ndarray, u: np.ndarray, disturbances: np.ndarray | None = None) -> np.ndarray:
+    def _at(self, time: Any, x: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the time by its name, beside states ``(d, *S)``; nothing if nothing names it."""
+        if not self.names_time:
+            return {}
+        if time is None:
+            self._refuse_time()
+        return {TIME: _times(time, x)}
+
+    def scales(
+        self, x: np.ndarray, u: np.ndarray, disturbances: np.ndarray | None = None, time: Any = None
+    ) -> np.ndarray:
         """Return what the noise of each state is multiplied with ``(d, *S)``, arguments as for `mean` (rounded)."""
         disturbances = self._calm(x) if disturbances is None else disturbances
         named = zip((self.states, self.inputs, tuple(self.disturbances)), (x, u, disturbances))
         values = {name: _one_axis(row) for names, rows in named for name, row in zip(names, rows)}
-        return namespace(x).stack(computed(self.scale_trees, values)).reshape(x.shape)
+        values |= self._at(time, x)
+        return namespace(x).stack(computed(self._all_scale_trees, values)).reshape(x.shape)
 
     def _calm(self, x: np.ndarray) -> np.ndarray:
         """Return the disturbances ``(k, *S)`` that are nearest to 0, for states ``(d, *S)``."""
@@ -429,6 +508,14 @@ class Agent(AnyAgent):
         if not self.has_identity_output:
             data["outputs"] = list(self.output_expressions)
         return data
+
+
+def _times(time: Any, x: np.ndarray) -> np.ndarray:
+    """Return times, a number or one for each place of the last axis of states ``(d, *S)``, as doubles ``S``."""
+    row = _one_axis(x[0])
+    xp = namespace(row)
+    # Not 0 times the states: these may be infinite.
+    return xp.zeros_like(row) + (xp.full_like(row, float(time)) if np.ndim(time) == 0 else double(time))
 
 
 def _one_axis(row: np.ndarray) -> np.ndarray:

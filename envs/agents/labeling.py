@@ -8,6 +8,7 @@ pairs that hold. Rules:
 - a region is half-open: `low <= y < high`, so that neighbours share no point;
 - with `C = I`, a region that reaches the upper edge of the workspace is closed there (its upper bound becomes
   infinite: leaving the workspace is decided separately, and first);
+- a region may move with the time; at each time the rules above hold for where it is then;
 - the box of a pair is half-open: `low <= y_a - y_b < high`, the difference as floating point computes it.
 
 Reference: docs/theory/setting.md, "Letters and words".
@@ -17,53 +18,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from .any_agent import AnyAgent
-from .box import Box
-from .checks import read_only, shown
+from .checks import read_only
 from .pair import REFUSAL, Pair, PairRegion, pair_region
-from .printing import box_text, counted, names_text, tree_text
+from .printing import counted, names_text, tree_text
+from .proposition import Proposition
 
+MOVING_REFUSAL = (
+    "`problem`: expected regions that stand still, got some whose corners name the time `t`; ask the labelling `at` a "
+    "time, and certify with the relation `path`, or `boxes`"
+)
+"""What is said where regions that move are not understood."""
 
-@dataclass(frozen=True, eq=False, init=False, repr=False)
-class Proposition:
-    """A box in the output space of one agent, half-open: `low <= y < high`.
-
-    Attributes
-    ----------
-    agent : str
-        Name of the agent. A name with one `*` makes the proposition a family: one member per agent that matches.
-    low, high : np.ndarray, shape (p,)
-        Corners, finite, `low < high`. They may lie beyond the workspace.
-    """
-
-    agent: str
-    low: np.ndarray
-    high: np.ndarray
-
-    def __init__(self, agent: str, low: Any, high: Any) -> None:
-        if not isinstance(agent, str) or agent.count("*") > 1:
-            raise ValueError(f"`agent`: expected a name with at most one `*`, got {shown(agent)}")
-        box = Box(low, high)
-        object.__setattr__(self, "agent", agent)
-        object.__setattr__(self, "low", box.low)
-        object.__setattr__(self, "high", box.high)
-
-    # Rebuilt from its arguments: a pickled array would come back writable.
-    def __reduce__(self) -> tuple[type[Proposition], tuple[Any, ...]]:
-        return Proposition, (self.agent, self.low, self.high)
-
-    def __repr__(self) -> str:
-        return f"Proposition({self.agent!r}, {box_text(self.low, self.high, closed=False)})"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the proposition as plain values, keyed as in problem files (exact)."""
-        return {"agent": self.agent, "low": self.low.tolist(), "high": self.high.tolist()}
+MOST_TIMES = 2048
+"""Times of which the regions are remembered: beyond them the memory starts afresh."""
 
 
 def inside(x: Any, low: Any, high: Any) -> Any:
@@ -88,6 +62,32 @@ def contains(y: Any, low: Any, high: Any) -> Any:
     return result
 
 
+def at_the_edge(agent: AnyAgent, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (p, S) of regions, infinite where the upper edge of the workspace decides: with y = x.
+
+    A region that reaches it is closed there; one that begins there, as it may where it moves, holds nowhere.
+    """
+    if not agent.has_identity_output:
+        return low, high
+    edge = agent.state_high[:, None]
+    return np.where(low >= edge, np.inf, low), np.where((high >= edge) & (low < high), np.inf, high)
+
+
+class _NoCorners:
+    """What stands in the place of corners that depend on the time: whoever reads it is told so."""
+
+    def _refused(self, *_: Any) -> Any:
+        raise ValueError(MOVING_REFUSAL)
+
+    __getitem__ = __iter__ = __len__ = _refused
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _NoCorners, ()
+
+
+_NO_CORNERS = _NoCorners()
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Labeling:
     """The labelling of one problem: its propositions, agent by agent, and their regions; then those about pairs.
@@ -103,6 +103,9 @@ class Labeling:
         Per agent: corners of its regions; the upper ones are infinite where a region is closed at the workspace edge.
     pairs : tuple of PairRegion
         Propositions about two agents, in the order of the last names.
+    moving : mapping from str to Proposition
+        All propositions of single agents, if a region of one of them moves with the time; empty otherwise. Then there
+        are no corners here, and whoever asks for them, or for letters, gets a ValueError: `at` a time there are.
     """
 
     agents: tuple[AnyAgent, ...]
@@ -111,34 +114,80 @@ class Labeling:
     low: tuple[np.ndarray, ...]
     high: tuple[np.ndarray, ...]
     pairs: tuple[PairRegion, ...] = ()
+    moving: Mapping[str, Proposition] = field(default_factory=dict)
+    _known: dict[int, Labeling] = field(default_factory=dict)
 
     @classmethod
     def of(cls, agents: Sequence[AnyAgent], propositions: Mapping[str, Proposition | Pair]) -> Labeling:
         """Return the labelling for propositions without `*`, ordered agent by agent, then as declared."""
-        names_of: dict[str, list[str]] = {agent.name: [] for agent in agents}
         by_name = {agent.name: agent for agent in agents}
+        for name, proposition in propositions.items():
+            if isinstance(proposition, Proposition):
+                _check_region(name, proposition, by_name)
+        return cls._of(agents, propositions)
+
+    @classmethod
+    def _of(cls, agents: Sequence[AnyAgent], propositions: Mapping[str, Proposition | Pair]) -> Labeling:
+        """Return the labelling for regions that may lie beyond workspaces, or be empty."""
+        names_of: dict[str, list[str]] = {agent.name: [] for agent in agents}
         of_pairs = {name: value for name, value in propositions.items() if isinstance(value, Pair)}
         of_agents = {name: value for name, value in propositions.items() if isinstance(value, Proposition)}
         for name, proposition in of_agents.items():
-            _check_region(name, proposition, by_name)
             names_of[proposition.agent].append(name)
+        moving = of_agents if any(proposition.moves for proposition in of_agents.values()) else {}
         names: list[str] = []
         positions, lows, highs = [], [], []
         for agent in agents:
             agent_names = names_of[agent.name]
             positions.append(read_only(np.arange(len(names), len(names) + len(agent_names))))
             names.extend(agent_names)
+            if moving:
+                continue
             # The shape is spelled out for agents without propositions.
             shape = (len(agent_names), agent.n_outputs)
             low = np.array([of_agents[name].low for name in agent_names]).reshape(shape).T
             high = np.array([of_agents[name].high for name in agent_names]).reshape(shape).T
-            # With y = x a region that reaches the upper edge of the workspace is closed there.
-            if agent.has_identity_output:
-                high = np.where(high >= agent.state_high[:, None], np.inf, high)
-            lows.append(read_only(low))
-            highs.append(read_only(high))
+            for corners, own in zip((lows, highs), at_the_edge(agent, low, high), strict=True):
+                corners.append(read_only(own))
         pairs = tuple(pair_region(name, pair, agents) for name, pair in of_pairs.items())
-        return cls(tuple(agents), (*names, *of_pairs), tuple(positions), tuple(lows), tuple(highs), pairs)
+        both: Any = (tuple(lows), tuple(highs)) if not moving else (_NO_CORNERS, _NO_CORNERS)
+        return cls(tuple(agents), (*names, *of_pairs), tuple(positions), *both, pairs, moving)
+
+    @property
+    def moves(self) -> bool:
+        """Whether a region moves with the time."""
+        return bool(self.moving)
+
+    def at(self, time: int) -> Labeling:
+        """Return the labelling with the regions of a time; itself if all of them stand still.
+
+        Raises
+        ------
+        ValueError
+            If a corner is not finite at this time.
+        """
+        if not self.moving:
+            return self
+        if time not in self._known:
+            if len(self._known) >= MOST_TIMES:
+                self._known.clear()
+            still = {name: proposition.at(time) for name, proposition in self.moving.items()}
+            self._known[time] = replace(Labeling._of(self.agents, still), names=self.names, pairs=self.pairs)
+        return self._known[time]
+
+    def corners_over(self, agent: int, n_times: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the corners of the regions of an agent at times 0, 1, ...: two arrays (n_times, p, P_i).
+
+        They are those of `at`, bit by bit.
+        """
+        names = [self.names[k] for k in self.agent_propositions[agent]]
+        shape = (self.agents[agent].n_outputs, n_times, len(names))
+        low, high = np.empty(shape), np.empty(shape)
+        for k, name in enumerate(names):
+            low[..., k], high[..., k] = self.moving[name].over(np.arange(n_times, dtype=float))
+        ends = at_the_edge(self.agents[agent], low.reshape(len(low), -1), high.reshape(len(low), -1))
+        first, last = (corners.reshape(shape).swapaxes(0, 1) for corners in ends)
+        return first, last
 
     @property
     def first_pair(self) -> int:
@@ -153,7 +202,7 @@ class Labeling:
 
     def without_pairs(self) -> Labeling:
         """Return the labelling of the propositions of single agents alone."""
-        return replace(self, names=self.names[: self.first_pair], pairs=())
+        return replace(self, names=self.names[: self.first_pair], pairs=(), _known={})
 
     def __repr__(self) -> str:
         numbers = Counter(len(positions) for positions in self.agent_propositions)
@@ -298,11 +347,13 @@ class Labeling:
 def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyAgent]) -> None:
     """Raise ValueError unless the region has the outputs' dimension and meets the workspace of its agent."""
     agent = agents[proposition.agent]
-    if proposition.low.size != agent.n_outputs:
+    if proposition.size != agent.n_outputs:
         raise ValueError(
             f"`propositions.{name}`: expected corners of length {agent.n_outputs} (outputs of agent {agent.name}), "
-            f"got length {proposition.low.size}"
+            f"got length {proposition.size}"
         )
+    if proposition.moves:
+        return  # it may pass beyond the workspace, and be empty at times
     if agent.has_identity_output:
         bottom, top = agent.state_low, agent.state_high
         outside = (proposition.low >= top) | (proposition.high <= bottom)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
+from ..arrays import namespace
 from ..problem import Problem
 
 Put = Callable[[np.ndarray], Any]
@@ -64,6 +65,7 @@ class Block:
     propositions, owners : np.ndarray of int, shape (k,)
         Propositions of these agents, and for each of them the position of its agent in the block.
     region_low, region_high : np.ndarray, shape (p, k, 1)
+        With an axis of times 0 to T in front if regions move (see `regions`).
     columns : np.ndarray of int, shape (d, n)
         Positions of the components in a joint state.
     beside : np.ndarray of int, shape (l, n)
@@ -89,7 +91,7 @@ class Block:
     beside: np.ndarray
 
     def __repr__(self) -> str:
-        (m, n), d, p = self.input_low.shape[:2], len(self.state_low), len(self.region_low)
+        (m, n), d, p = self.input_low.shape[:2], len(self.state_low), self.region_low.shape[-3]
         sizes = (counted(d, "state"), counted(m, "input"), counted(p, "output"))
         return f"Block({counted(n, 'agent')} with {', '.join(sizes)})"
 
@@ -145,6 +147,16 @@ class Block:
         # Outputs without a bound, and outputs that are all the same, have no width to measure by.
         width = (high - low).T[..., None]
         return np.where(np.isfinite(width) & (width > 0.0), width, 1.0)
+
+    def regions(self, time: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the corners of the regions at a time, (p, k, 1), or at a time for each world, (p, k, M)."""
+        if self.region_low.ndim == 3:
+            return self.region_low, self.region_high
+        if np.ndim(time) == 0:
+            return self.region_low[time], self.region_high[time]
+        xp = namespace(self.region_low)
+        low, high = (xp.moveaxis(corners[time][..., 0], 0, -1) for corners in (self.region_low, self.region_high))
+        return low, high
 
     @cached_property
     def input_range(self) -> tuple[float, float]:
@@ -235,8 +247,12 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         return read_only(np.stack([np.asarray(a) for a in arrays], axis=-1)[..., None])
 
     # Propositions of all agents of the block stand side by side; `owners` says which agent each belongs to.
-    regions_low = np.concatenate([labeling.low[i] for i in group], axis=1)
-    regions_high = np.concatenate([labeling.high[i] for i in group], axis=1)
+    # Regions that move have an axis of times in front.
+    corners = [
+        labeling.corners_over(i, problem.horizon + 1) if labeling.moves else (labeling.low[i], labeling.high[i])
+        for i in group
+    ]
+    regions_low, regions_high = (np.concatenate([own[side] for own in corners], axis=-1) for side in (0, 1))
     counts = [len(labeling.agent_propositions[i]) for i in group]
     return Block(
         agents=read_only(np.array(group)),

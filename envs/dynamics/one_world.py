@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class AgentNumbers(NamedTuple):
     input_low: Any
     input_high: Any
     regions: tuple[tuple[int, Any, Any], ...]
-    """Per proposition of the agent: its bit in a letter, lower and upper corner."""
+    """Per proposition of the agent: its bit in a letter, lower and upper corner; at time 0 if regions move."""
     draws: tuple[int, ...]
     """Positions of the agent's components among the numbers drawn in one step."""
     written: Agent | None
@@ -50,10 +51,10 @@ class AgentNumbers(NamedTuple):
     lawful: AnyAgent | None
     """The agent itself, if its noise is not Gaussian."""
 
-    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None, team: tuple[Any, Any]) -> list[float]:
+    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None, team: tuple[Any, Any], time: int) -> list[float]:
         """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1).
 
-        `team` holds the states of all agents before the step, and their inputs in it.
+        `team` holds the states of all agents before the step, and their inputs in it; `time` is that before the step.
         """
         if self.lawful is not None:
             z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
@@ -64,8 +65,8 @@ class AgentNumbers(NamedTuple):
             others = np.array([team[p.is_input][p.agent][p.component] for p in self.beside], dtype=float)[:, None]
         here, applied = np.array(x)[:, None], np.array(u, dtype=float)[:, None]
         if self.written.noise_scale is not None:
-            z = (self.written.scales(here, applied, v)[:, 0] * np.array(z)).tolist()
-        means = self.written.mean(here, applied, v, others)
+            z = (self.written.scales(here, applied, v, time)[:, 0] * np.array(z)).tolist()
+        means = self.written.mean(here, applied, v, others, time)
         return noisy(means[:, 0].tolist(), self.noise_factor, z)
 
     def outputs(self, x: Any) -> Any:
@@ -128,6 +129,7 @@ class OneWorld:
     n_draws: int
     _following: dict[tuple[int, int], int] = field(default_factory=dict)
     _names: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    _regions: dict[int, tuple[Any, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"OneWorld({self.dynamics!r})"
@@ -136,6 +138,7 @@ class OneWorld:
     def of(cls, dynamics: Dynamics) -> OneWorld:
         """Return the dynamics of a problem on plain numbers (exact)."""
         problem, labeling = dynamics.problem, dynamics.problem.labeling
+        still = labeling.at(0)  # where regions move, those of a time are asked for
         # `dynamics.noise` draws block after block, and in a block component after component for all its agents.
         rows = [len(block.columns) + extra_rows(dynamics, block) for block in dynamics.blocks]
         block_draws = slices_of(count * len(block.agents) for count, block in zip(rows, dynamics.blocks))
@@ -145,7 +148,7 @@ class OneWorld:
             n = len(dynamics.blocks[block].agents)
             positions = tuple(block_draws[block].start + c * n + place for c in range(rows[block]))
             draws = positions[: agent.n_states], positions[agent.n_states :]
-            corners = labeling.low[i].T, labeling.high[i].T
+            corners = still.low[i].T, still.high[i].T
             beside = [place_of(name, problem.agents) for name in agent.others] if isinstance(agent, Agent) else []
             own = _numbers(agent, *corners, labeling.agent_propositions[i], draws)
             numbers.append(own._replace(beside=tuple(beside)))
@@ -168,7 +171,7 @@ class OneWorld:
             for place, agent in enumerate(block.agents):
                 states[agent] = x[:, place, 0].tolist()
         failed = bool(worlds.failed[0])
-        letter = 0 if failed else self._letter(tuple(states))[0]
+        letter = 0 if failed else self._letter(tuple(states), int(worlds.time))[0]
         return World(tuple(states), int(worlds.q[0]), int(worlds.time), failed, bool(worlds.accepted[0]), letter)
 
     def step(self, world: World, inputs: Any, normals: Any) -> World:
@@ -186,8 +189,9 @@ class OneWorld:
         unknown = self._disturbances(world, inputs, normals)
         steps = zip(self.agents, world.states, inputs, unknown)
         team = world.states, inputs
-        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team) for a, x, u, v in steps])
-        letter, outside = self._letter(states)
+        now = world.time
+        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team, now) for a, x, u, v in steps])
+        letter, outside = self._letter(states, now + 1)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
         return World(states, q, world.time + 1, failed, accepted, 0 if failed else letter)
@@ -239,16 +243,36 @@ class OneWorld:
         places = (self.dynamics.position[i] for i in range(len(self.agents)))
         return [None if (values := found[b]) is None else values[:, k] for b, k in places]
 
-    def _letter(self, states: tuple[Any, ...]) -> tuple[int, bool]:
-        """Return the letter of the states, and whether an agent is outside its workspace."""
+    def _regions_at(self, time: int) -> tuple[Any, ...]:
+        """Return the regions of every agent at a time, as in `AgentNumbers`."""
+        labeling = self.dynamics.problem.labeling
+        if not labeling.moves:
+            return self._still
+        if time not in self._regions:
+            if len(self._regions) >= _MEMORY:
+                self._regions.clear()
+            here = labeling.at(time)
+            self._regions[time] = tuple(
+                tuple((1 << int(p), a, b) for p, a, b in zip(own, low.T.tolist(), high.T.tolist()))
+                for own, low, high in zip(here.agent_propositions, here.low, here.high)
+            )
+        return self._regions[time]
+
+    @cached_property
+    def _still(self) -> tuple[Any, ...]:
+        """The regions of every agent, if they stand still."""
+        return tuple(agent.regions for agent in self.agents)
+
+    def _letter(self, states: tuple[Any, ...], time: int) -> tuple[int, bool]:
+        """Return the letter of the states at a time, and whether an agent is outside its workspace."""
         # Propositions are the bits of an integer, which is quick to build and to look up.
         letter, outside = 0, False
         outputs = []
-        for a, x in zip(self.agents, states):
+        for a, x, regions in zip(self.agents, states, self._regions_at(time)):
             outside = outside or not inside(x, a.state_low, a.state_high)
             y = a.outputs(x)
             outputs.append(y)
-            for bit, low, high in a.regions:
+            for bit, low, high in regions:
                 if contains(y, low, high):
                     letter |= bit
         labeling = self.dynamics.problem.labeling

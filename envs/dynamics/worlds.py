@@ -9,9 +9,9 @@ written for anything that adds, multiplies and compares: this module runs them o
 
 One step, in this order:
 
-1. `x' = A x + B u + c + L z`, or `f(x, u) + L z`, with `z` standard normal and `L L' = Sigma`;
+1. `x' = A x + B u + c + L z`, or `f(x, u, t) + L z`, with `z` standard normal and `L L' = Sigma`;
 2. a world in which any agent has left its workspace fails, even if another agent would complete the task in this step;
-3. the automaton reads the letter of x';
+3. the automaton reads the letter of x', with the regions of the time after the step;
 4. a co-safe task is accepted on entering an accepting state.
 
 Failed and accepted are absorbing; the states of decided worlds move on.
@@ -148,7 +148,8 @@ class Dynamics:
     @cached_property
     def reader(self) -> Reader | None:
         """Tables that judge worlds; None if they would be too large, or do not apply (see `tables.reader`)."""
-        if self.pairs or not self.is_host:  # tables read agent by agent, and count in place
+        # Tables read agent by agent, count in place, and know regions that stand still.
+        if self.pairs or not self.is_host or self.problem.labeling.moves:
             return None
         return reader(self.blocks, self.problem.labeling, self.problem.automaton, self.accepting, decided)
 
@@ -318,7 +319,8 @@ def moved_on(dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], n
     unknown = disturbances(dynamics, worlds, inputs, normals)
     others = neighbours(dynamics, worlds.states, inputs)
     steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, others)
-    states = tuple(successor(block, x, u, z, v, beside) for block, x, u, z, v, beside in steps)
+    now = worlds.time
+    states = tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
     return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
 
 
@@ -353,10 +355,12 @@ def successor(
     z: np.ndarray,
     v: np.ndarray | None = None,
     beside: np.ndarray | None = None,
+    time: Any = None,
 ) -> np.ndarray:
     """Return the next states of a block, shape (d, n, M).
 
-    `v` (k, n, M) are disturbances and `beside` (l, n, M) states and inputs of others, if there are any.
+    `v` (k, n, M) are disturbances and `beside` (l, n, M) states and inputs of others, if there are any. `time` is that
+    before the step, a number or one for each world; it may be left out where nothing names it.
     Under an unstable A the states of a decided world may overflow; infinity and NaN lie outside every workspace.
     """
     components = []
@@ -364,8 +368,8 @@ def successor(
     with np.errstate(over="ignore", invalid="ignore"):
         if isinstance(block.motion, WrittenMotion):
             agent = block.motion.agent
-            z = z if agent.noise_scale is None else agent.scales(x, u, v) * z
-            return namespace(x).stack(noisy(agent.mean(x, u, v, beside), block.noise_factor, z))
+            z = z if agent.noise_scale is None else agent.scales(x, u, v, time) * z
+            return namespace(x).stack(noisy(agent.mean(x, u, v, beside, time), block.noise_factor, z))
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]
@@ -373,8 +377,11 @@ def successor(
     return namespace(x).stack(components) if len(components) > 1 else components[0][None]
 
 
-def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
-    """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block."""
+def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any) -> np.ndarray:
+    """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block.
+
+    `time` is that of the states, a number or one for each world: regions may move.
+    """
     rows: list[np.ndarray] = []
     outputs: dict[int, np.ndarray] = {}
     for b, (block, x) in enumerate(zip(dynamics.blocks, states)):
@@ -384,7 +391,7 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray]) -> np.ndarray:
         if len(block.propositions):
             # One row per proposition: the outputs of the agent that owns it.
             y = outputs[b][:, block.owners]
-            rows.append(contains(y, block.region_low, block.region_high))
+            rows.append(contains(y, *block.regions(time)))
     rows += [contains(difference(pairs, outputs), pairs.low, pairs.high) for pairs in dynamics.pairs]
     if not rows:
         return dynamics.put(np.zeros((0, states[0].shape[-1]), dtype=bool))
@@ -431,7 +438,7 @@ def _read(
     if dynamics.reader is not None:
         q, failed, accepted = dynamics.reader.read(states, q, failed)
     else:
-        following = dynamics.automaton.next_state(q, letters(dynamics, states))
+        following = dynamics.automaton.next_state(q, letters(dynamics, states, time))
         q, failed, accepted = decided(dynamics.accepting, q, following, failed, accepted, _outside(dynamics, states))
     if not dynamics.is_host:
         return Worlds(states, q, time, failed, accepted)

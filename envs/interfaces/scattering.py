@@ -35,12 +35,15 @@ def scattered(dynamics: Dynamics, worlds: Worlds, chosen: np.ndarray, rng: np.ra
     left = np.flatnonzero(chosen)
     for _ in range(TRIES):
         drawn = tuple(_uniform(block, left.size, rng) for block in dynamics.blocks)
-        following = automaton.next_state(rng.choice(undecided, left.size), core.letters(dynamics, drawn))
+        # Where regions move, letters depend on the time; else a time is drawn for those alone that are put somewhere.
+        moves = dynamics.problem.labeling.moves
+        times = rng.integers(0, dynamics.problem.horizon, left.size) if moves else np.zeros(left.size, dtype=int)
+        following = automaton.next_state(rng.choice(undecided, left.size), core.letters(dynamics, drawn, times))
         good = ~automaton.absorbing[following]
         for x, new in zip(states, drawn):
             x[..., left[good]] = new[..., good]
         q[left[good]] = following[good]
-        time[left[good]] = rng.integers(0, dynamics.problem.horizon, int(good.sum()))
+        time[left[good]] = times[good] if moves else rng.integers(0, dynamics.problem.horizon, int(good.sum()))
         left = left[~good]
         if not left.size:
             break

@@ -187,7 +187,7 @@ class Potential:
                     y = block.outputs(x)[:, block.owners]
                     # The width is that of the outputs of the workspace.
                     width = block.output_width[:, block.owners]
-                    rows.append(_joined(y, block.region_low, block.region_high, width, joined))
+                    rows.append(_joined(y, *block.regions(worlds.time), width, joined))
         rows += self._gaps_of_pairs(worlds, joined)
         if not rows:
             return self.dynamics.put(np.zeros((0, worlds.n_worlds)))
@@ -240,12 +240,14 @@ def _letters(manager: Any, root: int) -> Iterator[tuple[frozenset[int], int]]:
 
 
 def _possible(dynamics: Dynamics, letter: frozenset[int]) -> bool:
-    """Return whether the regions of every agent in a letter have a point in common."""
+    """Return whether the regions of every agent in a letter have a point in common, at some time if they move."""
     for block in dynamics.blocks:
         for agent in np.unique(block.owners):
             held = [k for k, p in enumerate(block.propositions) if block.owners[k] == agent and int(p) in letter]
-            if held and (block.region_low[:, held].max(axis=1) >= block.region_high[:, held].min(axis=1)).any():
-                return False
+            if held:
+                low, high = block.region_low[..., held, :].max(axis=-2), block.region_high[..., held, :].min(axis=-2)
+                if (low >= high).any(axis=(-2, -1)).all():
+                    return False
     return True
 
 

@@ -229,7 +229,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self.render_mode is None:
             return None
         worlds, picture = self._present(), Picture(self.problem)
-        holds = core.letters(self._dynamics, worlds.states) & ~worlds.failed
+        holds = core.letters(self._dynamics, worlds.states, worlds.time) & ~worlds.failed
         names, satisfied = self.problem.automaton.propositions, core.satisfied(self._dynamics, worlds)
         over = self._settled(worlds) | (worlds.time >= self.problem.horizon)
         frames = []

@@ -125,7 +125,7 @@ def _pairs(name: str, pair: Pair, agents: Sequence[str], declared: frozenset[str
 def _matches(name: str, family: Proposition, agents: Sequence[str]) -> dict[str, Proposition]:
     """Return the members of a family by name, one for each agent whose name matches the pattern."""
     named = _named(name, family.agent, agents)
-    return {f"{name}_{middle}": Proposition(agent, family.low, family.high) for agent, middle in named.items()}
+    return {f"{name}_{middle}": family.of(agent) for agent, middle in named.items()}
 
 
 def _named(name: str, pattern: str, agents: Sequence[str]) -> dict[str, str]:

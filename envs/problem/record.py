@@ -141,9 +141,11 @@ class Problem:
                 f"independent tasks whose joint automaton has more than {MOST_STATES} states; take fewer agents or "
                 "another formula"
             )
+        steps = checked_horizon(horizon)
+        _check_corners(labeling, steps)
         values = {
             "name": title,
-            "horizon": checked_horizon(horizon),
+            "horizon": steps,
             "agents": members,
             "declared": MappingProxyType(declared),
             "propositions": MappingProxyType({key: expanded[key] for key in labeling.names}),
@@ -231,6 +233,11 @@ class Problem:
         )
 
     @property
+    def names_time(self) -> bool:
+        """Whether dynamics, scales of noise or regions name the time `t`: the steps of such a problem differ."""
+        return self.labeling.moves or any(agent.names_time for agent in self.agents)
+
+    @property
     def n_agents(self) -> int:
         """Number of agents I."""
         return len(self.agents)
@@ -267,15 +274,16 @@ class Problem:
         starts = [agent.initial for agent in self.agents]
         if self.starts_outside:
             return None
+        labeling = self.labeling.at(0)
         if all(start.is_point for start in starts):
-            letters = self.labeling.letter([start.low for start in starts])[None]
-        elif self.labeling.pairs:
+            letters = labeling.letter([start.low for start in starts])[None]
+        elif labeling.pairs:
             return None  # pairs are read at points; where a start is drawn from a box, they may hold or not
         else:
-            classes = [self.labeling.box_classes(i, start.low, start.high)[0] for i, start in enumerate(starts)]
+            classes = [labeling.box_classes(i, start.low, start.high)[0] for i, start in enumerate(starts)]
             if np.prod([own.sum() for own in classes], dtype=float) > MOST_FIRST_LETTERS:
                 return None
-            possible = [own[here] for own, here in zip(self.labeling.classes, classes, strict=True)]
+            possible = [own[here] for own, here in zip(labeling.classes, classes, strict=True)]
             letters = np.array([np.concatenate(letter) for letter in product(*possible)], dtype=bool)
             letters = letters.reshape(-1, len(self.propositions))
         states = self.automaton.next_state(np.full(len(letters), self.automaton.initial), letters.T)
@@ -324,6 +332,7 @@ class Problem:
             changes["name"] = _checked_title(name)
         if horizon is not None:
             changes["horizon"] = checked_horizon(horizon)
+            _check_corners(self.labeling, changes["horizon"])
         starts = {"initial_state": initial_state, "initial_low": initial_low, "initial_high": initial_high}
         vectors = {key: self._vectors(value, key) for key, value in starts.items() if value is not None}
         if vectors:
@@ -435,6 +444,25 @@ def _checked_agents(agents: Any) -> tuple[AnyAgent, ...]:
                 "`initial_low` and `initial_high`"
             )
     return tuple(agents)
+
+
+def _check_corners(labeling: Labeling, horizon: int) -> None:
+    """Raise ValueError unless the corners of regions that move are finite at times 0 to T, and meet the workspace."""
+    times = np.arange(horizon + 1, dtype=float)
+    agents = {agent.name: agent for agent in labeling.agents}
+    for name, region in labeling.moving.items():
+        try:
+            low, high = region.over(times)
+        except ValueError as error:
+            raise ValueError(f"`propositions.{name}`: {error}") from None
+        agent = agents[region.agent]
+        ends = agent.output_range(agent.state_low[None], agent.state_high[None])
+        bottom, top = (end[0][:, None] for end in ends)
+        if region.moves and not ((low <= top) & (high > bottom) & (low < high)).all(axis=0).any():
+            raise ValueError(
+                f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name} at some time "
+                f"from 0 to {horizon}, got {region.text}; correct the region or the workspace"
+            )
 
 
 def _groups(

@@ -27,7 +27,7 @@ def task_tracks(problem: Problem, states: NDArray[Any]) -> tuple[NDArray[np.int6
     for time, here in enumerate(states):
         inside = np.flatnonzero(((here >= low) & (here <= high)).all(axis=1))
         if len(inside):
-            letter = np.asarray(letters(dynamics, split_joint(dynamics, here[inside])))
+            letter = np.asarray(letters(dynamics, split_joint(dynamics, here[inside]), time))
             q[inside] = problem.automaton.next_state(q[inside], letter)
             hold[time][:, inside] = letter
         read[time] = q

@@ -1,0 +1,200 @@
+"""A proposition about one agent: a box in its output space, which may move with the time.
+
+A corner is a number or an expression in `t`, the number of control steps taken: 0 at the start, and the horizon at the
+end. At each time corners are doubles, as simulations compute them; a check that needs more encloses `trees` itself.
+Where a corner is not below the other one, the region is empty at that time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..expressions import Number, Tree, computed, names_in, read_expression
+from .box import Box
+from .checks import float_array, read_only, shown
+from .printing import box_text
+
+TIME = "t"
+"""Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
+
+Corner = tuple[float | str, ...]
+"""Numbers and expressions in `t`, one for each output."""
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Proposition:
+    """A box in the output space of one agent, half-open: `low <= y < high`.
+
+    Parameters
+    ----------
+    agent : str
+        Name of the agent. A name with one `*` makes the proposition a family: one member per agent that matches.
+    low, high : array_like, shape (p,), or sequences of numbers and strings
+        Corners, finite, `low < high`. They may lie beyond the workspace. Strings are expressions in the time `t`, such
+        as `"2*sin(0.4*t) - 0.5"`: then the region moves, and is empty at times at which `low < high` does not hold.
+
+    Attributes
+    ----------
+    low, high : np.ndarray, shape (p,)
+        Corners of a region that stands still; ValueError for one that moves, which has them `at` each time.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong, or an expression names anything but `t`.
+
+    Examples
+    --------
+    >>> band = Proposition("robot", ["2*sin(0.4*t) - 0.5"], ["2*sin(0.4*t) + 0.5"])
+    >>> band.moves, band.at(0)
+    (True, Proposition('robot', [-0.5, 0.5)))
+    """
+
+    agent: str
+    low: np.ndarray
+    high: np.ndarray
+    corners: tuple[Corner, Corner] | None
+
+    def __init__(self, agent: str, low: Any, high: Any) -> None:
+        if not isinstance(agent, str) or agent.count("*") > 1:
+            raise ValueError(f"`agent`: expected a name with at most one `*`, got {shown(agent)}")
+        object.__setattr__(self, "agent", agent)
+        if not (_is_written(low) or _is_written(high)):
+            self._stand(Box(low, high))
+            return
+        corners = _corner(low, "low"), _corner(high, "high")
+        if len(corners[0]) != len(corners[1]):
+            raise ValueError(f"`high`: expected {len(corners[0])} entries, as `low` has, got {len(corners[1])}")
+        trees = tuple(_trees(corner, name) for corner, name in zip(corners, ("low", "high"), strict=True))
+        if not any(names_in(tree) for own in trees for tree in own):
+            # Expressions of numbers alone are numbers.
+            self._stand(Box(*(np.concatenate(computed(own, {})) for own in trees)))
+            return
+        object.__setattr__(self, "corners", corners)
+        object.__setattr__(self, "trees", trees)
+
+    trees: tuple[tuple[Tree, ...], tuple[Tree, ...]]
+    """Corners of a region that moves, as expressions in `t`."""
+
+    def _stand(self, box: Box) -> None:
+        for key, value in (("low", box.low), ("high", box.high), ("corners", None)):
+            object.__setattr__(self, key, value)
+
+    # Asked for what the region has not: whoever reads corners without a time must not go on with any.
+    def __getattr__(self, name: str) -> Any:
+        if name in ("low", "high"):
+            raise ValueError(f"`proposition`: expected a region that stands still, got {self!r}; ask `at` a time")
+        raise AttributeError(name)
+
+    # Rebuilt from its arguments: a pickled array would come back writable.
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.corners is not None:
+            return Proposition, (self.agent, *self.corners)
+        return _standing, (self.agent, self.low, self.high)
+
+    def __repr__(self) -> str:
+        if self.corners is None:
+            return f"Proposition({self.agent!r}, {box_text(self.low, self.high, closed=False)})"
+        return f"Proposition({self.agent!r}, {self.text})"
+
+    @property
+    def moves(self) -> bool:
+        """Whether a corner names the time."""
+        return self.corners is not None
+
+    @property
+    def size(self) -> int:
+        """Number of outputs p."""
+        return len(self.low) if self.corners is None else len(self.corners[0])
+
+    @property
+    def text(self) -> str:
+        """The corners as they are written, for people."""
+        low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else self.corners
+        shown_low, shown_high = (
+            ", ".join(entry if isinstance(entry, str) else f"{entry:g}" for entry in corner) for corner in (low, high)
+        )
+        return f"[{shown_low}] to [{shown_high}]"
+
+    def of(self, agent: str) -> Proposition:
+        """Return the same region for another agent, which has its own outputs."""
+        if self.corners is not None:
+            return Proposition(agent, *self.corners)
+        return _standing(agent, self.low, self.high)
+
+    def at(self, time: int) -> Proposition:
+        """Return the region at a time, which may be empty (`low >= high`); itself if it stands still.
+
+        Raises
+        ------
+        ValueError
+            If a corner is not finite at this time.
+        """
+        if self.corners is None:
+            return self
+        low, high = self.over(np.array([float(time)]))
+        return _standing(self.agent, low[:, 0], high[:, 0])
+
+    def over(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return both corners at times (n,): two arrays (p, n), with the same bits for one time and for many.
+
+        Raises
+        ------
+        ValueError
+            If a corner is not finite at one of them.
+        """
+        if self.corners is None:
+            low, high = (np.repeat(corner[:, None], len(times), axis=1) for corner in (self.low, self.high))
+            return low, high
+        values = {TIME: np.asarray(times, dtype=float)}
+        low, high = (np.array([np.broadcast_to(row, len(times)) for row in computed(own, values)])
+                     for own in self.trees)  # fmt: skip
+        wrong = ~(np.isfinite(low) & np.isfinite(high)).all(axis=0)
+        if wrong.any():
+            raise ValueError(
+                f"expected finite corners at every time, got {self.text}, which is not finite at t = "
+                f"{times[int(np.argmax(wrong))]:g}"
+            )
+        return low, high
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the proposition as plain values, keyed as in problem files (exact)."""
+        low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else map(list, self.corners)
+        return {"agent": self.agent, "low": low, "high": high}
+
+
+def _standing(agent: str, low: np.ndarray, high: np.ndarray) -> Proposition:
+    """Return a region that stands still, and may be empty."""
+    region = object.__new__(Proposition)
+    for key, value in (("agent", agent), ("low", read_only(low)), ("high", read_only(high)), ("corners", None)):
+        object.__setattr__(region, key, value)
+    return region
+
+
+def _is_written(value: Any) -> bool:
+    """Return whether a corner has expressions."""
+    return isinstance(value, str) or (isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value))
+
+
+def _corner(value: Any, name: str) -> Corner:
+    """Return numbers and expressions, as they are."""
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or not len(value):
+        raise ValueError(f"`{name}`: expected a list of numbers and expressions in `t`, got {shown(value)}")
+    return tuple(
+        entry if isinstance(entry, str) else float(float_array([entry], f"{name}[{k}]", (1,), "0.0")[0])
+        for k, entry in enumerate(value)
+    )
+
+
+def _trees(corner: Corner, name: str) -> tuple[Tree, ...]:
+    trees = []
+    for k, entry in enumerate(corner):
+        try:
+            trees.append(read_expression(entry, (TIME,)) if isinstance(entry, str) else Number(entry))
+        except ValueError as error:
+            raise ValueError(f"`{name}[{k}]`: {error}") from None
+    return tuple(trees)
