@@ -180,7 +180,7 @@ class Agent(AnyAgent):
             object.__setattr__(self, key, value)  # the record is frozen
         self._check_names()
         # Read all expressions now, so that mistakes show where they are made.
-        assert self._all_trees and self.output_trees
+        assert self.timed_trees and self.output_trees
         if self.noise_scale is not None:
             self._scale_noise(noise)
 
@@ -192,8 +192,8 @@ class Agent(AnyAgent):
         if any(isinstance(law, ScipyLaw) for law in laws):
             raise ValueError("`noise_scale`: expected laws that can be scaled, got one of scipy")
         # A scale of 1 everywhere, however it is written, is none: nothing is charged for what does not vary.
-        if set(self._all_scale_trees) == {Number(1.0)}:
-            del self.__dict__["_all_scale_trees"]
+        if set(self.timed_scale_trees) == {Number(1.0)}:
+            del self.__dict__["timed_scale_trees"]
             object.__setattr__(self, "noise_scale", None)
             return
         # As laws even where all are Gaussian: what is made for Gaussian noise counts on a covariance everywhere.
@@ -244,7 +244,7 @@ class Agent(AnyAgent):
     def trees(self) -> tuple[Tree, ...]:
         """Dynamics as expression trees, the parameters put in; ValueError where they name the time (see `at`)."""
         self._refuse_time()
-        return self._all_trees
+        return self.timed_trees
 
     @cached_property
     def scale_trees(self) -> tuple[Tree, ...]:
@@ -254,12 +254,12 @@ class Agent(AnyAgent):
         time (see `at`).
         """
         self._refuse_time()
-        return self._all_scale_trees
+        return self.timed_scale_trees
 
     @cached_property
     def names_time(self) -> bool:
         """Whether the dynamics, or the scale of the noise, name the time `t`."""
-        return bool(self._time) and any(TIME in names_in(tree) for tree in (*self._all_trees, *self._all_scale_trees))
+        return bool(self._time) and any(TIME in names_in(tree) for tree in (*self.timed_trees, *self.timed_scale_trees))
 
     @cached_property
     def _time(self) -> tuple[str, ...]:
@@ -303,15 +303,15 @@ class Agent(AnyAgent):
             )
 
     @cached_property
-    def _all_trees(self) -> tuple[Tree, ...]:
-        """Dynamics as expression trees, the parameters put in; they may name the time."""
+    def timed_trees(self) -> tuple[Tree, ...]:
+        """Dynamics as expression trees, the parameters put in; they may name the time, `t`."""
         names = (*self.states, *self.inputs, *self.disturbances, *self.others, *self._time)
         inside: dict[str, Tree] = {name: Name(neighbour(k)) for k, name in enumerate(self.others)}
         trees = (self._tree(text, "dynamics", k, names) for k, text in enumerate(self.dynamics))
         return tuple(substituted(tree, inside) if inside else tree for tree in trees)
 
     @cached_property
-    def _all_scale_trees(self) -> tuple[Tree, ...]:
+    def timed_scale_trees(self) -> tuple[Tree, ...]:
         """What the noise is multiplied with, as `scale_trees`; it may name the time."""
         names = (*self.states, *self.inputs, *self.disturbances, *self._time)
         trees = [self._tree(text, "noise_scale", k, names) for k, text in enumerate(self.noise_scale or ())]
@@ -411,7 +411,7 @@ class Agent(AnyAgent):
             parts = (*parts, self.noise_scale)
         if self.others:  # agents in equal places are equal, though their neighbours have other names
             beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
-            parts = (*parts[:2], repr(self._all_trees), *parts[3:], *beside)
+            parts = (*parts[:2], repr(self.timed_trees), *parts[3:], *beside)
         return (b"expressions", repr(parts).encode())
 
     @cached_property
@@ -442,7 +442,7 @@ class Agent(AnyAgent):
         arrays = (x, u, disturbances, () if neighbours is None else neighbours)
         values = {name: _one_axis(row) for names, rows in self._rows(*arrays) for name, row in zip(names, rows)}
         values |= self._at(time, x)
-        return namespace(x).stack(computed(self._all_trees, values)).reshape(x.shape)
+        return namespace(x).stack(computed(self.timed_trees, values)).reshape(x.shape)
 
     def _at(self, time: Any, x: np.ndarray) -> dict[str, np.ndarray]:
         """Return the time by its name, beside states ``(d, *S)``; nothing if nothing names it."""
@@ -460,7 +460,7 @@ class Agent(AnyAgent):
         named = zip((self.states, self.inputs, tuple(self.disturbances)), (x, u, disturbances))
         values = {name: _one_axis(row) for names, rows in named for name, row in zip(names, rows)}
         values |= self._at(time, x)
-        return namespace(x).stack(computed(self._all_scale_trees, values)).reshape(x.shape)
+        return namespace(x).stack(computed(self.timed_scale_trees, values)).reshape(x.shape)
 
     def _calm(self, x: np.ndarray) -> np.ndarray:
         """Return the disturbances ``(k, *S)`` that are nearest to 0, for states ``(d, *S)``."""

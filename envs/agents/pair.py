@@ -64,6 +64,12 @@ class Pair:
     outputs: tuple[tuple[int, ...], tuple[int, ...]] | None
     pairs: str
 
+    moves = False
+
+    def at(self, time: int) -> Pair:
+        """Return the proposition at a time: itself, as boxes for differences stand still."""
+        return self
+
     def __init__(self, agents: Any, low: Any, high: Any, outputs: Any = None, pairs: str = "all") -> None:
         box = Box(low, high)
         if pairs not in PAIRS:

@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .path_limits import corners_along
 
 CELLS = {1: 120, 2: 40, 3: 16}
 """Cells per axis, by the number of outputs that are planned."""
@@ -61,10 +62,11 @@ def _planned(
     share = np.full(agent.n_outputs, np.inf)
     for q, name in enumerate(problem.automaton.propositions):
         if q < problem.labeling.first_pair and problem.propositions[name].agent == agent.name and letters[:, q].any():
-            region = problem.propositions[name]
-            inside = np.minimum(region.high, high) - np.maximum(region.low, low)
+            corners = corners_along(problem, name, len(letters))
+            asked = letters[:, q] != 0
+            inside = np.minimum(corners[1][asked], high) - np.maximum(corners[0][asked], low)
             with np.errstate(invalid="ignore"):
-                share = np.fmin(share, np.where(inside < high - low, inside / (high - low), np.inf))
+                share = np.fmin(share, np.where(inside < high - low, inside / (high - low), np.inf).min(axis=0))
     finite = [int(k) for k in np.argsort(share, kind="stable") if np.isfinite(share[k]) and np.isfinite(high - low)[k]]
     return sorted(finite[:3])
 
@@ -90,13 +92,15 @@ class _Grid:
         names = problem.automaton.propositions
         own = [q for q in range(min(len(names), problem.labeling.first_pair))
                if problem.propositions[names[q]].agent == agent.name]  # fmt: skip
-        for letter in letters:
-            key = letter[own].tobytes()
+        corners = {q: corners_along(problem, names[q], len(letters)) for q in own}
+        for t, letter in enumerate(letters):
+            # Where regions move, equal letters ask for something else at each time.
+            key = letter[own].tobytes() + b"".join(end[t].tobytes() for q in own if letter[q] for end in corners[q])
             if key not in known:
                 allowed, far = np.ones(self.shape, dtype=bool), np.ones(self.shape, dtype=bool)
                 for q in own:
-                    region = problem.propositions[names[q]]
-                    inside = np.all((self.points >= region.low[axes]) & (self.points < region.high[axes]), axis=-1)
+                    low, high = (end[t, axes] for end in corners[q])
+                    inside = np.all((self.points >= low) & (self.points < high), axis=-1)
                     if letter[q] > 0:
                         allowed &= inside
                     elif letter[q] < 0:

@@ -103,7 +103,7 @@ class NominalPath:
     def by_unknowns(self) -> FloatArray:
         """Sizes (S, d, k) of the derivatives by what is unknown."""
         d, m = self.model.agent.n_states, self.model.agent.n_inputs
-        variables = self.model.variables(self.states[:-1].T, self.inputs.T)
+        variables = self.model.variables(self.states[:-1].T, self.inputs.T, np.arange(len(self.inputs)))
         _, slopes = self.model.motion.slopes(variables)
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
         return np.abs(np.moveaxis(both, 2, 0)[:, :, d + m :])
@@ -112,7 +112,7 @@ class NominalPath:
     def scales(self) -> tuple[FloatArray, FloatArray]:
         """Nominal multipliers (S, d) of the noise, and sizes (S, d, v) of their derivatives."""
         assert self.model.scale is not None
-        variables = self.model.variables(self.states[:-1].T, self.inputs.T)
+        variables = self.model.variables(self.states[:-1].T, self.inputs.T, np.arange(len(self.inputs)))
         values, slopes = self.model.scale.slopes(variables)
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
         return values.T, np.abs(np.moveaxis(both, 2, 0))
@@ -170,8 +170,7 @@ class _Walk:
         self.worth = Worth()
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
-        low = np.concatenate([agent.state_low, agent.input_low, self.model.unknown[0]])
-        self.ends = low, np.concatenate([agent.state_high, agent.input_high, self.model.unknown[1]])
+        self.ends = self.model.ends
         self.lost = LOST * width
 
     def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -260,9 +259,9 @@ class _Walk:
         high = np.where(moved, agent.input_high - u - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names)
-        calm = np.repeat(self.model.calm[:, None], self.n, axis=1)
-        ends, at = self.ends, np.concatenate([self.x[t].T, u.T, calm])
+        ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
         half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
+        half = np.concatenate([half, np.zeros((agent.names_time * 1, self.n))])  # the time is known
         boxes = np.concatenate([reach.T, around.T, half])
         A, B = self.A[t], self.B[t]
         matrix = np.concatenate([A, B, np.zeros((self.n, d, len(half)))], axis=2).transpose(1, 2, 0)

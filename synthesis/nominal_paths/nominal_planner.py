@@ -74,8 +74,8 @@ class Planner:
     def rolled(self, inputs: FloatArray) -> FloatArray:
         """Return the states (S + 1, d) that inputs (S, m) lead to."""
         states = [self.start]
-        for u in inputs:
-            states.append(self.model.step(states[-1][:, None], u[:, None])[:, 0])
+        for t, u in enumerate(inputs):
+            states.append(self.model.step(states[-1][:, None], u[:, None], t)[:, 0])
         return np.array(states)
 
     def cost(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ class Planner:
             for t in range(len(inputs)):
                 u = inputs[t][:, None] + push[t][:, None] * STEPS + gain[t] @ (x - states[t][:, None])
                 u = np.clip(u, agent.input_low[:, None], agent.input_high[:, None])
-                x = self.model.step(x, u)
+                x = self.model.step(x, u, t)
                 all_x.append(x)
                 all_u.append(u)
         return np.array(all_x), np.array(all_u)

@@ -1,5 +1,7 @@
 """An agent as a search along nonlinear paths reads it: steps, derivatives and remainders, for many candidates at once.
 
+Where dynamics name the time it is the last variable: one that is known at each step, and has no reach.
+
 What is found here is only as good as it has to be to find something: the check computes everything again.
 """
 
@@ -9,11 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ...envs.agents import Agent, AnyAgent, LinearAgent
+from ...envs.agents import TIME, Agent, AnyAgent, LinearAgent
 from ...envs.expressions import Name, Number, Operation, Program, Tree
 from ..cells import FloatArray
+
+LATEST = 1e6
+"""No step is later than that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +29,10 @@ class NonlinearModel:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of states, inputs and what is unknown."""
+        """Names of states, inputs and what is unknown; the time last, if dynamics name it."""
         if isinstance(self.agent, Agent):
-            return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns)
+            timed = (TIME,) if self.agent.names_time else ()
+            return (*self.agent.states, *self.agent.inputs, *self.agent.unknowns, *timed)
         d, m = self.agent.n_states, self.agent.n_inputs
         return (*(f"state {k}" for k in range(d)), *(f"input {k}" for k in range(m)))
 
@@ -34,7 +40,7 @@ class NonlinearModel:
     def motion(self) -> Program:
         """The mean of the next state."""
         if isinstance(self.agent, Agent):
-            return Program.of(self.agent.trees, self.names)
+            return Program.of(self.agent.timed_trees, self.names)
         assert isinstance(self.agent, LinearAgent)
         rows = np.hstack([self.agent.A, self.agent.B])
         return Program.of([_affine(row, self.names, c) for row, c in zip(rows, self.agent.offset)], self.names)
@@ -51,7 +57,7 @@ class NonlinearModel:
     @cached_property
     def scale(self) -> Program | None:
         """What the noise is multiplied with; None for nothing."""
-        trees = self.agent.scale_trees if isinstance(self.agent, Agent) else ()
+        trees = self.agent.timed_scale_trees if isinstance(self.agent, Agent) else ()
         return Program.of(trees, self.names) if trees else None
 
     @cached_property
@@ -72,18 +78,31 @@ class NonlinearModel:
         """Middles (k,) of these ranges."""
         return 0.5 * self.unknown[0] + 0.5 * self.unknown[1]
 
-    def variables(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return all variables (v, n) for states (d, n) and inputs (m, n)."""
-        return np.concatenate([x, u, np.repeat(self.calm[:, None], x.shape[1], axis=1)])
+    def variables(self, x: FloatArray, u: FloatArray, time: ArrayLike) -> FloatArray:
+        """Return all variables (v, n) for states (d, n) and inputs (m, n) at a step, or at steps (n,)."""
+        return np.concatenate([x, u, self.known(x.shape[1], time)])
 
-    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the means (d, n) of the next states."""
-        return self.motion.values(self.variables(x, u))
+    def known(self, n: int, time: ArrayLike) -> FloatArray:
+        """Return the variables (.., n) that are neither states nor inputs: middles of what is unknown, and the time."""
+        calm = np.repeat(self.calm[:, None], n, axis=1)
+        if not self.agent.names_time:
+            return calm
+        return np.concatenate([calm, np.broadcast_to(np.asarray(time, dtype=float), (1, n))])
 
-    def linear(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Jacobians (S, d, d) and (S, d, m) along states (S, d) and inputs (S, m)."""
+    def step(self, x: FloatArray, u: FloatArray, time: ArrayLike) -> FloatArray:
+        """Return the means (d, n) of the next states, from a step, or from steps (n,)."""
+        return self.motion.values(self.variables(x, u, time))
+
+    def linear(
+        self, states: FloatArray, inputs: FloatArray, times: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return Jacobians (S, d, d) and (S, d, m) along states (S, d) and inputs (S, m) of steps 0 to S - 1.
+
+        `times` (S,) are other steps.
+        """
         d, m = self.agent.n_states, self.agent.n_inputs
-        _, slopes = self.motion.slopes(self.variables(states.T, inputs.T))
+        times = np.arange(len(inputs)) if times is None else times
+        _, slopes = self.motion.slopes(self.variables(states.T, inputs.T, times))
         both = np.moveaxis(np.broadcast_to(slopes, (*slopes.shape[:2], len(states))), 2, 0)
         return np.array(both[:, :, :d]), np.array(both[:, :, d : d + m])
 
@@ -97,11 +116,12 @@ class NonlinearModel:
         """Which states and inputs (d + m,) a tube has to bound: those that anything is not linear in."""
         d, m = self.agent.n_states, self.agent.n_inputs
         bent = np.zeros(len(self.names), dtype=bool)
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
         for program in (self.motion, self.scale):
             for _, slopes, bends in [] if program is None else program.curved(wide):
                 for (j, k), (low, high) in bends.items():
-                    if not (low == 0.0 and high == 0.0):
+                    # What is linear at each time needs no tube, whatever its slope is at others.
+                    if not (low == 0.0 and high == 0.0) and k < self.n_varying:
                         bent[[j, k]] = True
                 if program is self.scale:
                     bent[list(slopes)] = True
@@ -111,25 +131,32 @@ class NonlinearModel:
     def varied(self) -> NDArray[np.bool_]:
         """Which states (d,) have noise that is multiplied with what varies."""
         assert self.scale is not None
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
-        return np.array([bool(slopes) for _, slopes, _ in self.scale.curved(wide)])
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
+        return np.array([any(j < self.n_varying for j in slopes) for _, slopes, _ in self.scale.curved(wide)])
+
+    @property
+    def n_varying(self) -> int:
+        """Number of variables but the time."""
+        return len(self.names) - self.agent.names_time
+
+    @property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Closed limits (v,) within which variables stay."""
+        agent, timed = self.agent, [0.0] * self.agent.names_time
+        low = np.concatenate([agent.state_low, agent.input_low, self.unknown[0], timed])
+        timed = [LATEST] * agent.names_time
+        return low, np.concatenate([agent.state_high, agent.input_high, self.unknown[1], timed])
 
     @cached_property
     def bent_outputs(self) -> NDArray[np.bool_]:
         """Which states (d,) outputs are not linear in."""
         bent = np.zeros(self.agent.n_states, dtype=bool)
-        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self._widest, strict=True)]
+        wide = [(np.array([a]), np.array([b])) for a, b in zip(*self.ends, strict=True)]
         for _, _, bends in self.output.curved(wide[: self.agent.n_states]):
             for (j, k), (low, high) in bends.items():
                 if not (low == 0.0 and high == 0.0):
                     bent[[j, k]] = True
         return bent
-
-    @property
-    def _widest(self) -> tuple[FloatArray, FloatArray]:
-        agent = self.agent
-        low = np.concatenate([agent.state_low, agent.input_low, self.unknown[0]])
-        return low, np.concatenate([agent.state_high, agent.input_high, self.unknown[1]])
 
 
 def remainders(
@@ -149,12 +176,18 @@ def remainders(
     high = np.minimum(at + reach, np.maximum(ends[1][:, None], at))
     far = np.maximum(high - at, at - low)
     off = np.empty((len(program.results), reach.shape[1]))
+    # What has no reach, such as the time, adds nothing, whatever its derivatives are.
+    moves = np.any(far != 0.0, axis=1)
     for i, (_, first, bends) in enumerate(program.curved([*zip(low, high, strict=True)])):
-        total, mean = np.sum(centre[i] * far, axis=0), np.zeros(reach.shape[1])
+        total, mean = np.sum(centre[i][moves] * far[moves], axis=0), np.zeros(reach.shape[1])
         for (j, k), (a, b) in bends.items():
+            if not (moves[j] and moves[k]):
+                continue
             total = total + (0.5 if j == k else 1.0) * np.maximum(np.abs(a), np.abs(b)) * far[j] * far[k]
         if bends:
             for j, (a, b) in first.items():
+                if not moves[j]:
+                    continue
                 mean = mean + np.maximum(np.abs(a - slopes[i, j]), np.abs(b - slopes[i, j])) * far[j]
             total = np.fmin(total, mean)
         off[i] = total

@@ -184,14 +184,14 @@ class NonlinearSearch:
             u = tried.T
             states, cost = np.repeat(x[:, None], PURSUED, axis=1), np.zeros(PURSUED)
             for k in range(1, LOOK_AHEAD + 1):
-                states = self.model.step(states, u)
+                states = self.model.step(states, u, min(t + k, steps) - 1)
                 miss = (self.model.output.values(states) - guess[min(t + k, steps)][:, None]) / self.spans[:, None]
                 cost = cost + np.sum(miss**2, axis=0)
             beyond = np.maximum(agent.state_low[:, None] - states, states - agent.state_high[:, None])
             cost = cost + np.sum(np.maximum(beyond / self.width[:, None], 0.0), axis=0)
             best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
             inputs.append(tried[best])
-            x = self.model.step(x[:, None], tried[best][:, None])[:, 0]
+            x = self.model.step(x[:, None], tried[best][:, None], t)[:, 0]
         return np.array(inputs)
 
     def _still(self) -> FloatArray:
@@ -201,7 +201,7 @@ class NonlinearSearch:
         u = 0.5 * (agent.input_low + agent.input_high)
         for _ in range(3):
             _, B = self.model.linear(x[None], u[None])
-            miss = (x - self.model.step(x[:, None], u[:, None])[:, 0]) / self.width
+            miss = (x - self.model.step(x[:, None], u[:, None], 0)[:, 0]) / self.width
             scaled = B[0] / self.width[:, None] * self.half
             push = np.linalg.solve(scaled.T @ scaled + 1e-6 * np.eye(len(u)), scaled.T @ miss)
             u = np.clip(u + self.half * push, agent.input_low, agent.input_high)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent
+from ...envs.agents import AnyAgent, Proposition
 from ...envs.problem import Problem
 from ..cells import FloatArray
 
@@ -38,6 +38,14 @@ class Limits:
         return np.flatnonzero(np.isfinite(self.outputs).any(axis=(0, 1)))
 
 
+def corners_along(problem: Problem, name: str, times: int) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (times, p) of a region at times 0, 1, ..."""
+    region = problem.propositions[name]
+    assert isinstance(region, Proposition)
+    low, high = region.over(np.arange(times, dtype=float))
+    return low.T, high.T
+
+
 def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> Limits:
     """Return the limits of an agent for letters (S + 1, P) and sides of regions that are kept away from."""
     steps, p = len(letters), agent.n_outputs
@@ -45,16 +53,16 @@ def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], f
     for q, name in enumerate(problem.automaton.propositions):
         if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
             continue
-        region = problem.propositions[name]
+        low, high = corners_along(problem, name, steps)
         here = letters[:, q] > 0
-        outputs[0, here] = np.maximum(outputs[0, here], region.low)
-        outputs[1, here] = np.minimum(outputs[1, here], region.high)
+        outputs[0, here] = np.maximum(outputs[0, here], low[here])
+        outputs[1, here] = np.minimum(outputs[1, here], high[here])
         for t in np.flatnonzero(letters[:, q] < 0):
             k, is_above = divmod(int(faces[t, q]), 2)
             if is_above:
-                outputs[0, t, k] = max(outputs[0, t, k], region.high[k])
+                outputs[0, t, k] = max(outputs[0, t, k], high[t, k])
             else:
-                outputs[1, t, k] = min(outputs[1, t, k], region.low[k])
+                outputs[1, t, k] = min(outputs[1, t, k], low[t, k])
     states = np.stack([np.tile(agent.state_low, (steps, 1)), np.tile(agent.state_high, (steps, 1))])
     for k in range(p):
         axis = agent.output_axis(k)
@@ -79,8 +87,8 @@ def sides_of(
     for q, name in enumerate(problem.automaton.propositions):
         if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
             continue
-        region = problem.propositions[name]
-        beyond = np.stack([region.low - outputs, outputs - region.high], axis=2) / sharp[None, :, None]
+        low, high = corners_along(problem, name, len(letters))
+        beyond = np.stack([low - outputs, outputs - high], axis=2) / sharp[None, :, None]
         best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
         faces[letters[:, q] < 0, q] = best[letters[:, q] < 0]
     return faces

@@ -19,6 +19,7 @@ from ..controllers import covariances_of, nominal_states
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import nonlinear_certificate
+from .path_limits import corners_along
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .words import Plan, Way, letters_of, ways_of, without_needless
@@ -34,6 +35,9 @@ MOST_PLANS = 40
 
 GOOD = 1e-3
 """Probability of failing from which no words of few cubes are tried."""
+
+NARROWEST = 1e-12
+"""Least width of a region in which it is measured how far a path is beyond it: one that moves may be empty."""
 
 HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
@@ -250,10 +254,11 @@ def chosen_faces(
         path = np.linspace(agent.initial.low, _aim(problem, i, letters, agent), len(letters))
     outputs = path @ agent.output_matrix.T
     for p, name in enumerate(problem.automaton.propositions):
-        region = problem.propositions[name]
-        if region.agent != agent.name:
+        if problem.propositions[name].agent != agent.name:
             continue
-        beyond = np.stack([region.low - outputs, outputs - region.high], axis=2) / (region.high - region.low)[:, None]
+        low, high = corners_along(problem, name, len(letters))
+        width = np.maximum(high - low, NARROWEST)
+        beyond = np.stack([low - outputs, outputs - high], axis=2) / width[:, :, None]
         best = np.argmax(beyond.reshape(len(letters), -1), axis=1)
         faces[letters[:, p] < 0, p] = best[letters[:, p] < 0]
     return faces
@@ -263,8 +268,8 @@ def _aim(problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent
     """Return a state in the middle of what is to hold at the end."""
     aim = np.array(agent.initial.low, dtype=float)
     for p, name in enumerate(problem.automaton.propositions):
-        region = problem.propositions[name]
-        if region.agent == agent.name and letters[-1, p] > 0:
+        if problem.propositions[name].agent == agent.name and letters[-1, p] > 0:
+            region = problem.propositions[name].at(len(letters) - 1)
             middle = 0.5 * (region.low + region.high)
             aim = aim + np.linalg.pinv(agent.output_matrix) @ (middle - agent.output_matrix @ aim)
     return aim

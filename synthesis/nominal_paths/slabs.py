@@ -90,7 +90,7 @@ def limits_of(problem: Problem, i: int, letters: NDArray[np.int8], faces: NDArra
     limits: list[Limit] = []
     for t in range(1, len(letters)):
         narrowest: dict[bytes, Limit] = {}
-        for row, low, high in _limits_at(problem, agent, letters[t], faces[t]):
+        for row, low, high in _limits_at(problem, agent, letters[t], faces[t], t):
             key = (row + 0.0).tobytes()  # no negative zeros
             _, _, first, last = narrowest.get(key, (t, row, -np.inf, np.inf))
             narrowest[key] = (t, row, max(first, low), min(last, high))
@@ -99,14 +99,15 @@ def limits_of(problem: Problem, i: int, letters: NDArray[np.int8], faces: NDArra
 
 
 def _limits_at(
-    problem: Problem, agent: LinearAgent, letter: NDArray[np.int8], face: NDArray[np.int64]
+    problem: Problem, agent: LinearAgent, letter: NDArray[np.int8], face: NDArray[np.int64], t: int
 ) -> Iterator[tuple[FloatArray, float, float]]:
     """Yield row, low and high of every inequality on states of an agent at one time."""
     yield from zip(np.eye(agent.n_states), agent.state_low.tolist(), agent.state_high.tolist(), strict=True)
     for p, name in enumerate(problem.automaton.propositions):
-        region = problem.propositions[name]
-        if region.agent != agent.name or letter[p] == 0:
+        proposition = problem.propositions[name]
+        if proposition.agent != agent.name or letter[p] == 0:
             continue
+        region = proposition.at(t)
         if letter[p] > 0:
             yield from zip(agent.output_matrix, region.low.tolist(), region.high.tolist(), strict=True)
             continue

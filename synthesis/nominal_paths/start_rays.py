@@ -151,7 +151,7 @@ class _Rays:
         """
         automaton, fixed, values = self.problem.automaton, dict[int, tuple[float, FloatArray, FloatArray]](), []
         for p, name in enumerate(automaton.propositions):
-            region = self.problem.propositions[name]
+            region = self.problem.propositions[name].at(0)
             beyond = np.concatenate([region.low - outputs, outputs - region.high]) - np.tile(self.spare, 2)
             inside = np.minimum(outputs - region.low, region.high - outputs) - self.spare
             low, high = np.full(len(outputs), -np.inf), np.full(len(outputs), np.inf)

@@ -86,11 +86,11 @@ class TeamModel:
         """Outputs, of states alone."""
         return TeamOutputs(self.alike, self.sizes[2])
 
-    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the means (D, n) of the next states for states (D, n) and inputs (M, n)."""
+    def step(self, x: FloatArray, u: FloatArray, time: int) -> FloatArray:
+        """Return the means (D, n) of the next states for states (D, n) and inputs (M, n) at a step."""
         result = np.empty_like(x)
         for part in self.alike:
-            moved = part.model.step(_flat(x, part.states), _flat(u, part.inputs))
+            moved = part.model.step(_flat(x, part.states), _flat(u, part.inputs), time)
             result[part.states] = _each(moved, len(part.states))
         return result
 
@@ -101,7 +101,8 @@ class TeamModel:
         for part in self.alike:
             k, own = part.states.shape
             own_A, own_B = part.model.linear(states[:, part.states].reshape(s * k, own),
-                                             inputs[:, part.inputs].reshape(s * k, -1))  # fmt: skip
+                                             inputs[:, part.inputs].reshape(s * k, -1),
+                                             np.repeat(np.arange(s), k))  # fmt: skip
             A[:, part.states[:, :, None], part.states[:, None, :]] = own_A.reshape(s, k, own, own)
             B[:, part.states[:, :, None], part.inputs[:, None, :]] = own_B.reshape(s, k, own, -1)
         return A, B
@@ -125,8 +126,8 @@ def key_of(agent: AnyAgent) -> object:
         return tuple((array.shape, array.tobytes()) for array in arrays)
     assert isinstance(agent, Agent)
     deviations = tuple(law.std for law in agent.laws or ())
-    return deviations, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.trees, agent.output_trees,
-            agent.scale_trees, agent.noise_covariance.tobytes())  # fmt: skip
+    return deviations, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.timed_trees,
+            agent.output_trees, agent.timed_scale_trees, agent.noise_covariance.tobytes())  # fmt: skip
 
 
 def _flat(values: FloatArray, places: NDArray[np.int64]) -> FloatArray:

@@ -137,7 +137,7 @@ class TeamSearch:
         low, high = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
         own = self.own_propositions(search)
         for t in range(1, len(letters)):
-            regions = [self.problem.propositions[names[q]] for q in own if letters[t, q] > 0]
+            regions = [self.problem.propositions[names[q]].at(t) for q in own if letters[t, q] > 0]
             if not regions:
                 continue
             aim = 0.5 * (

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import Proposition
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
 
@@ -197,15 +198,25 @@ def without_needless(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.
 def without_implied(problem: Problem, letters: NDArray[np.int8]) -> NDArray[np.int8] | None:
     """Return letters without what follows from the rest; None if they contradict each other.
 
-    A proposition does not hold where its region and one that is to hold do not meet.
+    A proposition does not hold where its region and one that is to hold do not meet, or where it is empty.
     """
     letters = letters.copy()
-    names = problem.automaton.propositions
+    names, times = problem.automaton.propositions, np.arange(len(letters), dtype=float)
+    for name, region in problem.labeling.moving.items():
+        p, (low, high) = names.index(name), region.over(times)
+        empty = np.any(high <= low, axis=0)
+        empty[0] = False  # the letter of the start is what it is
+        if np.any(letters[empty, p] > 0):
+            return None
+        letters[empty, p] = 0
     # Pairs are compared with nothing; regions with those of the same agent.
     for p, q in ((p, q) for own in problem.labeling.agent_propositions for p in own for q in own if p != q):
         first, second = problem.propositions[names[p]], problem.propositions[names[q]]
-        if np.any((first.high <= second.low) | (second.high <= first.low)):
-            both = (letters[:, p] != 0) & (letters[:, q] > 0)
+        assert isinstance(first, Proposition) and isinstance(second, Proposition)
+        (low, high), (other_low, other_high) = first.over(times), second.over(times)
+        apart = np.any((high <= other_low) | (other_high <= low), axis=0)
+        if np.any(apart):
+            both = apart & (letters[:, p] != 0) & (letters[:, q] > 0)
             if np.any(letters[both, p] > 0):
                 return None
             letters[both, p] = 0

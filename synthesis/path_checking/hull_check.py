@@ -12,8 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, Proposition
 from ..certificates import StartHull
+from .own_regions import RegionSpan
 from .path_check import both_failures, wrong_paths
 
 MOST_LETTERS = 1024
@@ -72,10 +73,12 @@ def _one_first_state(hull: StartHull, agent: LinearAgent) -> bool:
     spare = 1e-9 * (1.0 + np.abs(outputs).max(axis=0))  # far above the rounding of outputs
     values: list[tuple[bool, ...]] = []
     for name in automaton.propositions:
-        region = regions[name]
-        if np.all((region.low <= low - spare) & (high + spare <= region.high)):
+        proposition = regions[name]
+        assert isinstance(proposition, Proposition)
+        region = RegionSpan.of(proposition, 0)
+        if np.all((region.low[1] <= low - spare) & (high + spare <= region.high[0])):
             values.append((True,))
-        elif np.any((high + spare < region.low) | (low - spare > region.high)):
+        elif np.any((high + spare < region.low[0]) | (low - spare > region.high[1])):
             values.append((False,))
         else:
             values.append((False, True))

@@ -8,6 +8,8 @@ a slab on the linear deviation, met with the closed workspace and the input box,
 event that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
 (docs/theory/paths.md, "Agents of any dynamics").
 
+Where dynamics or regions name the time, the dynamics of step t are those of t, and the regions after it those of t + 1.
+
 All of this is computed here from the problem, the nominal numbers, gains and slabs: intervals and second derivatives by
 ``own_bends``. Disturbances and states of others are anywhere in their ranges, and may know the noise. What multiplies
 the noise is its nominal value; what it varies on the tube, times a slab on the noise, joins r. Or, where there is no
@@ -23,13 +25,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, Gaussian, LinearAgent
+from ...envs.agents import Agent, AnyAgent, Gaussian, LinearAgent, Proposition
 from ...envs.expressions import Name, Number, Operation, Tree
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
 from .linear_deviations import Chain
 from .own_bends import Expansion, expansion
+from .own_regions import RegionSpan
 from .roundings import TAIL, UNIT
 
 
@@ -138,12 +141,16 @@ class Moment:
             value = int(certificate.letters[self.t, p])
             if value == 0 or p >= problem.labeling.first_pair:
                 continue
-            region = problem.propositions[name]
-            if region.agent != self.agent.name:
+            proposition = problem.propositions[name]
+            if proposition.agent != self.agent.name:
                 continue
-            faces = range(len(region.low))
-            limits = [(k, float(region.low[k]), float(region.high[k])) for k in faces]
+            # Where it is at this time, the corners on the side on which less is claimed.
+            assert isinstance(proposition, Proposition)
+            region = RegionSpan.of(proposition, self.t)
+            faces = range(region.low.shape[1])
+            limits = [(k, float(region.low[1, k]), float(region.high[0, k])) for k in faces]
             if value < 0:
+                limits = [(k, float(region.low[0, k]), float(region.high[1, k])) for k in faces]
                 face = int(certificate.faces[self.t, p])
                 if not 0 <= face < 2 * len(limits):
                     raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
@@ -162,14 +169,18 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
     NothingKnownError
         If a nominal number is outside of its range, or nothing is known of the next step.
     """
-    moving, units = Moving.of(agent), _near(agent.state_high - agent.state_low)
+    units = _near(agent.state_high - agent.state_low)
     assert path.states is not None and path.slabs is not None
     d, m = agent.n_states, agent.n_inputs
     start = agent.initial
+    moving = Moving.of(_at(agent, 0))
     first = path.states[0]
     spread = np.maximum(np.maximum(start.high - first, first - start.low), 0.0) * (1.0 + 2.0 * UNIT)
     chain = Chain(units, spread)
     for t, (at, slabs) in enumerate(zip(path.states, path.slabs, strict=True)):
+        # Where dynamics name the time, they are those of this step.
+        now = _at(agent, min(t, path.n_steps - 1))
+        moving = Moving.of(now) if agent.names_time else moving
         if np.any((at < agent.state_low) | (at > agent.state_high)):
             raise NothingKnownError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
         # The start has no noise: it is as far off as the set of starts is wide.
@@ -178,11 +189,19 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
         box = np.stack([np.maximum(at - reach, agent.state_low), np.minimum(at + reach, agent.state_high)])
         box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), agent.state_low),
                         np.minimum(np.nextafter(box[1], np.inf), agent.state_high)])  # fmt: skip
-        yield Moment(t, moving, agent, at, box, slabs[:d], chain)
+        yield Moment(t, moving, now, at, box, slabs[:d], chain)
         if t == path.n_steps:
             return
-        _step(agent, moving, path, Moment(t, moving, agent, at, box, slabs[d:], chain), rows)
+        _step(now, moving, path, Moment(t, moving, now, at, box, slabs[d:], chain), rows)
         assert len(slabs) == 2 * d + m
+
+
+def _at(agent: AnyAgent, time: int) -> AnyAgent:
+    """The agent as it moves at a step."""
+    try:
+        return agent.at(time)
+    except ValueError as error:  # an expression such as 1/t is not defined at this time
+        raise NothingKnownError(str(error)) from None
 
 
 def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: Inequalities) -> None:

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from ...envs.agents import LinearAgent
+from ...envs.agents import LinearAgent, Proposition
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate, state
 from .nonlinear_check import nonlinear_failure, wrong_nonlinear_path
+from .own_regions import RegionSpan
 from .pair_limits_check import team_failure, wrong_normals
 from .roundings import SMALLEST, TAIL, UNIT
 from .start_check import wrong_start
@@ -233,7 +234,7 @@ def _wrong_word(certificate: PathCertificate) -> list[str]:
     assert problem.initial_q is not None  # others were refused
     states = {problem.initial_q}
     for t in range(1, certificate.n_steps + 1):
-        known = _known(problem, certificate.letters[t].tolist())
+        known = _known(problem, certificate.letters[t].tolist(), t)
         states = {target for q in states for target in _targets(certificate, q, known)}
     if not automaton.is_co_safe and certificate.n_steps != problem.horizon:
         return ["its path ends before the horizon, and the task is judged there"]
@@ -242,20 +243,31 @@ def _wrong_word(certificate: PathCertificate) -> list[str]:
     return []
 
 
-def _known(problem: Problem, letter: list[int]) -> dict[int, bool]:
-    """What is known of propositions: what the letter says, and that regions do not meet one that holds."""
+def _known(problem: Problem, letter: list[int], t: int) -> dict[int, bool]:
+    """What is known of propositions at a time: what the letter says, and that regions do not meet one that holds.
+
+    A region that moves may be empty at this time: then it does not hold.
+    """
     # Those about pairs come last, and are known by the letter alone.
     names, first = problem.automaton.propositions, problem.labeling.first_pair
     known = {p: value > 0 for p, value in enumerate(letter) if value}
-    for p, name in enumerate(names[:first]):
-        region = problem.propositions[name]
+    regions = [_region(problem, name, t) for name in names[:first]]
+    for p, (agent, region) in enumerate(regions):
+        if p not in known and region.is_empty:
+            known[p] = False
         for q, value in enumerate(letter[:first]):
-            other = problem.propositions[names[q]]
-            if p in known or value <= 0 or region.agent != other.agent:
+            if p in known or value <= 0 or agent != regions[q][0]:
                 continue
-            if np.any(region.high <= other.low) or np.any(other.high <= region.low):
+            if region.is_apart_from(regions[q][1]):
                 known[p] = False
     return known
+
+
+def _region(problem: Problem, name: str, t: int) -> tuple[str, RegionSpan]:
+    """The agent of a proposition, and where its region is at a time."""
+    proposition = problem.propositions[name]
+    assert isinstance(proposition, Proposition)
+    return proposition.agent, RegionSpan.of(proposition, t)
 
 
 def _targets(certificate: PathCertificate, q: int, known: dict[int, bool]) -> set[int]:
@@ -340,9 +352,10 @@ def _limits(
     # Limits are those of the problem: rows give outputs and states in its units.
     rows, low, high = [*np.diag(agent.units)], [*(agent.state_low * agent.units)], [*(agent.state_high * agent.units)]
     for p, name in enumerate(problem.automaton.propositions):
-        region, value = problem.propositions[name], int(certificate.letters[t, p])
-        if region.agent != owner or value == 0:
+        value = int(certificate.letters[t, p])
+        if problem.propositions[name].agent != owner or value == 0:
             continue
+        region = _region(problem, name, t)[1]
         outputs = range(len(agent.output_matrix))
         if value < 0:
             face = int(certificate.faces[t, p])
@@ -350,13 +363,13 @@ def _limits(
                 return np.zeros((1, len(agent.A))), np.array([1.0]), np.array([1.0])  # no side: it never holds
             k = face // 2
             rows.append(agent.output_matrix[k])
-            low.append(region.high[k] if face % 2 else -np.inf)
-            high.append(np.inf if face % 2 else region.low[k])
+            low.append(region.high[1, k] if face % 2 else -np.inf)
+            high.append(np.inf if face % 2 else region.low[0, k])
             continue
         for k in outputs:
             rows.append(agent.output_matrix[k])
-            low.append(region.low[k])
-            high.append(region.high[k])
+            low.append(region.low[1, k])
+            high.append(region.high[0, k])
     # Of several limits of one row the narrowest ones say all.
     distinct, which = np.unique(np.array(rows), axis=0, return_inverse=True)
     narrow_low, narrow_high = np.full(len(distinct), -np.inf), np.full(len(distinct), np.inf)

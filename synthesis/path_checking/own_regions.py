@@ -1,0 +1,49 @@
+"""Regions that move, enclosed at a time by intervals of the check's own.
+
+A corner is a double that simulations compute from an expression in ``t``. Its enclosure by ``own_intervals`` holds that
+double and the real value of the expression: each operation is moved outward by more than it is rounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...envs.agents import TIME, Proposition
+from ...envs.expressions import Tree
+from ..cells import FloatArray
+from .own_intervals import Span, span
+
+
+@dataclass(frozen=True, eq=False)
+class RegionSpan:
+    """Ends (2, p) of the lower corner of a region at a time, and of the upper one; infinite where nothing is known."""
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, region: Proposition, time: int) -> RegionSpan:
+        """Enclose a region at a time; one that stands still is its own enclosure."""
+        if not region.moves:
+            return cls(np.stack([region.low, region.low]), np.stack([region.high, region.high]))
+        low, high = (np.stack([_ends(tree, time) for tree in own], axis=1) for own in region.trees)
+        return cls(low, high)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it surely holds no point."""
+        return bool(np.any(self.high[1] <= self.low[0]))
+
+    def is_apart_from(self, other: RegionSpan) -> bool:
+        """Whether the two surely have no point in common."""
+        return bool(np.any(self.high[1] <= other.low[0]) or np.any(other.high[1] <= self.low[0]))
+
+
+def _ends(tree: Tree, time: int) -> FloatArray:
+    """Return ends (2,) of an expression in the time."""
+    leaves = {TIME: Span(np.full((2, 1), float(time)), np.zeros((2, 0, 1)))}
+    with np.errstate(all="ignore"):
+        ends = span(tree, leaves).ends[:, 0]
+    return np.array([-np.inf, np.inf]) if np.isnan(ends).any() else ends
