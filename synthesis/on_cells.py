@@ -46,12 +46,15 @@ class Plan:
         If there is one, cells are made finer until it is used up.
     effort : Effort
         What the task may still take.
+    paths : bool
+        Whether paths, which have no cells, may be tried as well.
     """
 
     settings: Settings
     search: Search
     budget: Budget | None
     effort: Effort
+    paths: bool = True
 
     def anew(self) -> Plan:
         """Return the plan of another task: with as much effort, whose clock its search heeds."""

@@ -9,7 +9,7 @@ from typing import Any
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts
-from .certificates import Certificate, Synthesis, TeamCertificate, checked_certificate
+from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
 from .choosing import Budget, Effort, best_of, settings_of
 from .models import (
     RELATIONS,
@@ -23,7 +23,7 @@ from .nominal_paths import path_certificate
 from .on_cells import Plan, plain
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
-from .task_ways import names_inputs, ways_of, ways_of_named_inputs, ways_within
+from .task_ways import names_inputs, still_problem, ways_in_time, ways_of, ways_of_named_inputs, ways_within
 from .together import ways_together
 from .values import HOST, device_put
 
@@ -157,6 +157,8 @@ def _of_task(
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
         return path_certificate(problem)
+    if problem.names_time:
+        return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):
         ways = ways_of_named_inputs(problem, plan, lambda chosen: _of_task(problem, cells, relation, chosen))
         return best_of(ways, plan.effort)
@@ -169,6 +171,29 @@ def _of_task(
     if cells is not None:
         raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
     return best_of(ways_within(problem, kinds, plan), plan.effort)
+
+
+def _in_time(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> Synthesis:
+    """Synthesize a task that names the time: along a path, or on grids as the task written out without it."""
+    _refuse_start(start, "a problem that names the time `t`")
+    if plan.search.stationary:
+        raise ValueError(
+            "`stationary`: expected False for a problem that names the time `t`, whose policies have to look at it"
+        )
+    if cells is not None and plan.budget is not None:
+        raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
+
+    def on_grids(sizes: CellCounts, chosen: Plan) -> Synthesis:
+        # Along a path of the problem written out the time would be an input to choose.
+        found = _of_task(still_problem(problem), sizes, relation, replace(chosen, paths=False))
+        held: Any = TimedCertificate(problem, found.certificate)
+        return Synthesis(held, held.controller, found.stats)
+
+    if relation not in ("auto", "best") or cells is not None or plan.budget is not None:
+        return on_grids(cells, plan)
+    return best_of(ways_in_time(problem, lambda: on_grids(None, plan)), plan.effort)
 
 
 def _refuse_outside(problem: Problem) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import Agent
-from ..envs.problem import Problem
+from ..envs.problem import Problem, written_out
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import Synthesis
 from .choosing import (
@@ -81,8 +81,8 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(_path(problem), work=0.0, ends=ends)
         on_grids = Way("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
-        return [path, on_grids]
-    return [*_on_grids(problem, kinds, plan), _path(problem)]
+        return [path, on_grids] if plan.paths else [on_grids]
+    return [*_on_grids(problem, kinds, plan), *([_path(problem)] if plan.paths else [])]
 
 
 def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
@@ -126,6 +126,20 @@ def ways_of_named_inputs(problem: Problem, plan: Plan, run: Callable[[Plan], Syn
 
     # What unknown inputs are refused for says most, so that it is said first.
     return [way("unknown", False, 1.0), way("in common", True, 0.0)]
+
+
+def still_problem(problem: Problem) -> Problem:
+    """Return a problem that names the time, written out without it; refuse one that has no grid."""
+    try:
+        return written_out(problem)
+    except ValueError as error:
+        raise RelationRefused(str(error)) from None
+
+
+def ways_in_time(problem: Problem, on_grids: Callable[[], Synthesis]) -> list[Way]:
+    """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
+    path = replace(_path(problem), work=0.0, ends=PATH_ENDS)
+    return [path, Way("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
 
 
 def names_inputs(problem: Problem) -> bool:

@@ -20,13 +20,14 @@ from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
-from .proposition import TIME, Proposition
+from .proposition import DECIMALS, TIME, Proposition
 from .saving import write_bytes, write_json, write_text
 
 __all__ = [
     "Agent",
     "AnyAgent",
     "Box",
+    "DECIMALS",
     "Gaussian",
     "Labeling",
     "Law",

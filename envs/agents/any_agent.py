@@ -88,6 +88,9 @@ class AnyAgent(ABC):
         """Whether the dynamics, or the scale of the noise, name the time `t`."""
         return False
 
+    has_clock: bool = False
+    """Whether the last input is the time, which nobody may choose (see `problem.written_out`)."""
+
     def at(self, time: int) -> Self:
         """Return the agent as it moves at one control step, 0 to T - 1; itself where no expression names the time."""
         return self

@@ -131,6 +131,7 @@ class Agent(AnyAgent):
     communicated: tuple[str, ...]
     neighbour_ranges: tuple[tuple[float, float], ...] | None
     neighbour_inputs: tuple[bool, ...]
+    has_clock: bool
 
     # Twenty keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
@@ -173,6 +174,7 @@ class Agent(AnyAgent):
             "communicated": () if not communicated else checked_texts(communicated, "communicated", None),
             "neighbour_ranges": None,
             "neighbour_inputs": (),
+            "has_clock": False,
             "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
             "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
@@ -267,6 +269,18 @@ class Agent(AnyAgent):
         declared = (*self.states, *self.inputs, *self.parameters, *self.disturbances)
         return () if TIME in declared else (TIME,)
 
+    def with_clock(self, horizon: int) -> Agent:
+        """Return the agent with the time as its last input, a *clock* from 0 to T - 1 (see `problem.written_out`)."""
+        data = self.to_dict()
+        data |= {
+            "inputs": [*self.inputs, TIME],
+            "input_low": [*self.input_low.tolist(), 0.0],
+            "input_high": [*self.input_high.tolist(), float(horizon - 1)],
+        }
+        agent = type(self)(**data)
+        object.__setattr__(agent, "has_clock", True)
+        return agent
+
     def at(self, time: int) -> Agent:
         """Return the agent as it moves at one control step, 0 to T - 1: the time becomes one of its parameters.
 
@@ -337,6 +351,7 @@ class Agent(AnyAgent):
         if (ranges, inputs) == (self.neighbour_ranges, self.neighbour_inputs):
             return self
         agent = type(self)(**self.to_dict())
+        object.__setattr__(agent, "has_clock", self.has_clock)
         object.__setattr__(agent, "neighbour_ranges", ranges)
         object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
@@ -409,6 +424,8 @@ class Agent(AnyAgent):
         )
         if self.noise_scale is not None:
             parts = (*parts, self.noise_scale)
+        if self.has_clock:
+            parts = (*parts, "clock")
         if self.others:  # agents in equal places are equal, though their neighbours have other names
             beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
             parts = (*parts[:2], repr(self.timed_trees), *parts[3:], *beside)

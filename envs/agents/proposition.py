@@ -1,8 +1,8 @@
 """A proposition about one agent: a box in its output space, which may move with the time.
 
 A corner is a number or an expression in `t`, the number of control steps taken: 0 at the start, and the horizon at the
-end. At each time corners are doubles, as simulations compute them; a check that needs more encloses `trees` itself.
-Where a corner is not below the other one, the region is empty at that time.
+end. Corners are rounded to twelve decimals, so that they are the same numbers on every machine, whose sines differ in
+their last digits; a check that needs more encloses `trees` itself. Where a corner is not below the other one, the region is empty at that time.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from .printing import box_text
 
 TIME = "t"
 """Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
+
+DECIMALS = 12
+"""Decimals to which corners that move are rounded."""
 
 Corner = tuple[float | str, ...]
 """Numbers and expressions in `t`, one for each output."""
@@ -151,8 +154,10 @@ class Proposition:
             low, high = (np.repeat(corner[:, None], len(times), axis=1) for corner in (self.low, self.high))
             return low, high
         values = {TIME: np.asarray(times, dtype=float)}
-        low, high = (np.array([np.broadcast_to(row, len(times)) for row in computed(own, values)])
-                     for own in self.trees)  # fmt: skip
+        low, high = (
+            np.round(np.array([np.broadcast_to(row, len(times)) for row in computed(own, values)]), DECIMALS)
+            for own in self.trees
+        )
         wrong = ~(np.isfinite(low) & np.isfinite(high)).all(axis=0)
         if wrong.any():
             raise ValueError(

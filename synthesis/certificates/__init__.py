@@ -24,6 +24,7 @@ from .result import Synthesis
 from .start_hull import StartHull
 from .stated import Statement, noted, state
 from .team_certificate import TeamCertificate
+from .timed_certificate import TimedCertificate
 
 __all__ = [
     "AgentPart",
@@ -41,6 +42,7 @@ __all__ = [
     "Statement",
     "Synthesis",
     "TeamCertificate",
+    "TimedCertificate",
     "Tube",
     "UNREADABLE",
     "any_certificate",

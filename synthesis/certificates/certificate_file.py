@@ -29,7 +29,7 @@ from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
 from .hull_file import hull_header, hull_in
 from .pairs_certificate import PairsCertificate
-from .pairs_file import pairs_header, pairs_in, team_header, team_in
+from .pairs_file import pairs_header, pairs_in, team_header, team_in, timed_header, timed_in
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .path_file import path_header, path_in
@@ -37,8 +37,11 @@ from .product import ProductCertificate, product_certificate
 from .result import Synthesis
 from .start_hull import StartHull
 from .team_certificate import TeamCertificate
+from .timed_certificate import TimedCertificate
 
-AnyCertificate = Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate
+AnyCertificate = (
+    Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate
+)
 
 FORMAT = "certigym-certificate"
 """What the header of every file says."""
@@ -93,7 +96,9 @@ def _packed_product(product: ProductCertificate) -> bytes:
     return _archived(header, pool)
 
 
-def _packed(certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate | StartHull) -> bytes:
+def _packed(
+    certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate | StartHull,
+) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
     if isinstance(certificate, PairsCertificate):
@@ -101,6 +106,9 @@ def _packed(certificate: Certificate | PathCertificate | PairsCertificate | Team
         return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, TeamCertificate):
         more = team_header(certificate, _packed(certificate.base), pool.put)
+        return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
+    if isinstance(certificate, TimedCertificate):
+        more = timed_header(certificate, _packed(certificate.base), pool.put)
         return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, PathCertificate):
         return _archived({"format": FORMAT, "version": VERSION, **path_header(certificate, pool.put)}, pool)
@@ -168,6 +176,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return hull_in(header, arrays)  # type: ignore[return-value]
         if "without_pairs" in header:
             return pairs_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
+        if "written_out" in header:
+            return timed_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
         if "team" in header:
             return team_in(header, arrays, lambda raw: _single(raw, max_bytes))  # type: ignore[return-value]
         return CertificateReader(header, arrays).certificate()
@@ -223,9 +233,15 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
         if not {"parts", "hull", "without_pairs", "team"}.isdisjoint(part_header):
             raise ValueError("a part of it has parts again")
-        read = path_in if "path" in part_header else _read
-        certificates[name] = read(part_header, part_arrays)  # type: ignore[assignment]
+        certificates[name] = _part(part_header, part_arrays, bytes_left)
     return product_certificate(problem, tuple(certificates[str(int(number))] for number in header["parts"]))
+
+
+def _part(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int) -> Any:
+    """Return the certificate of one of several independent tasks."""
+    if "written_out" in header:
+        return timed_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))
+    return path_in(header, arrays) if "path" in header else _read(header, arrays)
 
 
 def _read(header: dict[str, Any], arrays: dict[str, NDArray]) -> Certificate:

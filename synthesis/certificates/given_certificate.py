@@ -13,6 +13,7 @@ from .product import ProductCertificate
 from .result import Synthesis
 from .start_hull import StartHull
 from .team_certificate import TeamCertificate
+from .timed_certificate import TimedCertificate
 
 
 def as_certificate(value: Any) -> Certificate | ProductCertificate:
@@ -54,6 +55,12 @@ def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamC
             "spoil is bounded for the whole run from the start of its problem, and for no other state or time; it can "
             "be checked, validated, stressed, simulated, compared and reported"
         )
+    if any(isinstance(part, TimedCertificate) for part in parts):
+        raise ValueError(
+            "`certificate`: expected one of a problem that is the same at every step, got one of a problem that names "
+            "the time `t`, whose values are those of the problem written out; it can be checked, validated, stressed, "
+            "simulated, compared and reported, and its `.base` is about the problem written out"
+        )
     bases = [part.base if isinstance(part, TeamCertificate) else part for part in parts]
     if any(isinstance(part, PathCertificate) for part in bases):
         raise ValueError(
@@ -67,7 +74,7 @@ def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamC
 def speaks_of_one_start(certificate: Any) -> bool:
     """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    return any(isinstance(part, PathCertificate | PairsCertificate | TeamCertificate) for part in parts)
+    return any(isinstance(part, PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate) for part in parts)
 
 
 def any_certificate(value: Any) -> Any:

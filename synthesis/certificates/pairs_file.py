@@ -13,6 +13,7 @@ from .certificate import Certificate
 from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .team_certificate import TeamCertificate
+from .timed_certificate import TimedCertificate
 
 
 def pairs_header(certificate: PairsCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
@@ -52,6 +53,29 @@ def pairs_in(
     if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
         raise ValueError("its base does not fit the problem")
     return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])
+
+
+def timed_header(certificate: TimedCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:
+    """Return the header of a file of a problem that names the time; arguments as for ``pairs_header``."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "written_out": put(np.frombuffer(base, np.uint8)),
+    }
+
+
+def timed_in(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], read: Callable[[bytes], Certificate]
+) -> TimedCertificate:
+    """Return the certificate of a problem that names the time, from a header and arrays; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    base = read(arrays[str(int(header["written_out"]))].astype(np.uint8).tobytes())
+    certificate = TimedCertificate(problem, base)
+    if certificate.base.fingerprint != base.fingerprint:
+        raise ValueError("its base is not its problem written out")
+    return certificate
 
 
 def team_header(certificate: TeamCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:

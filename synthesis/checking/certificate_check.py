@@ -38,6 +38,7 @@ from ..certificates import (
     ProductCertificate,
     StartHull,
     TeamCertificate,
+    TimedCertificate,
     any_certificate,
     load_certificate,
     noted,
@@ -59,6 +60,7 @@ from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
 from .relation_check import label_margin, verify_relation
 from .team_check import wrong_team
+from .timed_check import wrong_in_time
 from .train_check import Value, regrown_trains, train_start_value
 from .upper_end import MOST, attained, inexact
 
@@ -124,9 +126,13 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         PathCertificate: _check_path,
         PairsCertificate: _check_pairs,
         TeamCertificate: _check_team,
+        TimedCertificate: _check_timed,
         StartHull: _check_hull,
     }
     one = kinds.get(type(certificate), _check_one)
+    if problem.names_time and one in (_check_one, _check_pairs, _check_team):
+        failures = ("its problem names the time, of which it knows nothing",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.labeling.pairs and one in (_check_one, _check_hull):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
@@ -182,6 +188,17 @@ def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:
         return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
     report = check(certificate.base)
     return CheckReport(report.valid, certificate.lower_bound, report.recomputed, report.failures)
+
+
+def _check_timed(certificate: TimedCertificate, problem: Problem) -> CheckReport:
+    """Verify the certificate of a problem that names the time: that of the problem written out, and that it is that."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    failures = failures or wrong_in_time(certificate)
+    if failures:
+        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(failures))
+    return check(certificate.base)
 
 
 def _check_path(certificate: PathCertificate, problem: Problem) -> CheckReport:

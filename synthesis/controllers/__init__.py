@@ -7,6 +7,7 @@ from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
 from .team_controller import TeamController
+from .timed_controller import TimedController
 
 __all__ = [
     "AgentController",
@@ -18,6 +19,7 @@ __all__ = [
     "Policy",
     "ProductController",
     "TeamController",
+    "TimedController",
     "covariances_along",
     "covariances_of",
     "decentralised",

@@ -58,9 +58,10 @@ from .agent_models import (
     reaches_every_mean,
     tube_model,
 )
+from .box_choices import BoxChoices
 from .box_model import box_model
 from .common_choices import common_inputs_of, common_relation
-from .corner_choices import Choices
+from .corner_choices import Choices, CornerChoices
 from .corner_model import corner_model
 from .kernel import Kernel
 
@@ -121,6 +122,22 @@ class AgentModel:
     def n_cells(self) -> int:
         """Number of places at which factors have values: the cells S, or their 2^d S corners (``linear``)."""
         return math.prod(self.kernel.shape)
+
+    def offered(self, time: int) -> tuple[Choices, int]:
+        """Return what may be chosen at a step, and the number of the first of these choices."""
+        choices = self.choices
+        if not isinstance(choices, BoxChoices | CornerChoices) or choices.n_times == 1:
+            return choices, 0
+        return choices.at_times[time], time * choices.at_times[time].n_choices
+
+    def resting_at(self, time: int) -> NDArray[np.int32]:
+        """Return the choices (S,) that stay nearest to each cell at a step; -1 where there are none."""
+        choices, first = self.offered(time)
+        return np.where(choices.resting_choice >= 0, choices.resting_choice + first, -1).astype(np.int32)
+
+    def resting_policy(self, horizon: int) -> NDArray[np.int32]:
+        """Return these choices (T, S) for every step."""
+        return np.array([self.resting_at(time) for time in range(horizon)])
 
     @property
     def is_linear(self) -> bool:
@@ -349,6 +366,8 @@ def models_of(
         numbers_known = b"" if known is None else repr((known.description, getattr(agent, "others", ()))).encode()
         wish = (*alike, room.tobytes() if depends_on_room else b"", numbers_known)
         if wish not in by_wish:
+            if known is not None and agent.has_clock:
+                raise RelationRefused(f"agent `{agent.name}`: inputs in common beside the time `t` are not certified")
             if known is None:
                 model = _shared_model(agent, kind, grid, coordinates, room, settings)
             else:
@@ -376,7 +395,12 @@ def _shared_model(
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
-    if is_any and not agent.has_plain_noise:
+    if agent.has_clock and kind not in ("boxes", "linear") and not is_any:
+        raise RelationRefused(
+            f"agent `{agent.name}`: the relation `{kind}` is for dynamics that are the same at every step, got some "
+            "that name the time `t`; ask for `linear`, `boxes` or `path`"
+        )
+    if is_any and (agent.has_clock or not agent.has_plain_noise):
         kind = "boxes"
     elif kind != "boxes":
         refuse_uneven_noise(agent, kind)

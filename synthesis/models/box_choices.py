@@ -53,6 +53,9 @@ class BoxChoices:
         Lattice points at which the windows begin that cover the box, rounded to the nearest lattice points.
     n_parts : int
         Parts of equal length in which the choices come, one for each number that is chosen in common; 1 if none is.
+    n_times : int
+        Parts of equal length in which the choices come, one for each step, in which alone these may be chosen; 1 if all
+        may be chosen at every step.
     """
 
     grid: Grid
@@ -64,6 +67,7 @@ class BoxChoices:
     size: NDArray[np.int16]
     corners: NDArray[np.int32]
     n_parts: int = field(default=1, kw_only=True)
+    n_times: int = field(default=1, kw_only=True)
 
     def __repr__(self) -> str:
         cells, n_choices = self.size.shape
@@ -76,6 +80,11 @@ class BoxChoices:
         return tuple(len(axis) for axis in self.lattice)
 
     @property
+    def n_choices(self) -> int:
+        """Number of choices A."""
+        return self.size.shape[1]
+
+    @property
     def part_length(self) -> int:
         """Choices of a part."""
         return self.size.shape[1] // self.n_parts
@@ -83,11 +92,19 @@ class BoxChoices:
     @cached_property
     def parts(self) -> tuple[BoxChoices, ...]:
         """The choices of each part by themselves, numbered from 0."""
-        if self.n_parts == 1:
+        return self._cut(self.n_parts)
+
+    @cached_property
+    def at_times(self) -> tuple[BoxChoices, ...]:
+        """The choices of each step by themselves, numbered from 0."""
+        return tuple(replace(own, n_times=1) for own in self._cut(self.n_times))
+
+    def _cut(self, count: int) -> tuple[BoxChoices, ...]:
+        if count == 1:
             return (self,)
-        found = []
-        for part in range(self.n_parts):
-            columns = slice(part * self.part_length, (part + 1) * self.part_length)
+        found, length = [], self.size.shape[1] // count
+        for part in range(count):
+            columns = slice(part * length, (part + 1) * length)
             low, high, size, corners = (
                 np.ascontiguousarray(table[:, columns]) for table in (self.low, self.high, self.size, self.corners)
             )

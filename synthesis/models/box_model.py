@@ -91,6 +91,8 @@ def box_model(
     choices = box_choices(grid, lattice, relation, axes)
     if relation.common is not None:
         choices = replace(choices, n_parts=len(relation.common.numbers))
+    if agent.has_clock:
+        choices = replace(choices, n_times=int(agent.input_high[-1]) + 1)
     return relation, lattice, box_kernel(grid, lattice, laws, axes), choices
 
 
@@ -130,11 +132,24 @@ def relation_of(agent: AnyAgent, grid: Grid, coordinates: FloatArray) -> BoxRela
     if isinstance(agent, LinearAgent):
         menu, gains = input_menu(agent, grid, coordinates)
         return box_relation(agent, coordinates, menu, gains)
+    if agent.has_clock:
+        return in_fitting_parts(agent, grid, coordinates, clock_menu(agent, INPUT_LEVELS), {"steer": None})
     menu, steer = with_rest(agent.input_box, INPUT_LEVELS.get(agent.n_inputs, 3)), None
     # Where inputs command axes, every input is offered twice: as it is, and with targets for these axes.
     if isinstance(agent, Agent) and WrittenMeans(agent, coordinates, 1).commands:
         menu, steer = np.concatenate([menu, menu]), np.arange(2 * len(menu)) >= len(menu)
     return in_fitting_parts(agent, grid, coordinates, menu, {"steer": steer})
+
+
+def clock_menu(agent: AnyAgent, levels: Mapping[int, int]) -> FloatArray:
+    """Return the inputs (A, m) of an agent with a clock: at each time, one after the other, the same other inputs.
+
+    ``levels`` are those of each other input, by their number; 3 beyond.
+    """
+    low, high = agent.input_low[:-1], agent.input_high[:-1]
+    others = with_rest(Box(low, high, allow_flat=True), levels.get(len(low), 3))
+    times = np.arange(int(agent.input_high[-1]) + 1, dtype=float)
+    return np.hstack([np.tile(others, (len(times), 1)), np.repeat(times, len(others))[:, None]])
 
 
 def in_fitting_parts(

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, product
 
@@ -82,6 +82,9 @@ class CornerChoices:
         What second differences along each axis count for g below I: an eighth for normal noise, 0 for uniform noise.
     has_ends : bool
         Whether smoothed factors have columns for what uniform noise adds between lattice points.
+    n_times : int
+        Parts of equal length in which the inputs come, one for each step, in which alone these may be chosen; 1 if all
+        may be chosen at every step. There are no targets then.
     """
 
     grid: Grid
@@ -93,6 +96,7 @@ class CornerChoices:
     charged: tuple[float, ...]
     has_ends: bool = False
     memory: dict[str, object] = field(default_factory=dict, repr=False)
+    n_times: int = 1
 
     def __repr__(self) -> str:
         aims = "" if self.windows is None else " and targets"
@@ -113,6 +117,25 @@ class CornerChoices:
     def n_inputs(self) -> int:
         """Number of inputs A."""
         return len(self.relation.menu)
+
+    @property
+    def n_choices(self) -> int:
+        """Number of choices but targets."""
+        return self.n_inputs
+
+    @cached_property
+    def at_times(self) -> tuple[CornerChoices, ...]:
+        """The choices of each step by themselves, numbered from 0."""
+        if self.n_times == 1:
+            return (self,)
+        found, length = [], self.n_inputs // self.n_times
+        for time in range(self.n_times):
+            own = slice(time * length, (time + 1) * length)
+            gain, rest = (each[:, own] if each.shape[1] > 1 else each for each in (self.maps.gain, self.maps.rest))
+            maps = AffineBoxes(self.maps.centre[:, own], gain, rest)
+            relation = replace(self.relation, menu=self.relation.menu[own])
+            found.append(replace(self, relation=relation, maps=maps, memory={}, n_times=1))
+        return tuple(found)
 
     @cached_property
     def n_points(self) -> int:

@@ -14,7 +14,7 @@ from ..relations import AffineBoxes, MapRelation, map_relation
 from .agent_models import reaches_every_mean
 from .bends import SECOND
 from .box_kernel import box_lattice, rounding_of, slack_of
-from .box_model import with_rest
+from .box_model import clock_menu, with_rest
 from .corner_choices import BESIDE, CornerChoices, windows_of
 from .lattice_kernel import LatticeKernel
 from .linear_kernel import hat_table
@@ -83,6 +83,12 @@ def corner_model(
         If its noise has laws for which nothing is known between lattice points, or there are too many maps or points.
     """
     numbers = 1, CUTS.get(agent.n_states, 1), (0,) * agent.n_states
+    if agent.has_clock:
+        menu = clock_menu(agent, LEVELS_ALONE)
+        relation, lattice, kernel, choices = lattice_model(
+            agent, grid, map_relation(agent, coordinates, menu, numbers), per_cell
+        )
+        return relation, lattice, kernel, replace(choices, n_times=int(agent.input_high[-1]) + 1)
     if reaches_every_mean(agent):
         menu = with_rest(agent.input_box, LEVELS_BESIDE_TARGETS.get(agent.n_inputs, 2))
         relation = map_relation(agent, coordinates, menu, numbers, with_aims=True)

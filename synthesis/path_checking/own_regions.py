@@ -1,7 +1,8 @@
 """Regions that move, enclosed at a time by intervals of the check's own.
 
-A corner is a double that simulations compute from an expression in ``t``. Its enclosure by ``own_intervals`` holds that
-double and the real value of the expression: each operation is moved outward by more than it is rounded.
+A corner is the value of an expression in ``t``, rounded to twelve decimals. Its enclosure by ``own_intervals``, each
+operation of which is moved outward by more than it is rounded, is widened by what the decimals leave out: it holds the
+corner that simulations use, and the value of the expression.
 """
 
 from __future__ import annotations
@@ -10,10 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...envs.agents import TIME, Proposition
+from ...envs.agents import DECIMALS, TIME, Proposition
 from ...envs.expressions import Tree
 from ..cells import FloatArray
 from .own_intervals import Span, span
+from .roundings import UNIT
+
+
+HALF = 0.51 * 10.0**-DECIMALS
+"""How far a corner is from the value of its expression, a little more than half a decimal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,4 +52,7 @@ def _ends(tree: Tree, time: int) -> FloatArray:
     leaves = {TIME: Span(np.full((2, 1), float(time)), np.zeros((2, 0, 1)))}
     with np.errstate(all="ignore"):
         ends = span(tree, leaves).ends[:, 0]
-    return np.array([-np.inf, np.inf]) if np.isnan(ends).any() else ends
+    if np.isnan(ends).any():
+        return np.array([-np.inf, np.inf])
+    spare = HALF + 4.0 * UNIT * np.abs(ends)
+    return np.array([ends[0] - spare[0], ends[1] + spare[1]])

@@ -69,6 +69,8 @@ def commands_of(agent: Agent) -> tuple[Command, ...]:
     the noise larger: what steers applies many of them in one cell.
     """
     commands: list[Command] = []
+    if agent.has_clock:
+        return ()  # the clock is an input that nobody may set
     if any(names_in(tree) & {*agent.inputs} for tree in agent.scale_trees):
         return ()
     middle = {state: np.array([x]) for state, x in zip(agent.states, agent.workspace.center.tolist(), strict=True)}

@@ -26,7 +26,7 @@ from ...envs.agents import tree_text
 from ..cells import FloatArray, alike_text
 from ..models import BoxChoices, Choices, CommonGroup, CornerChoices, JointModel, Policies, StepPolicy, with_number
 from ..values import IndexArray, Occupancy, Skeleton, Terms, beside, compress, namespace, take, to_host
-from .best_response import TIE, best_choices
+from .best_response import TIE, best_offered
 from .inner_products import Others, collected, inner_products
 from .ladder import Arrivals
 from .limits import Limits
@@ -92,8 +92,8 @@ def policies_text(policies: Policies, stationary: bool) -> str:
 
 def resting_policies(joint: JointModel) -> Policies:
     """Return policies under which every agent stays where it is, at all times and states."""
-    shape = (joint.horizon, joint.n_states, 1)
-    return tuple(np.tile(model.choices.resting_choice, shape) for model in joint.models)
+    resting = (model.resting_policy(joint.horizon) for model in joint.models)
+    return tuple(np.repeat(policy[:, None], joint.n_states, axis=1) for policy in resting)
 
 
 def start_value(start: Occupancy, terms: Terms) -> float:
@@ -163,7 +163,7 @@ def sweep(
                 parts.append((ones, np.zeros((0, len(joint.models)), dtype=np.int64)))
                 kept.append(np.zeros(0, dtype=np.int64))
                 continue
-            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies], improve)
+            stage = Stage(joint, options, occupancy, q, [policy[t, q] for policy in policies], improve, t)
             # Answers at time t leave the occupancies up to t as they are: they depend on earlier policies only.
             if improve and len(stage.rows):
                 stage.improve()
@@ -217,11 +217,12 @@ class Stage:
         q: int,
         policies: Sequence[StepPolicy],
         rough: bool = False,
+        time: int = 0,
     ) -> None:
         self.rough, self.groups = rough, joint.common
         self.models, self.policies, self.leftover, self.q = joint.models, list(policies), occupancy.leftover, q
         # What each agent may choose from, and the number of the first of these choices: groups keep their numbers.
-        self.offered: list[tuple[Choices, int]] = [(model.choices, 0) for model in joint.models]
+        self.offered: list[tuple[Choices, int]] = [model.offered(time) for model in joint.models]
         for group in self.groups:
             self.offered = self._with_number(group, self._number_of(group))
         # Keep the factors that terms of this state point at, and read them at the chosen points.
@@ -348,12 +349,7 @@ class Stage:
 
     def best(self, i: int, weights: FloatArray, table: FloatArray) -> StepPolicy:
         """Return the best of the choices that agent i is offered."""
-        choices, first = self.offered[i]
-        if not first:
-            return best_choices(choices, weights, table, self.policies[i])
-        incumbent = np.where(self.policies[i] >= 0, self.policies[i] - first, -1).astype(np.int32)
-        best = best_choices(choices, weights, table, incumbent)
-        return np.where(best >= 0, best + first, -1).astype(np.int32)
+        return best_offered(self.offered[i], weights, table, self.policies[i])
 
     def gain(self) -> float:
         """Return the largest increase of the start value if one agent changes its choices here (an estimate).

@@ -92,6 +92,18 @@ def best_choices(choices: Choices, weights: FloatArray, table: FloatArray, incum
     return np.where(better, best, incumbent).astype(np.int32)
 
 
+def best_offered(
+    offered: tuple[Choices, int], weights: FloatArray, table: FloatArray, incumbent: StepPolicy
+) -> StepPolicy:
+    """Return the best of choices that are offered, which are numbered from the second number on."""
+    choices, first = offered
+    if not first:
+        return best_choices(choices, weights, table, incumbent)
+    before = np.where(incumbent >= 0, incumbent - first, -1).astype(np.int32)
+    best = best_choices(choices, weights, table, before)
+    return np.where(best >= 0, best + first, -1).astype(np.int32)
+
+
 def _best_on_menu(
     choices: InputMenu, block: NDArray[Any], weights: FloatArray, table: FloatArray
 ) -> tuple[NDArray[Any], FloatArray]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..cells import FloatArray
 from ..models import AgentModel, InputMenu, JointModel, Policies
 from ..values import Occupancy
-from .best_response import best_choices
+from .best_response import best_offered
 from .tree import read
 
 MOST_BEAM_POINTS, NARROWEST_BEAM = 8_000_000, 4
@@ -73,7 +73,7 @@ def best_paths(joint: JointModel, start: Occupancy, width: int = 64, count: int 
     reached = _reached(joint, start)
     beam = _terminal(joint)
     for t in reversed(range(joint.horizon)):
-        beam = _extend(joint, beam, reached[t], width)
+        beam = _extend(joint, beam, reached[t], width, t)
     scores = _from_start(beam, start)
     order = np.argsort(-scores, kind="stable")[:count]
     return [GuardPath(beam.guards[k], float(scores[k])) for k in order if scores[k] > 0 and beam.guards[k]]
@@ -106,15 +106,15 @@ def path_policies(joint: JointModel, path: GuardPath, otherwise: Policies) -> Po
             guard = path.guards[t]
             smoothed = model.kernel.smooth(joint.masks[i][[joint.guards.mask[guard, i]]] * value)
             q = int(joint.guards.source[guard])
-            policy = _best(model, smoothed, policies[i][t, q])
+            policy = _best(model, smoothed, policies[i][t, q], t)
             policies[i][t, q] = policy
             value = read(model.choices, smoothed, policy)
     return policies
 
 
-def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the best choices for a single objective."""
-    return best_choices(model.choices, np.ones((1, 1)), smoothed, incumbent)
+def _best(model: AgentModel, smoothed: FloatArray, incumbent: NDArray[np.int32], time: int) -> NDArray[np.int32]:
+    """Return the best choices of a step for a single objective."""
+    return best_offered(model.offered(time), np.ones((1, 1)), smoothed, incumbent)
 
 
 def _terminal(joint: JointModel) -> _Beam:
@@ -124,7 +124,7 @@ def _terminal(joint: JointModel) -> _Beam:
     return _Beam(states, [()] * len(states), rows, [np.ones((1, n)) for n in joint.n_cells])
 
 
-def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]], width: int) -> _Beam:
+def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]], width: int, time: int) -> _Beam:
     """Return the ``width`` most promising vertices of each state one step further back; acceptance itself stays."""
     guards, models = joint.guards, joint.models
     pairs = [(g, v) for g, target in enumerate(guards.target) for v in np.flatnonzero(beam.state == target)]
@@ -138,7 +138,7 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
         distinct, rows[:, i] = np.unique(key, return_inverse=True)
         mask, factor = np.divmod(distinct, len(beam.factors[i]))
         masked = joint.masks[i][mask] * beam.factors[i][factor]
-        agent_values = _best_values(model, masked, computed.setdefault((id(model.kernel), id(model.choices)), {}))
+        agent_values = _best_values(model, masked, computed.setdefault((id(model.kernel), id(model.choices)), {}), time)
         values.append(agent_values)
         # A vertex promises the product of what it is worth at the best reached cell of each agent.
         promise *= agent_values[:, reached[i]].max(axis=1, initial=0.0)[rows[:, i]]
@@ -154,8 +154,8 @@ def _extend(joint: JointModel, beam: _Beam, reached: Sequence[NDArray[np.bool_]]
     return _Beam(np.concatenate([state, goals]), paths + [()] * len(goals), np.concatenate([rows, ends]), values)
 
 
-def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, FloatArray]) -> FloatArray:
-    """Return the value (n, S) of each masked factor (n, S) under the best choices for it.
+def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, FloatArray], time: int) -> FloatArray:
+    """Return the value (n, S) of each masked factor (n, S) under the best choices of a step for it.
 
     What is ``computed`` already is taken from there, and what is new is added.
     """
@@ -166,7 +166,7 @@ def _best_values(model: AgentModel, masked: FloatArray, computed: dict[bytes, Fl
         if isinstance(model.choices, InputMenu):  # the largest value is all that counts
             computed[name] = smoothed[k].take(model.choices.leads_to).max(axis=1)
             continue
-        policy = _best(model, smoothed[[k]], model.choices.resting_choice)
+        policy = _best(model, smoothed[[k]], model.resting_at(time), time)
         computed[name] = read(model.choices, smoothed[[k]], policy)[0]
     return np.array([computed[name] for name in names]).reshape(len(names), model.n_cells)
 
@@ -200,14 +200,14 @@ def _reached(joint: JointModel, start: Occupancy) -> list[list[NDArray[np.bool_]
         cells: NDArray[Any] = np.asarray(np.any(factors > 0, axis=0))
         now.append(cells if cells.any() else np.ones(model.n_cells, dtype=bool))
     result = [now]
-    for _ in range(joint.horizon - 1):
-        now = [_spread(model, cells) for model, cells in zip(joint.models, now, strict=True)]
+    for time in range(joint.horizon - 1):
+        now = [_spread(model, cells, time) for model, cells in zip(joint.models, now, strict=True)]
         result.append(now)
     return result
 
 
-def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the cells reached in one step by extreme and resting choices, and everything between them."""
+def _spread(model: AgentModel, cells: NDArray[np.bool_], time: int) -> NDArray[np.bool_]:
+    """Return the cells reached in a step by extreme and resting choices, and everything between them."""
     indicator = cells.astype(float)[None]
     shape = tuple(len(axis) for axis in model.lattice)
     n_lattice = math.prod(shape)
@@ -219,7 +219,7 @@ def _spread(model: AgentModel, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         ramps += [ramp, 3.0 - ramp]
     reached = cells.copy()
     for ramp in ramps:
-        policy = _best(model, ramp[None], model.choices.resting_choice)
+        policy = _best(model, ramp[None], model.resting_at(time), time)
         mass = model.kernel.push(indicator, model.choices.points(policy))[0]
         reached |= mass > REACHED_SHARE * mass.max(initial=0.0)
     return _hull(reached, model.kernel.shape)

@@ -34,7 +34,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..models import AgentModel, JointModel, Policies
 from ..values import UNIT, Occupancy
-from .best_response import TIE, best_choices
+from .best_response import TIE, best_offered
 from .tree import read
 
 
@@ -129,7 +129,7 @@ def _solve(
     n_q = joint.n_states
     value = np.repeat(joint.accepting.astype(float)[:, None], model.n_cells, axis=1)
     settled = value.copy()
-    resting = np.tile(model.choices.resting_choice, (joint.horizon, n_q, 1))
+    resting = np.repeat(model.resting_policy(joint.horizon)[:, None], n_q, axis=1)
     policy = resting if incumbent is None else incumbent.copy()
     weights, classes = np.ones((model.n_cells, 1)), _cells_by_class(model, follows)
     for t in reversed(range(joint.horizon)):
@@ -143,7 +143,7 @@ def _solve(
             if not joint.occurs[t, q]:
                 value[q] = 1.0  # no run is there at this time: any upper bound will do
                 continue
-            policy[t, q] = best_choices(model.choices, weights, smoothed[q : q + 1], policy[t, q])
+            policy[t, q] = best_offered(model.offered(t), weights, smoothed[q : q + 1], policy[t, q])
             value[q] = read(model.choices, smoothed[q : q + 1], policy[t, q])[0]
     return Relaxation(value, policy)
 

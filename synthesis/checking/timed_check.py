@@ -1,0 +1,94 @@
+"""Checks of certificates of problems that name the time: what they are about is the problem, written out.
+
+Nothing of how the problem was written out is trusted. Both automata are followed through all letters of each time;
+places of regions are enclosed at their times by the check's own intervals; agents are compared entry by entry; and
+policies set every clock to the time, at every step and in every cell in which they choose anything.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...envs.agents import TIME, Agent, AnyAgent, Proposition
+from ...envs.problem import Places, states_in_time
+from ..certificates import AgentPart, Certificate, TimedCertificate
+from ..path_checking import RegionSpan
+
+if TYPE_CHECKING:
+    from ...envs.problem import Problem
+
+
+def wrong_in_time(certificate: TimedCertificate) -> list[str]:
+    """Return what is wrong with a certificate of a problem that names the time, apart from that of its base."""
+    problem, base = certificate.problem, certificate.base.problem
+    if not isinstance(certificate.base, Certificate):
+        return ["its base is not on grids"]
+    if not problem.names_time or problem.labeling.pairs or base.names_time or base.labeling.pairs:
+        return ["it is not about single agents and the time"]
+    if base.horizon != problem.horizon or base.n_agents != problem.n_agents:
+        return ["its base has another horizon or other agents"]
+    failures = _wrong_agents(problem, base) + _wrong_places(problem, base)
+    if failures:
+        return failures
+    try:
+        states_in_time(problem, base)
+    except ValueError as error:
+        return [f"its base is not the problem written out: {error}"]
+    for agent, part in zip(base.agents, certificate.base.agents, strict=True):
+        if agent.has_clock and (wrong := _wrong_clock(agent, part, problem.horizon)):
+            failures.append(f"agent `{agent.name}`: {wrong}")
+    return failures
+
+
+def _wrong_agents(problem: Problem, base: Problem) -> list[str]:
+    """Agents are those of the problem; where they name the time it is their last input."""
+    failures = []
+    for agent, other in zip(problem.agents, base.agents, strict=True):
+        wanted = agent.to_dict()
+        if agent.names_time:
+            wanted["inputs"] = [*wanted["inputs"], TIME]
+            wanted["input_low"] = [*wanted["input_low"], 0.0]
+            wanted["input_high"] = [*wanted["input_high"], float(problem.horizon - 1)]
+        if other.to_dict() != wanted or other.has_clock != agent.names_time:
+            failures.append(f"agent `{agent.name}` of its base is not that of the problem")
+    return failures
+
+
+def _wrong_places(problem: Problem, base: Problem) -> list[str]:
+    """Regions of the base are where those of the problem are at each time, by intervals of the check's own."""
+    places = Places(problem)
+    for name in problem.labeling.moving:
+        region = problem.propositions[name]
+        assert isinstance(region, Proposition)
+        for time in range(problem.horizon + 1):
+            own, place = RegionSpan.of(region, time), places.name_of(name, time)
+            if place is None:
+                continue  # it is nowhere in the workspace: `states_in_time` takes it from the problem
+            low, high = base.propositions[place].low, base.propositions[place].high
+            if not (_within(low, own.low) and _within(high, own.high)):
+                return [f"`{place}` is not where `{name}` is at time {time}"]
+    return []
+
+
+def _within(numbers: np.ndarray, ends: np.ndarray) -> bool:
+    return bool(np.all((ends[0] <= numbers) & (numbers <= ends[1])))
+
+
+def _wrong_clock(agent: AnyAgent, part: AgentPart, horizon: int) -> str:
+    """Return what is wrong with how the policies of an agent set its clock; nothing if they set it to the time."""
+    assert isinstance(agent, Agent)
+    is_plain = part.relation["kind"] in ("boxes", "linear") and "common" not in part.relation
+    if not is_plain or part.relation.get("network") or np.any(np.array(part.relation.get("steer") or False)):
+        return "its clock is set by choices of another kind than inputs that are the same in a whole cell"
+    menu = np.array(part.relation["menu"], dtype=float)
+    if menu.ndim != 2 or np.any(part.policy >= len(menu)):
+        return "its clock is set by choices that are not of its menu"
+    if len(part.policy) != horizon:
+        return "its policies do not look at the time, which its dynamics name"
+    for time, choices in enumerate(part.policy):
+        chosen = np.unique(choices[choices >= 0])
+        if np.any(menu[chosen, -1] != float(time)):
+            return f"its clock is not the time at step {time}"
+    return ""
