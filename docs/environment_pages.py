@@ -311,6 +311,9 @@ def _regions(problem: cg.Problem) -> str:
             box = " x ".join(f"[{low:g}, {high:g})" for low, high in zip(proposition.low, proposition.high))
             lines.append(f"| {label} | {which} | difference in {box} |")
             continue
+        if proposition.moves:
+            lines.append(f"| {label} | `{proposition.agent}` | {proposition.text} |")
+            continue
         owner = problem.agents[problem.agent_names.index(first.agent)]
         lines.append(f"| {label} | `{proposition.agent}` | {_region(proposition.low, proposition.high, owner)} |")
     return "\n".join(lines) + "\n\nA region holds its lower faces, and its upper ones at the edge of the workspace."

@@ -61,7 +61,9 @@ def each_horizon(
 def _from(last: Synthesis | None, problem: Problem, cells: CellCounts, settings: dict[str, Any]) -> Synthesis:
     """Synthesize from the policies of the last horizon, unless there are none, or cells and relation are open."""
     chosen_anew = {"memory", "accuracy"} & {*settings} or settings.get("relation") == "best"
-    if last is None or problem.groups or problem.labeling.pairs or chosen_anew or not last.certificate.has_cells:
+    # What names the time is another problem for every horizon.
+    anew = problem.groups or problem.labeling.pairs or problem.names_time or chosen_anew
+    if last is None or anew or not last.certificate.has_cells:
         return synthesize(problem, cells, **settings)
     # A shorter horizon may have needed fewer states of the automaton: its policies know nothing of the others.
     if last.certificate.problem.automaton.n_states != problem.automaton.n_states:
@@ -102,6 +104,11 @@ def without_deadline(
         If the task is neither, because then more time can lower the probability; or if it decomposes.
     """
     problem = as_problem(problem)
+    if problem.names_time:
+        raise ValueError(
+            "`problem`: expected one that is the same at every step, got one that names the time `t`: policies without "
+            "a deadline do not look at it; give the problem a horizon"
+        )
     automaton = problem.automaton
     if not automaton.is_co_safe and not is_safety(automaton):
         raise ValueError(

@@ -61,7 +61,12 @@ def edges(problem: Problem) -> list[Edge]:
 
 
 def _possible(problem: Problem, manager: DecisionDiagrams) -> int:
-    """Return the function that holds for the letters which every agent can have somewhere in its workspace."""
+    """Return the function that holds for the letters which every agent can have somewhere in its workspace.
+
+    Where regions move, all letters count as possible: which of them are depends on the time.
+    """
+    if problem.labeling.moves:
+        return manager.conjoin_all([])
     agents, labeling = [], problem.labeling.without_pairs()  # pairs may hold or not, wherever their agents are
     for positions, classes in zip(labeling.agent_propositions, labeling.classes):
         cubes = [

@@ -132,6 +132,10 @@ class Picture:
         image = self._background.copy()
         draw = self._draw(image)
         for panel, cell, names in zip(self._panels, self._frames, self._names):
+            # On maps, regions that move are where they are now.
+            here = [region for region in panel.regions if panel.is_map and region.time == len(track) - 1]
+            for region in here:
+                self._region(self._draw(image, "RGBA"), panel, cell, region)
             self._curves(draw, panel, cell, track, Labels(cell, names))
             self._rings(draw, panel, cell, track[-1], letter)
         self._status(draw, len(track) - 1, q, letter, verdict)
@@ -186,19 +190,27 @@ class Picture:
         across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
         return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
 
+    def _region(self, draw: Any, panel: Panel, cell: Cell, region: Region) -> None:
+        """Draw a region: a box on a map, a band over time."""
+        left, _, right, _ = cell
+        (x0, y1), (x1, y0) = self._points(panel, cell, np.array([region.low, region.high]))
+        if not panel.is_map:
+            x0, x1 = (left + t / self._problem.horizon * (right - left) for t in region.span(self._problem.horizon))
+        color = self._colors[region.name]
+        edge = tuple(c * 3 // 4 for c in color) if panel.is_map or region.time is None else None
+        draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=edge)
+
     def _axes(self, draw: Any, panel: Panel, cell: Cell) -> None:
         """Draw what a panel always shows: its regions, their names, the frame and its limits."""
         left, top, right, bottom = cell
         for region in panel.regions:
-            corners = self._points(panel, cell, np.array([region.low, region.high]))
-            (x0, y1), (x1, y0) = corners
-            if not panel.is_map:
-                x0, x1 = left, right
-            color = self._colors[region.name]
-            draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=tuple(c * 3 // 4 for c in color))
+            if region.time is None or not panel.is_map:
+                self._region(draw, panel, cell, region)
         # Names come after all regions, each in a corner of its region that is free, those of small regions first.
         labels, written = Labels(cell), set()
-        for region in sorted(panel.regions, key=lambda r: float(np.prod(np.subtract(r.high, r.low)))):
+        for region in sorted(panel.named, key=lambda r: float(np.prod(np.subtract(r.high, r.low)))):
+            if panel.is_map and region.time is not None:
+                continue
             (x0, y1), (x1, y0) = self._points(panel, cell, np.array([region.low, region.high]))
             x0, x1 = (x0, x1) if panel.is_map else (left, right)
             width = self._small.getlength(region.name)
@@ -208,7 +220,7 @@ class Picture:
                 (x1 - width - 3, y0 + 1),
                 (x1 - width - 3, y1 - _LINE - 2),
             ]
-            spots = corners if panel.is_map else corners[::-1]
+            spots = corners if panel.is_map or region.time is not None else corners[::-1]
             # Regions of one family lie over each other: one name tells all.
             if y1 - y0 < _LINE - 2 or (key := (region.name, region.low, region.high)) in written:
                 continue

@@ -3,6 +3,7 @@
 An agent is shown by the output axes that its regions restrict, at most two of them: one axis gives a track over time,
 two axes give a point on a map. Scalar agents named `x_S` and `y_S` are the two coordinates of one robot S and share a
 map. Agents share a panel if their panels would have the same axes and the same regions; on maps, equal axes suffice.
+A region that moves is a region for each time at which it holds anything.
 """
 
 from __future__ import annotations
@@ -15,13 +16,27 @@ from ..agents import AnyAgent, Box, LinearAgent, Proposition
 from ..problem import Problem
 
 
+MOST_PLACES = 8
+"""Times at which a region that moves is drawn in one picture of a map."""
+
+
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box behind the curves of a panel: its name, or that of its family, and its corners on the panel's axes."""
+    """A box behind the curves of a panel: its name, or that of its family, and its corners on the panel's axes.
+
+    One that moves has the `time` at which it is there; None for regions that stand still.
+    """
 
     name: str
     low: tuple[float, ...]
     high: tuple[float, ...]
+    time: int | None = None
+
+    def span(self, horizon: int) -> tuple[float, float]:
+        """Return from when to when it is drawn in a track over time: half a step around its time, or always."""
+        if self.time is None:
+            return 0.0, float(horizon)
+        return max(0.0, self.time - 0.5), min(float(horizon), self.time + 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +71,24 @@ class Panel:
         """Whether both axes are coordinates."""
         return len(self.low) == 2
 
+    @property
+    def drawn(self) -> tuple[Region, ...]:
+        """The regions of a picture of all times: on a map those that move at a few of them, so that they are told."""
+        times = sorted({region.time for region in self.regions if region.time is not None})
+        if not self.is_map or len(times) <= MOST_PLACES:
+            return self.regions
+        shown = {times[round(k)] for k in np.linspace(0, len(times) - 1, MOST_PLACES)}
+        return tuple(region for region in self.regions if region.time is None or region.time in shown)
+
+    @property
+    def named(self) -> tuple[Region, ...]:
+        """The regions whose names are written: of one that moves only the first."""
+        first: dict[str, Region] = {}
+        for region in self.regions:
+            if region.time is not None:
+                first.setdefault(region.name, region)
+        return tuple(r for r in self.regions if r.time is None or first[r.name] is r)
+
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
@@ -89,7 +122,7 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
 
 def _panel(group: list[_Shown]) -> Panel:
     """Return the panel of agents that share one; equal regions are drawn once."""
-    regions = {(r.name, r.low, r.high): r for item in group for r in item.regions}
+    regions = {(r.name, r.low, r.high, r.time): r for item in group for r in item.regions}
     box = group[0].box
     return Panel(
         low=tuple(map(float, box.low)),
@@ -100,7 +133,7 @@ def _panel(group: list[_Shown]) -> Panel:
 
 
 def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
-    return tuple(sorted((r.name, r.low, r.high) for r in regions))
+    return tuple(sorted((r.name, r.low, r.high, -1 if r.time is None else r.time) for r in regions))
 
 
 def _agent(problem: Problem, i: int, number: int) -> _Shown:
@@ -111,12 +144,13 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     families = {member: family for family, members in problem.families.items() for member in members}
     of_agents = {n: p for n, p in problem.propositions.items() if isinstance(p, Proposition)}
     named = [(families.get(n, n), p) for n, p in of_agents.items() if p.agent == agent.name]
+    placed = [(name, *place) for name, p in named for place in _places(p, problem.horizon)]
     if not isinstance(agent, LinearAgent) and not all(agent.output_axis(k) for k in range(agent.n_outputs)):
         return _bent(problem, i, number)
     # Show the first two axes on which some region is smaller than the workspace; the first two at all if none is.
     restricted = np.zeros(agent.n_outputs, dtype=bool)
-    for _, proposition in named:
-        restricted |= (proposition.low > low) | (proposition.high < high)
+    for _, _, least, most in placed:
+        restricted |= (least > low) | (most < high)
     axes = np.flatnonzero(restricted)[:2] if restricted.any() else np.arange(min(2, agent.n_outputs))
     rows = np.zeros((len(axes), problem.n_states))
     for row, axis in zip(rows, axes):
@@ -124,12 +158,21 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
     regions = tuple(
         Region(
             name,
-            tuple(np.maximum(proposition.low, low)[axes].tolist()),
-            tuple(np.minimum(proposition.high, high)[axes].tolist()),
+            tuple(np.clip(least, low, high)[axes].tolist()),
+            tuple(np.clip(most, low, high)[axes].tolist()),
+            time,
         )
-        for name, proposition in named
+        for name, time, least, most in placed
     )
     return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
+
+
+def _places(region: Proposition, horizon: int) -> list[tuple[int | None, np.ndarray, np.ndarray]]:
+    """Return where a region is: time, lower and upper corner; without the times at which it is empty."""
+    if not region.moves:
+        return [(None, region.low, region.high)]
+    low, high = region.over(np.arange(horizon + 1, dtype=float))
+    return [(t, low[:, t], high[:, t]) for t in range(horizon + 1) if np.all(low[:, t] < high[:, t])]
 
 
 def _bent(problem: Problem, i: int, number: int) -> _Shown:
@@ -154,8 +197,8 @@ def _robot(name: str, x: _Shown, y: _Shown) -> _Shown:
     """Return two scalar agents as the coordinates of one robot; a region of one of them becomes a band."""
     # A region of x says nothing about y: it reaches over the whole height of the map, and the other way round.
     low, high = np.append(x.box.low, y.box.low), np.append(x.box.high, y.box.high)
-    bands = [Region(r.name, (r.low[0], float(low[1])), (r.high[0], float(high[1]))) for r in x.regions]
-    bands += [Region(r.name, (float(low[0]), r.low[0]), (float(high[0]), r.high[0])) for r in y.regions]
+    bands = [Region(r.name, (r.low[0], float(low[1])), (r.high[0], float(high[1])), r.time) for r in x.regions]
+    bands += [Region(r.name, (float(low[0]), r.low[0]), (float(high[0]), r.high[0]), r.time) for r in y.regions]
     rows = np.concatenate([x.curve.rows, y.curve.rows])
     return _Shown(Curve(name, x.curve.number, rows), Box(low, high), tuple(bands))
 

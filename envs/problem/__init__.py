@@ -4,7 +4,7 @@ from .problem_file import load_problem, problem_from_dict
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
-from .written_out import Places, states_in_time, written_out
+from .writing_out import Places, states_in_time, written_out
 
 __all__ = [
     "Places",

@@ -50,6 +50,10 @@ class Certified(Protocol):
         """Name of the theorem that the bound rests on."""
 
     @property
+    def has_cells(self) -> bool:
+        """Whether it is about cells."""
+
+    @property
     def rank(self) -> int:
         """Largest number of terms of one automaton state, or of columns of a bond."""
 
@@ -60,17 +64,18 @@ class Certified(Protocol):
 
 def certificate_facts(certificate: Certified) -> list[tuple[str, str]]:
     """Return the rows of a summary, name and value; the bound is rounded to the safe side."""
-    cells = alike_text(shape_text(part.grid.shape) for part in certificate.agents)
+    agents = certificate.agents if certificate.has_cells else ()
+    cells = alike_text(shape_text(part.grid.shape) for part in agents)
     return [
         ("horizon", counted(certificate.problem.horizon, "control step")),
         ("bound", shown_bound(certificate.lower_bound, certificate.gap)),
         ("start", STARTS.get(certificate.start, certificate.start)),
         ("method", shortened(certificate.method)),
         ("theorem", certificate.bound),
-        ("cells", f"{cells} ({counted(len(certificate.agents), 'agent')})"),
+        ("cells", f"{cells} ({counted(len(agents), 'agent')})" if agents else "none"),
         ("rank", str(certificate.rank)),
         *_told(certificate.problem),
-        *_in_common(certificate.agents),
+        *_in_common(agents),
     ]
 
 

@@ -75,6 +75,13 @@ KINDS_WITH = {"delta": {"ellipsoid", "paper"}, "share": {"ellipsoid"}}
 """Settings that only these relations have; refused with all others."""
 
 
+TIME_REFUSAL = (
+    "`problem`: expected one that is the same at every step, got one whose dynamics or regions name the time `t`, of "
+    "which finite models know nothing; `synthesize`, `check`, `validate`, `rollout` and `report` know it"
+)
+"""What is said where only problems without the time have finite models."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class AgentModel:
     """Finite model of one agent: S cells, Z lattice points (means), a kernel between them.
@@ -312,6 +319,8 @@ def abstract(
 
 def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
     """Return finite models under one kind of relation per agent; settings that no agent uses are refused."""
+    if problem.names_time:
+        raise RelationRefused(TIME_REFUSAL)
     foreign = set(settings.given) - set(settings.of_kinds(kinds).given)
     for name in sorted(foreign):
         asked, value = "/".join(sorted({*kinds})), getattr(settings, name)

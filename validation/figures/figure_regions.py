@@ -29,8 +29,11 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
     agent, axis = problem.agents[i], k - problem.columns[i].start
     low, high = float(agent.state_low[axis]), float(agent.state_high[axis])
     intervals_of_regions = {}
-    for name, region in problem.propositions.items():
-        if not isinstance(region, Proposition) or region.agent != agent.name:
+    for name, proposition in problem.propositions.items():
+        if not isinstance(proposition, Proposition) or proposition.agent != agent.name:
+            continue
+        region = proposition.at(0)  # starts are there at time 0
+        if np.any(region.low >= region.high):
             continue
         # An output that is the coordinate itself restricts it; other outputs are no intervals of one coordinate.
         for output, (a, b) in enumerate(zip(region.low, region.high, strict=True)):
@@ -140,14 +143,23 @@ def _regions(plot: Axes, panel: Panel) -> None:
     """Draw the regions of a panel with their names: boxes on a map, bands over time."""
     from matplotlib.patches import Rectangle
 
-    for number, region in enumerate(panel.regions):
-        color = REGIONS[number % len(REGIONS)]
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(region.name for region in panel.regions))}
+    for number, region in enumerate(panel.drawn):
+        # Places of one region that moves share its colour.
+        color = REGIONS[(number if region.time is None else numbers[region.name]) % len(REGIONS)]
+        if region.time is not None and not panel.is_map:
+            first, last = max(0.0, region.time - 0.5), region.time + 0.5
+            plot.fill_between([first, last], region.low[0], region.high[0], color=color, alpha=0.16, linewidth=0)
+            if region not in panel.named:
+                continue
         if panel.is_map:
             size = [b - a for a, b in zip(region.low, region.high, strict=True)]
             corner = region.low[0], region.low[1]
             plot.add_patch(Rectangle(corner, *size, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5))
             plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6))
             plot.text(region.low[0], region.high[1], f" {region.name}", fontsize=8, color=INK, va="top", zorder=5)
+        elif region.time is not None:
+            plot.text(region.time, region.high[0], f" {region.name}", fontsize=8, color=INK, va="bottom")
         else:
             plot.axhspan(region.low[0], region.high[0], facecolor=color, alpha=0.16, linewidth=0, zorder=0.5)
             middle = 0.5 * (region.low[0] + region.high[0])

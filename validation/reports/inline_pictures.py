@@ -176,7 +176,7 @@ def rollouts_picture(
     axes = panel_axes(panel, len(states) - 1)
     names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
     shapes = svg.frame(axes, *names, whole=not panel.is_map)
-    shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.regions]
+    shapes += [_region(axes, r, panel.is_map, len(states) - 1) for r in panel.drawn]
     shapes += _region_names(axes, panel)
     for curve in panel.curves:
         if tubes and curve.number in tubes:
@@ -202,7 +202,8 @@ def _tube(panel: Panel, axes: Axes, tube: Tube, role: str) -> list[str]:
 
 
 def _region(axes: Axes, region: Region, is_map: bool, horizon: int) -> str:
-    low, high = (region.low, region.high) if is_map else ((0.0, region.low[0]), (float(horizon), region.high[0]))
+    first, last = region.span(horizon)
+    low, high = (region.low, region.high) if is_map else ((first, region.low[0]), (last, region.high[0]))
     return svg.rectangle(axes.at(low[0], low[1]), axes.at(high[0], high[1]), "region", region.name)
 
 
@@ -211,7 +212,7 @@ def _region_names(axes: Axes, panel: Panel) -> list[str]:
     shapes: list[str] = []
     taken: list[tuple[float, float, float]] = []
     horizon_end = axes.high[0]
-    for region in sorted(panel.regions, key=lambda r: r.high[0] - r.low[0]):
+    for region in sorted(panel.named, key=lambda r: r.high[0] - r.low[0]):
         low, high = (region.low, region.high) if panel.is_map else ((0.0, region.low[0]), (horizon_end, region.high[0]))
         (left, bottom), (right, top) = axes.at(low[0], low[1]), axes.at(high[0], high[1])
         width = 5.2 * len(region.name) + 4.0

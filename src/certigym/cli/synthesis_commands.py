@@ -43,7 +43,7 @@ def describe(options: Namespace) -> int:
         lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
     regions = list(problem.propositions.items())
     lines += [
-        f"proposition {name}: {_subject(region)} in [{_vector(region.low)}, {_vector(region.high)})"
+        f"proposition {name}: {_subject(region)} in {_box(region)}"
         for name, region in regions[:MOST_REGIONS_SHOWN]
     ]
     if len(regions) > MOST_REGIONS_SHOWN:
@@ -232,6 +232,15 @@ def _subject(region: Proposition | Pair) -> str:
     if isinstance(region, Pair):
         return " less ".join(region.agents)
     return f"agent {region.agent}"
+
+
+def _box(region: Proposition | Pair) -> str:
+    """Return the corners of a region; where it moves, as they are written."""
+    return region.text if isinstance(region, Proposition) and region.moves else _corners(region)
+
+
+def _corners(region: Proposition | Pair) -> str:
+    return f"[{_vector(region.low)}, {_vector(region.high)})"
 
 
 def _vector(values: Any) -> str:
