@@ -15,7 +15,6 @@ import numpy as np
 from ..agents import AnyAgent, Box, LinearAgent, Proposition
 from ..problem import Problem
 
-
 MOST_PLACES = 8
 """Times at which a region that moves is drawn in one picture of a map."""
 

@@ -211,9 +211,7 @@ def states_in_time(problem: Problem, base: Problem) -> NDArray[np.int64]:
     return table
 
 
-def _read_both(
-    first: Automaton, second: Automaton, q: int, b: int, places: Places, time: int
-) -> set[tuple[int, int]]:
+def _read_both(first: Automaton, second: Automaton, q: int, b: int, places: Places, time: int) -> set[tuple[int, int]]:
     """Return the pairs of states to which a letter of a time may lead both automata (a superset)."""
     names = [places.name_of(name, time) for name in first.propositions]
     place = {name: p for p, name in enumerate(names) if name is not None}

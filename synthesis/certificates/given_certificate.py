@@ -74,7 +74,9 @@ def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamC
 def speaks_of_one_start(certificate: Any) -> bool:
     """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    return any(isinstance(part, PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate) for part in parts)
+    return any(
+        isinstance(part, PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate) for part in parts
+    )
 
 
 def any_certificate(value: Any) -> Any:

@@ -271,15 +271,18 @@ def _noise(
     found = expansion(moving.scales, names, centre, ranges, 0)
     nominal = 0.5 * (found.values[0] + found.values[1])
     varied = (found.off + np.maximum(found.values[1] - nominal, nominal - found.values[0])) * TAIL
-    varied = np.where((found.off == 0.0) & (found.values[0] == found.values[1]), 0.0, varied)
-    largest = np.where(varied == 0.0, np.abs(nominal), (np.abs(found.values).max(axis=0) + found.off) * TAIL)
+    # A scale that depends on nothing but the time is a number: variances are those of the largest it may be.
+    is_number = found.off == 0.0
+    varied = np.where(is_number, 0.0, varied)
+    is_known = is_number & (found.values[0] == found.values[1])
+    largest = np.where(is_known, np.abs(nominal), (np.abs(found.values).max(axis=0) + found.off) * TAIL)
     here = (varied != 0.0) & (moving.deviations != 0.0)
     slab = now.slab[m:]
     # Without a slab on the noise its scale is anything up to the largest one on the tube.
     is_stopped = here & np.isinf(slab)
     rows.is_stopped |= bool(np.any(is_stopped))
     here &= ~is_stopped
-    variance = (np.where(is_stopped, largest, nominal) * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
+    variance = (np.where(is_stopped | is_number, largest, nominal) * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
     rows.add(np.full(d, np.inf)[here], np.full(d, np.inf)[here], slab[here], np.ones(d)[here])
     more = np.zeros(d)
     more[here] = varied[here] * moving.deviations[here] * slab[here] * TAIL

@@ -17,7 +17,6 @@ from ..cells import FloatArray
 from .own_intervals import Span, span
 from .roundings import UNIT
 
-
 HALF = 0.51 * 10.0**-DECIMALS
 """How far a corner is from the value of its expression, a little more than half a decimal."""
 

@@ -43,8 +43,7 @@ def describe(options: Namespace) -> int:
         lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
     regions = list(problem.propositions.items())
     lines += [
-        f"proposition {name}: {_subject(region)} in {_box(region)}"
-        for name, region in regions[:MOST_REGIONS_SHOWN]
+        f"proposition {name}: {_subject(region)} in {_box(region)}" for name, region in regions[:MOST_REGIONS_SHOWN]
     ]
     if len(regions) > MOST_REGIONS_SHOWN:
         lines.append(f"... and {counted(len(regions) - MOST_REGIONS_SHOWN, 'more proposition')}")
