@@ -85,7 +85,7 @@ class _NoCorners:
         return _NoCorners, ()
 
 
-_NO_CORNERS = _NoCorners()
+_NO_CORNERS: Any = _NoCorners()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,7 +136,9 @@ class Labeling:
             names_of[proposition.agent].append(name)
         moving = of_agents if any(proposition.moves for proposition in of_agents.values()) else {}
         names: list[str] = []
-        positions, lows, highs = [], [], []
+        positions: list[np.ndarray] = []
+        lows: list[np.ndarray] = []
+        highs: list[np.ndarray] = []
         for agent in agents:
             agent_names = names_of[agent.name]
             positions.append(read_only(np.arange(len(names), len(names) + len(agent_names))))
@@ -150,8 +152,8 @@ class Labeling:
             for corners, own in zip((lows, highs), at_the_edge(agent, low, high), strict=True):
                 corners.append(read_only(own))
         pairs = tuple(pair_region(name, pair, agents) for name, pair in of_pairs.items())
-        both: Any = (tuple(lows), tuple(highs)) if not moving else (_NO_CORNERS, _NO_CORNERS)
-        return cls(tuple(agents), (*names, *of_pairs), tuple(positions), *both, pairs, moving)
+        first, last = (_NO_CORNERS if moving else tuple(corners) for corners in (lows, highs))
+        return cls(tuple(agents), (*names, *of_pairs), tuple(positions), first, last, pairs, moving)
 
     @property
     def moves(self) -> bool:

@@ -1,8 +1,9 @@
 """A proposition about one agent: a box in its output space, which may move with the time.
 
 A corner is a number or an expression in `t`, the number of control steps taken: 0 at the start, and the horizon at the
-end. Corners are rounded to twelve decimals, so that they are the same numbers on every machine, whose sines differ in
-their last digits; a check that needs more encloses `trees` itself. Where a corner is not below the other one, the region is empty at that time.
+end. Corners that move are rounded to twelve decimals, so that they are the same numbers on every machine, whose sines
+differ in their last digits; a check that needs more encloses `trees` itself. Where a corner is not below the other one,
+the region is empty at that time.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from ..agents import Pair, shown
 from ..problem import Problem
 from .label_places import Cell, Labels, beside
-from .scene import Panel, panels
+from .scene import Panel, Region, panels
 from .window import Window
 
 WIDTH, HEIGHT, SIDE = 720, 480, 210
