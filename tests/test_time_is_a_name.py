@@ -1,0 +1,287 @@
+"""The time as a name in dynamics, noise and regions: every simulator, letters, files, pictures mean the same."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.agents import Labeling
+from certigym.envs.dynamics import Dynamics, OneWorld, split_joint
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.pictures import panels
+from certigym.envs.problem import states_in_time, written_out
+from timed_problems import band, follow, robot, still
+
+
+def written(horizon: int = 12) -> cg.Problem:
+    """Two agents with drifts, noises and regions that change, and a linear one."""
+    first = robot("first", noise_scale=["0.5 + 0.2*cos(t)"])
+    return cg.Problem(
+        name="written", horizon=horizon, agents=[first, robot("second", dynamics=["0.9*x + u*cos(t)"]), still("third")],
+        propositions={
+            "a": cg.Proposition("first", ["sin(t) - 1"], ["sin(t) + 1"]), "b": cg.Proposition("second", [-1], ["0.1*t"]),
+            "c": cg.Proposition("third", [-2], [2]),
+        },
+        specification=cg.Specification("G (a | b | c)", "finite-trace"),
+    )  # fmt: skip
+
+
+def by_hand(x: np.ndarray, u: np.ndarray, z: np.ndarray, t: int) -> np.ndarray:
+    """One step of the three agents, written out."""
+    return np.array([
+        x[0] + u[0] + 0.4 * math.sin(0.9 * t) + (0.5 + 0.2 * math.cos(t)) * 0.3 * z[0],
+        0.9 * x[1] + u[1] * math.cos(t) + 0.3 * z[1],
+        x[2] + u[2] + 0.3 * z[2],
+    ])  # fmt: skip
+
+
+def letter_by_hand(x: np.ndarray, t: int) -> list[bool]:
+    return [math.sin(t) - 1 <= x[0] < math.sin(t) + 1, -1 <= x[1] < 0.1 * t, -2 <= x[2] < 2]
+
+
+def test_batches_and_single_worlds_move_and_read_letters_as_it_is_written() -> None:
+    problem, rng, count = written(), np.random.default_rng(0), 50
+    dynamics = Dynamics.of(problem)
+    states = rng.uniform(-1, 1, (count, 3))
+    worlds = core.initial_at(dynamics, states)
+    single = OneWorld.of(dynamics)
+    ones = [single.begin(core.initial_at(dynamics, states[k : k + 1])) for k in range(5)]
+    for t in range(problem.horizon):
+        u, normals = rng.uniform(-1, 1, (3, count)), core.noise(dynamics, rng, count)
+        z = np.concatenate([each.reshape(-1, count) for each in normals])
+        inputs = tuple(u[block.agents][None] for block in dynamics.blocks)
+        worlds = core.transition(dynamics, worlds, inputs, normals)
+        wanted = by_hand(states.T, u, z, t).T
+        states = core.joint(dynamics, worlds)
+        assert np.allclose(states, wanted, rtol=0.0, atol=1e-12)
+        holds = core.letters(dynamics, worlds.states, worlds.time)
+        for k in range(count):
+            assert holds[:, k].tolist() == letter_by_hand(states[k], t + 1)
+        for k, world in enumerate(ones):
+            ones[k] = single.step(world, u[:, k : k + 1].tolist(), z[:, k].tolist())
+            assert np.array_equal(np.concatenate(ones[k].states), states[k])  # bit by bit
+            assert (ones[k].q, ones[k].failed) == (int(worlds.q[k]), bool(worlds.failed[k]))
+
+
+def test_worlds_at_times_of_their_own_read_regions_and_dynamics_of_these() -> None:
+    problem, rng, count = written(), np.random.default_rng(1), 40
+    dynamics = Dynamics.of(problem)
+    states, times = rng.uniform(-1, 1, (count, 3)), rng.integers(0, problem.horizon, count)
+    inputs = tuple(np.full((1, len(b.agents), count), 0.3) for b in dynamics.blocks)
+    normals = core.noise(dynamics, rng, count)
+    from dataclasses import replace
+
+    mixed = core.transition(dynamics, replace(core.initial_at(dynamics, states), time=times), inputs, normals)
+    for k in range(count):
+        one = replace(core.initial_at(dynamics, states[k : k + 1]), time=int(times[k]))
+        alone = core.transition(dynamics, one, [u[..., :1] for u in inputs], [z[..., k : k + 1] for z in normals])
+        assert np.array_equal(core.joint(dynamics, mixed)[k], core.joint(dynamics, alone)[0])
+        letters = core.letters(dynamics, mixed.states, mixed.time)[:, k]
+        assert np.array_equal(letters, core.letters(dynamics, alone.states, alone.time)[:, 0])
+
+
+@pytest.mark.parametrize("device", ["torch:cpu", "jax:cpu"])
+def test_worlds_on_devices_mean_the_same(device: str) -> None:
+    from certigym.envs.arrays import device_put, to_host
+
+    pytest.importorskip(device.split(":")[0])
+    problem, rng, count = written(), np.random.default_rng(2), 30
+    put = device_put(device, ("torch", "jax"))
+    host, there = Dynamics.of(problem), Dynamics.of(problem, put=put)
+    states = rng.uniform(-1, 1, (count, 3))
+    here = core.initial_at(host, states)
+    away = core.begin(there, tuple(put(x) for x in split_joint(host, states)))
+    for _ in range(5):
+        normals = core.noise(host, rng, count)
+        inputs = [np.full((1, len(b.agents), count), 0.2) for b in host.blocks]
+        here = core.transition(host, here, inputs, normals)
+        away = core.moved_on(there, away, [put(u) for u in inputs], [put(z) for z in normals])
+        for x, y in zip(here.states, away.states):
+            assert np.allclose(x, to_host(y), rtol=0.0, atol=1e-12)
+        assert np.array_equal(here.q, to_host(away.q))
+
+
+def test_team_environments_begin_anew_at_time_zero() -> None:
+    torch = pytest.importorskip("torch")
+    problem = follow(robot(), horizon=3)
+    env = cg.team_env(problem, 4, device="torch:cpu")
+    env.reset(seed=0)
+    for _ in range(7):  # beyond the horizon: every world has a time of its own
+        env.step({"robot": torch.zeros((4, 1))})
+
+
+@pytest.mark.parametrize("make", [cg.parallel_env, cg.central_env, lambda p, **o: cg.vector_env(p, 3, **o)])
+@pytest.mark.parametrize("reward", ["sparse", "progress", "shaped"])
+def test_environments_run_and_shape_rewards(make: Any, reward: str) -> None:
+    env = make(follow(robot(), band(width=6.0), horizon=4), reward=reward)
+    env.reset(seed=0)
+    for _ in range(4):
+        actions = {"robot": np.array([-0.1])} if make is cg.parallel_env else 0.0 * env.action_space.sample()
+        env.step(actions)
+
+
+def test_worlds_that_begin_anywhere_read_the_regions_of_their_time() -> None:
+    env = cg.vector_env(follow(robot(), horizon=6), 64, spread=1.0)
+    env.reset(seed=0)
+    for _ in range(6):
+        env.step(env.action_space.sample())
+    worlds = env.unwrapped.worlds
+    dynamics = Dynamics.of(follow(robot(), horizon=6))
+    holds = core.letters(dynamics, worlds.states, worlds.time)[0]
+    x, t = worlds.states[0][0, 0], np.asarray(worlds.time)
+    assert np.array_equal(holds, np.abs(x - 1.6 * np.sin(0.8 * t)) < 0.9)
+
+
+def test_the_letter_of_the_start_is_that_of_time_zero() -> None:
+    region = cg.Proposition("robot", ["1 - 2*t"], [3])  # 0.2 is not in it at time 0, and is later
+    problem = follow(robot(), region, formula="F band")
+    assert not problem.labeling.at(0).letter([np.array([0.2])])[0]
+    assert problem.labeling.at(1).letter([np.array([0.2])])[0]
+    assert problem.initial_q == problem.automaton.initial
+    assert problem.replace(initial_state=[1.5]).initial_q != problem.automaton.initial
+
+
+def test_corners_over_all_times_are_those_of_each_time() -> None:
+    region = cg.Proposition("robot", ["2*sin(0.37*t)*exp(-t/9) - 0.1"], ["2 + tanh(t)"])
+    low, high = region.over(np.arange(200.0))
+    for t in range(200):
+        assert np.array_equal(low[:, t], region.at(t).low) and np.array_equal(high[:, t], region.at(t).high)
+
+
+def test_regions_may_be_empty_and_pass_beyond_the_workspace() -> None:
+    region = cg.Proposition("robot", ["3 + t"], ["4 + 2*t - 3*max(0, t - 1)"])  # [3, 4], [4, 6), then nothing
+    problem = follow(robot(), region, formula="F band")
+    at = [problem.labeling.at(t).class_at(0, np.array([[3.0, 3.5, 4.0]]))[0].tolist() for t in range(3)]
+    assert at == [[True, True, True], [False, False, False], [False, False, False]]
+    # Classes and letters agree wherever the region is.
+    for t in range(6):
+        labeling, x = problem.labeling.at(t), np.linspace(-4, 4, 33)[None]
+        classes, points = labeling.classes[0], labeling.class_at(0, x).T
+        boxes = labeling.box_classes(0, x.T, x.T)
+        for point, possible in zip(points, boxes, strict=True):
+            assert possible[[row.tolist() == point.tolist() for row in classes].index(True)]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (["sin(0.4*t"], [1], "low"),
+        (["x"], [1], "low"),
+        (["0"], [1, 2], "high"),
+        (["1/(t - 3)"], [5], "finite corners at every time"),
+        (["20 + t"], ["30 + t"], "meets the workspace"),
+        ("sin(t)", [1], "expected a list"),
+    ],
+)
+def test_mistakes_in_regions_are_told(low: Any, high: Any, words: str) -> None:
+    with pytest.raises(ValueError, match="(?s)" + words.replace("(", "[(]")):
+        follow(robot(), cg.Proposition("robot", low, high))
+
+
+def test_expressions_of_numbers_alone_are_numbers() -> None:
+    region = cg.Proposition("robot", ["-pi"], ["2*pi"])
+    assert not region.moves and region.high[0] == 2 * math.pi
+    assert not follow(robot(dynamics=["x + u"]), region).names_time
+
+
+def test_what_is_declared_hides_the_time() -> None:
+    agent = robot(states=["t"], dynamics=["t + u"])
+    assert not agent.names_time and agent.at(3) is agent
+    number = robot(parameters={"t": 0.5})
+    assert not number.names_time
+    assert robot().at(2).mean(np.zeros((1, 1)), np.zeros((1, 1)))[0, 0] == pytest.approx(0.4 * math.sin(1.8))
+
+
+def test_agents_of_different_steps_are_different() -> None:
+    keys = {robot().at(t).model_key for t in range(5)} | {robot().model_key, robot().with_clock(5).model_key}
+    assert len(keys) == 7
+
+
+def test_nothing_passes_the_time_over() -> None:
+    agent, problem = robot(), follow(robot())
+    with pytest.raises(ValueError, match="name the time"):
+        _ = agent.trees
+    with pytest.raises(ValueError, match="name the time"):
+        agent.mean(np.zeros((1, 1)), np.zeros((1, 1)))
+    labeling: Labeling = problem.labeling
+    for ask in (lambda: labeling.low[0], lambda: labeling.classes, lambda: labeling.letter([np.zeros(1)])):
+        with pytest.raises(ValueError, match="stand still"):
+            ask()
+    with pytest.raises(ValueError, match="stands still"):
+        _ = problem.propositions["band"].low
+
+
+def test_files_keep_expressions(tmp_path: Path) -> None:
+    text = """
+name = "follow"
+horizon = 6
+[[agents]]
+name = "robot"
+states = ["x"]
+inputs = ["u"]
+dynamics = ["x + u + 0.4*sin(0.9*t)"]
+noise = [{ law = "gaussian", std = 0.3 }]
+state_low = [-4]
+state_high = [4]
+input_low = [-1.2]
+input_high = [1.2]
+initial_state = [0.2]
+[propositions]
+band = { agent = "robot", low = ["1.6*sin(0.8*t) - 0.9"], high = ["1.6*sin(0.8*t) + 0.9"] }
+[specification]
+formula = "G band"
+semantics = "finite-trace"
+"""
+    path = tmp_path / "follow.toml"
+    path.write_text(text)
+    problem = cg.load_problem(path)
+    assert problem.fingerprint == follow(robot()).fingerprint
+    assert pickle.loads(pickle.dumps(problem)).fingerprint == problem.fingerprint
+    assert follow(robot(), band(shift=1)).fingerprint != problem.fingerprint
+    assert follow(robot(dynamics=["x + u + 0.4*sin(0.9*t + 0.1)"])).fingerprint != problem.fingerprint
+
+
+def test_families_move_for_every_member() -> None:
+    region = cg.Proposition("d_*", ["sin(t) - 1"], ["sin(t) + 1"])
+    problem = cg.Problem(
+        name="fleet", horizon=4, agents=still("d").copies(3), propositions={"safe": region},
+        specification=cg.Specification("G all(safe)", "finite-trace"),
+    )  # fmt: skip
+    assert [p.moves for p in problem.propositions.values()] == [True] * 3
+
+
+def test_scenes_show_where_regions_are() -> None:
+    (panel,) = panels(follow(robot()))
+    assert [region.time for region in panel.regions] == list(range(7))
+    assert panel.regions[2].low[0] == pytest.approx(1.6 * math.sin(1.6) - 0.9)
+    assert len(panel.named) == 1
+
+
+def test_problems_written_out_read_the_same_words() -> None:
+    region, other = cg.Proposition("robot", ["t - 2"], ["t"]), cg.Proposition("robot", ["max(-1, -t)"], ["2 - t"])
+    rng = np.random.default_rng(3)
+    for formula in ("F (band & F[1,3] other)", "G (band | other)", "!other U band", "G (band -> F other)"):
+        problem = follow(still(), region, horizon=5, formula=formula, other=other)
+        base = written_out(problem)
+        table = states_in_time(problem, base)
+        for x in rng.uniform(-4, 4, (200, problem.horizon + 1)):
+            q, b = problem.automaton.initial, base.automaton.initial
+            for t in range(problem.horizon + 1):
+                point = [np.array([x[t]])]
+                q = int(problem.automaton.next_state(np.asarray(q), problem.labeling.at(t).letter(point)))
+                b = int(base.automaton.next_state(np.asarray(b), base.labeling.letter(point)))
+                assert table[t, q] == b
+            assert problem.automaton.accepting[q] == base.automaton.accepting[b]
+
+
+def test_another_problem_is_not_the_one_that_is_written_out() -> None:
+    problem = follow(still())
+    for other in (follow(still(), band(shift=1)), follow(still(), horizon=5), follow(still(), formula="F band")):
+        with pytest.raises(ValueError):
+            states_in_time(problem, written_out(other))
