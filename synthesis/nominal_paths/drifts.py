@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import contains
 from ...envs.problem import Problem
 from .nonlinear_model import NonlinearModel
+from .path_limits import corners_along
 
 
 class Drifts:
@@ -31,12 +31,12 @@ class Drifts:
             if not len(own) or not np.array_equal(agent.input_low, agent.input_high):
                 continue
             model, states = NonlinearModel(agent), [0.5 * (agent.initial.low + agent.initial.high)]
-            for _ in range(problem.horizon):
-                states.append(model.step(states[-1][:, None], agent.input_low[:, None])[:, 0])
-            outputs = agent.outputs(np.array(states))
+            for t in range(problem.horizon):
+                states.append(model.step(states[-1][:, None], agent.input_low[:, None], t)[:, 0])
+            outputs, _ = model.outputs(np.array(states))
             for p in own:
-                region = problem.propositions[names[p]]
-                letters[:, p] = np.where(contains(outputs.T, region.low, region.high), 1, -1)
+                low, high = corners_along(problem, names[p], len(letters))
+                letters[:, p] = np.where(np.all((low <= outputs) & (outputs < high), axis=1), 1, -1)
         return letters
 
     def may_read(self, letters: NDArray[np.int8]) -> bool:

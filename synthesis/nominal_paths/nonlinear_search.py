@@ -44,6 +44,9 @@ WIDEST = 0.15
 PURSUED, LOOK_AHEAD = 100, 3
 """Inputs that are tried at each step of running after a guess, and steps for which they are held."""
 
+WELL = -4.0
+"""Logarithm of the failure from which a guess is not followed from other inputs."""
+
 ENOUGH = 1e-9
 """Failure from which a nominal path is not improved."""
 
@@ -90,9 +93,12 @@ class NonlinearSearch:
         best: Found | None = None
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
         for guess in guesses(self.problem, self.agent, letters, start):
-            found = self._along(letters, guess, warm)
-            if found is not None and (best is None or found.score < best.score):
-                best = found
+            for first in (self.first_inputs(len(letters) - 1), self._pursued(guess)):
+                found = self._along(letters, guess, first, warm)
+                if found is not None and (best is None or found.score < best.score):
+                    best = found
+                if best is not None and best.score < WELL:
+                    break
             if best is not None and best.score < np.log(0.5):
                 break
         return best
@@ -113,8 +119,10 @@ class NonlinearSearch:
             found = again
         return found
 
-    def _along(self, letters: NDArray[np.int8], guess: FloatArray, warm: FloatArray | None) -> Found | None:
-        """Return a nominal path that follows a guess at first."""
+    def _along(
+        self, letters: NDArray[np.int8], guess: FloatArray, u: FloatArray, warm: FloatArray | None
+    ) -> Found | None:
+        """Return a nominal path that follows a guess at first, from inputs (S, m)."""
         agent, steps = self.agent, len(letters) - 1
         faces = sides_of(self.problem, agent, letters, guess, self.spans)
         limits = limits_along(self.problem, agent, letters, faces)
@@ -125,7 +133,6 @@ class NonlinearSearch:
             np.tile(0.05 * self.half, (steps, 1)),
         )  # fmt: skip
         x, y, push = ((each, np.zeros_like(each)) for each in sharp)
-        u = self.first_inputs(steps)
         for weight, rounds in ((30.0, 30), (1.0, 30), (0.0, 60)):
             aim = Aim(limits, x, y, push, guess, np.full(agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
             states, u, cost = Planner(self.model, aim).improved(u, rounds)

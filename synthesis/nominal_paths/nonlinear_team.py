@@ -22,7 +22,7 @@ from .words import Plan, letters_of
 MOST_PLANS = 6
 """Ways with times that are tried at first."""
 
-MOST_MOVES = 6
+MOST_MOVES = 14
 """Moves of the times of jumps that are tried after that."""
 
 HARDLY = -0.05
