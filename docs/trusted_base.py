@@ -62,7 +62,7 @@ TRUSTED = {
         "synthesis.checking.network_spans "
         "synthesis.path_checking.own_intervals synthesis.checking.pairs_check synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
-        "synthesis.path_checking.linear_deviations "
+        "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
         "synthesis.checking.readings synthesis.checking.regrown_tree synthesis.checking.relation_check "

@@ -47,6 +47,13 @@ class TruncatedGaussian(Law):
         return math.sqrt(max(self.spread**2 * (1.0 + ends) - mean**2, 0.0))
 
     @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        mean = self.spread**2 * (self._density(self.low) - self._density(self.high))
+        half = 0.5 * (self.high - self.low)
+        # What is cut evenly has smaller moments than before.
+        return (0.0, min(self.spread, half)) if self.low == -self.high else (mean, half)
+
+    @property
     def top(self) -> float:
         return min(max(0.0, self.low), self.high)
 
@@ -108,6 +115,17 @@ class Mixture(Law):
         return math.sqrt(
             sum(w * (law.std**2 + (m - mean) ** 2) for w, m, law in zip(self.weights, self.means, self.laws))
         )
+
+    @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        parts = [law.sub_gaussian for law in self.laws]
+        if any(part is None for part in parts):
+            return None
+        known = [part for part in parts if part is not None]
+        means = [m + own for m, (own, _) in zip(self.means, known)]
+        # The part is drawn first, a bounded number, and then its noise.
+        half, widest = 0.5 * (max(means) - min(means)), max(deviation for _, deviation in known)
+        return sum(w * m for w, m in zip(self.weights, means)), math.hypot(half, widest)
 
     @property
     def height(self) -> float:

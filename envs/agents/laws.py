@@ -126,6 +126,14 @@ class Law(ABC):
         """Return the law as in problem files."""
         return {"law": self.name, **{field.name: getattr(self, field.name) for field in fields(self)}}  # type: ignore[arg-type]
 
+    @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        """Mean m and least known deviation s with ``E exp(a (e - m)) <= exp(a^2 s^2 / 2)`` for every a (rounded).
+
+        None where no normal law bounds the tails, or nothing is known of them.
+        """
+        return None
+
     def charge(self, pitch: float) -> float:
         """Return an upper bound on what interpolation between lattice points ``pitch`` apart adds to a value."""
         straight = 0.25 * pitch * self.jumps + 0.125 * pitch * pitch * self.bend
@@ -189,6 +197,10 @@ class Gaussian(Law):
     cdf_error = CLOSED_FORM
 
     @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        return 0.0, self.std
+
+    @property
     def height(self) -> float:
         return 0.39895 / self.std if self.std > 0.0 else math.inf  # no noise has no density
 
@@ -232,6 +244,10 @@ class Uniform(Law):
     @property
     def std(self) -> float:
         return (self.high - self.low) / math.sqrt(12.0)
+
+    @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        return 0.5 * (self.low + self.high), self.std
 
     @property
     def height(self) -> float:
@@ -289,6 +305,12 @@ class Triangular(Law):
     def std(self) -> float:
         a, m, b = self.low, self.mode, self.high
         return math.sqrt(((b - a) ** 2 - (m - a) * (b - m)) / 18.0)
+
+    @property
+    def sub_gaussian(self) -> tuple[float, float] | None:
+        # Two uniform laws of half the range, or anything in the range.
+        is_even = self.mode - self.low == self.high - self.mode
+        return (self.low + self.mode + self.high) / 3.0, self.std if is_even else 0.5 * (self.high - self.low)
 
     @property
     def height(self) -> float:

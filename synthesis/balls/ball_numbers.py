@@ -54,6 +54,49 @@ def tails(memory: Memory, z: FloatArray, values: FloatArray) -> Proof:
     return len(pairs), ["the tail of a path was not proved"] if wrong else []
 
 
+def light(memory: Memory, z: FloatArray, values: FloatArray) -> Proof:
+    """Tails ``exp(-z^2)`` are at most some numbers; 1 where z is not positive."""
+    pairs = {*zip(np.ravel(z).tolist(), np.ravel(values).tolist(), strict=True)}
+    wrong = [x for x, value in pairs if value < 1.0 and not (x > 0.0 and (-(arb(x) ** 2)).exp() <= value)]
+    return len(pairs), ["the tail of a path was not proved"] if wrong else []
+
+
+def moments(memory: Memory, law: Any, mean: float, off: float, deviation: float) -> Proof:
+    """A number is off the mean of a law by no more than ``off``, and a normal law of a deviation is above the law."""
+    at, least = _moments(law.to_dict())
+    is_proved = abs(at - arb(mean)) <= off and least <= deviation
+    return 1, [] if is_proved else [f"the moments of the law `{law.name}` were not proved"]
+
+
+def _moments(data: dict[str, Any]) -> tuple[Any, Any]:
+    """Return balls around the mean of a law and a deviation of which it is sub-Gaussian."""
+    number = {key: arb(float(value)) for key, value in data.items() if isinstance(value, int | float)}
+    match data["law"]:
+        case "gaussian":
+            return arb(0), number["std"]
+        case "uniform":
+            return (number["low"] + number["high"]) / 2, (number["high"] - number["low"]) / arb(12).sqrt()
+        case "triangular":
+            low, mode, high = number["low"], number["mode"], number["high"]
+            is_even = data["mode"] - data["low"] == data["high"] - data["mode"]
+            return (low + mode + high) / 3, (high - low) / (arb(24).sqrt() if is_even else 2)
+        case "truncated-gaussian":
+            spread, low, high = number["spread"], number["low"], number["high"]
+            half = (high - low) / 2
+            if data["low"] == -data["high"]:
+                return arb(0), spread if data["spread"] <= 0.5 * (data["high"] - data["low"]) else half
+            a, b, root = low / spread, high / spread, arb(2).sqrt()
+            share = ((b / root).erf() - (a / root).erf()) / 2
+            return spread * ((-a * a / 2).exp() - (-b * b / 2).exp()) / ((2 * arb.pi()).sqrt() * share), half
+    parts = [_moments(part) for part in data["parts"]]
+    weights = [arb(float(part["weight"])) for part in data["parts"]]
+    means = [arb(float(part["mean"])) + own for part, (own, _) in zip(data["parts"], parts, strict=True)]
+    mean = sum(w * m for w, m in zip(weights, means)) / sum(weights)
+    half = (max(means, key=float) - min(means, key=float)) / 2
+    widest = max((deviation for _, deviation in parts), key=float)
+    return mean, (half * half + widest * widest).sqrt()
+
+
 def any_of(memory: Memory, each: FloatArray, value: float) -> Proof:
     """The probability that one of several independent things happens is at most a number."""
     none = arb(1)

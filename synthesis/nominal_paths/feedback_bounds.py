@@ -122,7 +122,7 @@ class NominalPath:
         """Covariances (S, d, d) of the noise."""
         agent, steps = self.model.agent, len(self.inputs)
         if self.model.scale is None:
-            return np.broadcast_to(agent.noise_covariance, (steps, agent.n_states, agent.n_states))
+            return np.broadcast_to(self.model.covariance, (steps, agent.n_states, agent.n_states))
         return np.array([np.diag((row * self.model.deviations) ** 2) for row in self.scales[0]])
 
     def worth(self, feedback: Feedback) -> tuple[Worth, Spreads]:
@@ -167,7 +167,7 @@ class _Walk:
                   for p in paths]  # fmt: skip
         self.drifts[:, 0] = np.array(starts)[which]
         self.covariance = np.zeros((self.n, d, d))
-        self.worth = Worth()
+        self.worth = Worth(is_light=self.model.is_light)
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
         self.ends = self.model.ends
@@ -273,7 +273,7 @@ class _Walk:
                 self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
             ).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
-            noise_slab = np.where(is_varied, self.feedback.slabs[:, d + m :], np.inf)
+            noise_slab = np.where(is_varied & (not self.model.is_light), self.feedback.slabs[:, d + m :], np.inf)
             is_bounded = np.isfinite(noise_slab)
             off = off + np.where(
                 is_bounded, varied * self.model.deviations * np.where(is_bounded, noise_slab, 0.0), 0.0

@@ -41,6 +41,8 @@ class Worth:
     """Whether rows are about this agent and another one."""
     stopped: NDArray[np.bool_] | None = None
     """Of which candidates (N,) variances are upper bounds, on noise whose size depends on the past; None for none."""
+    is_light: bool = False
+    """Whether some of the noise is not Gaussian: tails are those of exponential moments."""
 
     @property
     def own(self) -> Worth:
@@ -49,7 +51,7 @@ class Worth:
         kept = [rows for *rows, shared in parts if not shared]
         names = [name for name in self.names if not name.startswith(PAIR)]
         low, high, slab, variance = ([rows[k] for rows in kept] for k in range(4))
-        return Worth(low, high, slab, variance, names, [False] * len(kept), self.stopped)
+        return Worth(low, high, slab, variance, names, [False] * len(kept), self.stopped, self.is_light)
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
         """Add rows (N, J)."""
@@ -63,6 +65,7 @@ class Worth:
         """Add the rows of another agent of a team."""
         for name in ("low", "high", "slab", "variance", "names", "shared"):
             getattr(self, name).extend(getattr(other, name))
+        self.is_light |= other.is_light
         if other.stopped is not None:
             self.stop(other.stopped)
 
@@ -76,7 +79,7 @@ class Worth:
         names = self._by_rows()
         told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
         stopped = None if self.stopped is None else np.array([bool(np.any(self.stopped))])
-        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared], stopped)
+        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared], stopped, self.is_light)
 
     def _by_rows(self) -> list[list[str]]:
         """Return the names, part by part."""
@@ -100,6 +103,8 @@ class Worth:
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
         low, high, slab, variance = self._all
+        if self.is_light:
+            return sum((_light(np.minimum(side, slab), variance) for side in (low, high)), np.zeros(low.shape))
         one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
         both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
         apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
@@ -112,6 +117,11 @@ class Worth:
     def failures(self) -> FloatArray:
         """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
         low, high, slab, variance = self._all
+        if self.is_light:
+            total = sum(
+                np.sum(np.minimum(_light(np.minimum(side, slab), variance), 1.0), axis=1) for side in (low, high)
+            )
+            return np.asarray(np.minimum(1.0, total * OUTWARD))
         both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
         inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
         outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
@@ -142,3 +152,10 @@ def _soft(distance: FloatArray, variance: FloatArray) -> FloatArray:
 def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
     tail = 0.5 * erfc(_quotient(distance, variance) / np.sqrt(2.0)) + 2e-300
     return np.where(distance == np.inf, 0.0, np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0)))
+
+
+def _light(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return bounds on the tails of sub-Gaussian numbers; beyond 1 where a limit is broken, so that scores go on."""
+    z = _quotient(distance, variance)
+    tail = np.where(z > 0.0, np.exp(-0.5 * z * z) + 2e-300, 1.0 + 0.5 * z * z)
+    return np.where(distance == np.inf, 0.0, np.where((variance > 0.0) | (distance <= 0.0), tail, 0.0))

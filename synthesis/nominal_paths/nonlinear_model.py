@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...envs.agents import TIME, Agent, AnyAgent, LinearAgent
+from ...envs.agents import TIME, Agent, AnyAgent, Gaussian, LinearAgent
 from ...envs.expressions import Name, Number, Operation, Program, Tree
 from ..cells import FloatArray
 
@@ -39,11 +39,17 @@ class NonlinearModel:
     @cached_property
     def motion(self) -> Program:
         """The mean of the next state."""
+        means = (self.agent.noise_axes @ self.laws[0]).tolist()
         if isinstance(self.agent, Agent):
-            return Program.of(self.agent.timed_trees, self.names)
+            trees: list[Tree] = list(self.agent.timed_trees)
+            scales = self.agent.timed_scale_trees or [Number(1.0)] * len(trees)
+            for k, mean in enumerate(means):
+                if mean:
+                    trees[k] = Operation("+", (trees[k], Operation("*", (Number(mean), scales[k]))))
+            return Program.of(trees, self.names)
         assert isinstance(self.agent, LinearAgent)
-        rows = np.hstack([self.agent.A, self.agent.B])
-        return Program.of([_affine(row, self.names, c) for row, c in zip(rows, self.agent.offset)], self.names)
+        rows, offset = np.hstack([self.agent.A, self.agent.B]), self.agent.offset + np.array(means)
+        return Program.of([_affine(row, self.names, c) for row, c in zip(rows, offset)], self.names)
 
     @cached_property
     def output(self) -> Program:
@@ -61,10 +67,29 @@ class NonlinearModel:
         return Program.of(trees, self.names) if trees else None
 
     @cached_property
+    def laws(self) -> tuple[FloatArray, FloatArray]:
+        """Means (d,) and deviations (d,) of the components of the noise, as far as normal laws are above them."""
+        laws = [law.sub_gaussian for law in self.agent.laws or ()]
+        known = np.array([law for law in laws if law is not None]).reshape(-1, 2)
+        return (known[:, 0], known[:, 1]) if self.agent.laws else (np.zeros(self.agent.n_states), np.zeros(0))
+
+    @property
     def deviations(self) -> FloatArray:
-        """Standard deviations (d,) of the noise before it is multiplied."""
-        laws = self.agent.laws
-        return np.zeros(0) if laws is None else np.array([law.std for law in laws])
+        """Deviations (d,) of the noise before it is multiplied."""
+        return self.laws[1]
+
+    @cached_property
+    def is_light(self) -> bool:
+        """Whether some of the noise is not Gaussian, so that tails are those of exponential moments."""
+        return not all(isinstance(law, Gaussian) for law in self.agent.laws or ())
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance (d, d) of normal noise above that of the agent, where it is the same everywhere."""
+        if self.agent.laws is None:
+            return self.agent.noise_covariance
+        axes = self.agent.noise_axes
+        return np.asarray((axes * self.deviations**2) @ axes.T)
 
     @cached_property
     def unknown(self) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import AnyAgent, Gaussian
+from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import PathCertificate, Synthesis
@@ -46,10 +46,13 @@ WORTHLESS = 0.999
 
 
 def refuse_other_noise(agent: AnyAgent) -> None:
-    """Raise RelationRefused where the noise of an agent is not Gaussian."""
-    is_scaled = agent.noise_scale is not None and all(isinstance(law, Gaussian) for law in agent.laws or ())
-    if agent.laws is not None and not is_scaled:
-        raise RelationRefused(f"agent `{agent.name}`: paths are for Gaussian noise")
+    """Raise RelationRefused where no normal law is above the noise of an agent."""
+    for law in agent.laws or ():
+        if law.sub_gaussian is None:
+            raise RelationRefused(
+                f"agent `{agent.name}`: paths are for noise whose tails are below those of a normal law, "
+                f"got {law.name}; grids know it"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +178,7 @@ def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: It
     Raises
     ------
     RelationRefused
-        If the noise of an agent is not Gaussian, or no nonlinear path was found.
+        If no normal law is above the noise of an agent, or no nonlinear path was found.
     """
     began = time.perf_counter()
     for agent in problem.agents:

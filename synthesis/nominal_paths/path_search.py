@@ -49,17 +49,18 @@ def path_certificate(problem: Problem) -> Synthesis:
     Raises
     ------
     RelationRefused
-        If the noise of an agent is not Gaussian, a start is outside its workspace, or no path was found.
+        If no normal law is above the noise of an agent, a start is outside its workspace, or no path was found.
     """
     began = time.perf_counter()
     for name in problem.starts_outside:
         raise RelationRefused(
             f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
         )
-    linear = all(isinstance(agent, LinearAgent) and agent.initial.is_point for agent in problem.agents)
+    linear = all(
+        isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
+    )
     if problem.labeling.pairs or not linear:
         return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem))
-    _check(problem)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
     for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
@@ -79,13 +80,6 @@ def path_certificate(problem: Problem) -> Synthesis:
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
-
-
-def _check(problem: Problem) -> None:
-    """Raise RelationRefused unless the noise of all agents is Gaussian."""
-    for agent in problem.agents:
-        if agent.laws is not None:
-            raise RelationRefused(f"agent `{agent.name}`: paths are for Gaussian noise")
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:

@@ -123,11 +123,10 @@ def key_of(agent: AnyAgent) -> object:
     """Return what agents have in common that move alike, whatever their starts are."""
     if isinstance(agent, LinearAgent):
         arrays = (agent.A, agent.B, agent.offset, agent.output_matrix, agent.noise_covariance)
-        return tuple((array.shape, array.tobytes()) for array in arrays)
+        return agent.laws, tuple((array.shape, array.tobytes()) for array in (*arrays, agent.noise_axes))
     assert isinstance(agent, Agent)
-    deviations = tuple(law.std for law in agent.laws or ())
-    return deviations, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.timed_trees,
-            agent.output_trees, agent.timed_scale_trees, agent.noise_covariance.tobytes())  # fmt: skip
+    noise = agent.laws, agent.noise_axes.tobytes(), agent.timed_scale_trees, agent.noise_covariance.tobytes()
+    return noise, (agent.states, agent.inputs, tuple(agent.unknowns.items()), agent.timed_trees, agent.output_trees)
 
 
 def _flat(values: FloatArray, places: NDArray[np.int64]) -> FloatArray:

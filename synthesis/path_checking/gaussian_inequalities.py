@@ -9,6 +9,9 @@ Where the size of the noise depends on the past the forms are no Gaussian number
 normal given the past, with variances of which only upper bounds are known. Such a form is a Brownian motion, read at a
 random time that is at most the sum V of these bounds. By the reflection principle it exceeds d with a probability of at
 most twice the tail of a normal number with variance V; and all failures are added up.
+
+Noise of other laws whose exponential moments are below those of normal numbers has no slabs either: a form exceeds d
+with a probability of at most ``exp(-d^2 / (2 V))`` (Chernoff), also where its size depends on the past.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from scipy.special import erfc
 
 from ..cells import FloatArray
 from ..certificates import state
-from .roundings import SMALLEST, TAIL
+from .roundings import SMALLEST, TAIL, UNIT
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Probabilities of all slabs for which the choice between slab and tails is made: 1 is best for small failures."""
@@ -36,6 +39,8 @@ class Inequalities:
     variance: list[FloatArray] = field(default_factory=list)
     is_stopped: bool = False
     """Whether variances are upper bounds, on noise whose size depends on the past."""
+    is_light: bool = False
+    """Whether some of the noise is not Gaussian, and its exponential moments alone are bounded."""
 
     def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray) -> None:
         """Add inequalities; infinite where nothing is asked. What is no number is not kept."""
@@ -49,6 +54,9 @@ class Inequalities:
         if not self.low:
             return 0.0
         low, high, slab, variance = map(np.concatenate, (self.low, self.high, self.slab, self.variance))
+        if self.is_light:
+            sides = light_tails(np.minimum(low, slab), variance) + light_tails(np.minimum(high, slab), variance)
+            return min(1.0, float(np.sum(sides)) * TAIL)
         if self.is_stopped:
             # Either side on its own, each with twice its tail.
             sides = tails(np.minimum(low, slab), variance) + tails(np.minimum(high, slab), variance)
@@ -69,17 +77,36 @@ def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatA
     return (any_slab + float(np.sum(np.where(as_slab, 0.0, outer)))) * TAIL
 
 
+def light_tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return upper bounds (J,) on the probabilities that sub-Gaussian numbers of mean 0 exceed distances."""
+    z = _quotients(distance, variance)
+    # Exponentials are off by some units in the last place of themselves.
+    tail = np.where(z <= 0.0, 1.0, np.minimum(1.0, np.exp(-np.square(z) * (1.0 - 4.0 * UNIT)) * TAIL + SMALLEST))
+    state("light", z, tail)
+    return _known(tail, distance, variance)
+
+
 def tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
     """Return upper bounds (J,) on the probabilities that Gaussian numbers of mean 0 exceed distances.
 
     Without noise a distance is kept for sure if it is positive, else not. A distance of which nothing is known, minus
     infinity, is not kept.
     """
-    scale = np.sqrt(2.0 * np.maximum(variance, SMALLEST))
-    # Infinite distances are kept for sure; large quotients have no tail that floating point holds.
-    z = np.clip(np.where(np.isfinite(distance), distance, 0.0) / scale, -1e3, 1e3)
+    z = _quotients(distance, variance)
     tail = np.minimum(1.0, 0.5 * erfc(z) * TAIL + SMALLEST)
     state("tails", z, tail)
+    return _known(tail, distance, variance)
+
+
+def _quotients(distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return distances (J,) in deviations, by the root of 2; infinite ones, which are kept for sure, are 0."""
+    scale = np.sqrt(2.0 * np.maximum(variance, SMALLEST))
+    # Large quotients have no tail that floating point holds.
+    return np.asarray(np.clip(np.where(np.isfinite(distance), distance, 0.0) / scale, -1e3, 1e3))
+
+
+def _known(tail: FloatArray, distance: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return tails (J,) where there is noise and something is known of it."""
     known = np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0))
     is_unknown = (distance == -np.inf) | ~np.isfinite(variance)
     return np.asarray(np.where(distance == np.inf, 0.0, np.where(is_unknown, 1.0, known)))

@@ -30,6 +30,7 @@ from ...envs.expressions import Name, Number, Operation, Tree
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
+from .law_moments import moments_of
 from .linear_deviations import Chain
 from .own_bends import Expansion, expansion
 from .own_regions import RegionSpan
@@ -41,10 +42,56 @@ class NothingKnownError(Exception):
 
 
 @dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise of an agent: a covariance (d, d) that is above it, means (d,) of its sums, and how it is multiplied.
+
+    ``deviations`` (d,) are those of its components, before they are multiplied; ``off`` (d,) is what means are off by.
+    ``is_light`` says that it is not Gaussian, and only its exponential moments are below those of normal numbers.
+    """
+
+    covariance: FloatArray
+    deviations: FloatArray
+    means: FloatArray
+    off: FloatArray
+    is_light: bool
+
+    @classmethod
+    def of(cls, agent: AnyAgent) -> Noise:
+        """Read the noise of an agent, whose laws are sub-Gaussian."""
+        d = agent.n_states
+        if agent.laws is None:
+            return cls(agent.noise_covariance, np.zeros(d), np.zeros(d), np.zeros(d), False)
+        laws = [moments_of(law) for law in agent.laws]
+        known = [law for law in laws if law is not None]
+        if len(known) < len(laws):
+            raise NothingKnownError(f"agent `{agent.name}`: no normal law is above its noise")
+        axes, deviations = agent.noise_axes, np.array([law.deviation for law in known])
+        means, off = np.array([law.mean for law in known]), np.array([law.off for law in known])
+        moved, size = axes @ means, np.abs(axes) @ np.abs(means)
+        # Each entry is a sum of d products of three factors.
+        covariance = (axes * deviations**2) @ axes.T
+        length = np.sqrt(np.diag(np.abs(axes) * deviations**2 @ np.abs(axes).T))
+        covariance = covariance + np.diag(d * (d + 4.0) * UNIT * length * length.max(initial=0.0))
+        is_light = not all(isinstance(law, Gaussian) for law in agent.laws)
+        return cls(covariance, deviations, moved, np.abs(axes) @ off + (d + 2.0) * UNIT * size, is_light)
+
+    def moved(self, trees: tuple[Tree, ...], scales: tuple[Tree, ...]) -> tuple[Tree, ...]:
+        """Return dynamics with the means of the noise in them."""
+        if not np.any(self.means):
+            return trees
+        result = []
+        for k, (tree, mean) in enumerate(zip(trees, self.means.tolist(), strict=True)):
+            added = Operation("*", (Number(mean), scales[k])) if scales else Number(mean)
+            result.append(Operation("+", (tree, added)) if mean else tree)
+        return tuple(result)
+
+
+@dataclass(frozen=True, eq=False)
 class Moving:
     """How an agent moves, as expressions.
 
-    ``names`` are those of states, inputs and of what is unknown, in ``ranges`` (2, k).
+    ``names`` are those of states, inputs and of what is unknown, in ``ranges`` (2, k). Means of noise are in ``trees``;
+    ``deviations`` (d,) of its components are those of normal laws above them.
     """
 
     states: tuple[str, ...]
@@ -54,23 +101,24 @@ class Moving:
     trees: tuple[Tree, ...]
     outputs: tuple[Tree, ...]
     scales: tuple[Tree, ...]
-    deviations: FloatArray
+    noise: Noise
 
     @classmethod
     def of(cls, agent: AnyAgent) -> Moving:
         """Read an agent; matrices become sums of products."""
+        noise = Noise.of(agent)
         if isinstance(agent, Agent):
             ranges = np.array(list(agent.unknowns.values()), dtype=float).reshape(-1, 2).T
             names = agent.states, agent.inputs, tuple(agent.unknowns)
-            deviations = np.zeros(0) if agent.laws is None else np.array([law.std for law in agent.laws])
-            return cls(*names, ranges, agent.trees, agent.output_trees, agent.scale_trees, deviations)
+            trees = noise.moved(agent.trees, agent.scale_trees)
+            return cls(*names, ranges, trees, agent.output_trees, agent.scale_trees, noise)
         assert isinstance(agent, LinearAgent)
         states = tuple(f"state {k}" for k in range(agent.n_states))
         inputs = tuple(f"input {k}" for k in range(agent.n_inputs))
         rows = zip(np.hstack([agent.A, agent.B]), agent.offset, strict=True)
         trees = tuple(_affine(row, (*states, *inputs), float(offset)) for row, offset in rows)
         outputs = tuple(_affine(row, states, 0.0) for row in agent.output_matrix)
-        return cls(states, inputs, (), np.zeros((2, 0)), trees, outputs, (), np.zeros(0))
+        return cls(states, inputs, (), np.zeros((2, 0)), noise.moved(trees, ()), outputs, (), noise)
 
 
 def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:
@@ -264,9 +312,10 @@ def _noise(
     agent: AnyAgent, moving: Moving, now: Moment, centre: FloatArray, ranges: FloatArray, rows: Inequalities
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (d, d) of a step's noise, and what (d,) its scale on the tube adds to the remainder."""
-    d, m = agent.n_states, agent.n_inputs
+    d, m, noise = agent.n_states, agent.n_inputs, moving.noise
+    rows.is_light |= noise.is_light
     if not moving.scales:
-        return agent.noise_covariance, np.zeros(d)
+        return noise.covariance, noise.off
     names = (*moving.states, *moving.inputs, *moving.unknown)
     found = expansion(moving.scales, names, centre, ranges, 0)
     nominal = 0.5 * (found.values[0] + found.values[1])
@@ -276,16 +325,17 @@ def _noise(
     varied = np.where(is_number, 0.0, varied)
     is_known = is_number & (found.values[0] == found.values[1])
     largest = np.where(is_known, np.abs(nominal), (np.abs(found.values).max(axis=0) + found.off) * TAIL)
-    here = (varied != 0.0) & (moving.deviations != 0.0)
-    slab = now.slab[m:]
+    here = (varied != 0.0) & (noise.deviations != 0.0)
+    # Slabs on the noise are for normal numbers.
+    slab = np.full(d, np.inf) if noise.is_light else now.slab[m:]
     # Without a slab on the noise its scale is anything up to the largest one on the tube.
     is_stopped = here & np.isinf(slab)
     rows.is_stopped |= bool(np.any(is_stopped))
     here &= ~is_stopped
-    variance = (np.where(is_stopped | is_number, largest, nominal) * moving.deviations) ** 2 * (1.0 + 8.0 * UNIT)
+    variance = (np.where(is_stopped | is_number, largest, nominal) * noise.deviations) ** 2 * (1.0 + 8.0 * UNIT)
     rows.add(np.full(d, np.inf)[here], np.full(d, np.inf)[here], slab[here], np.ones(d)[here])
-    more = np.zeros(d)
-    more[here] = varied[here] * moving.deviations[here] * slab[here] * TAIL
+    more = np.where(noise.off == 0.0, 0.0, largest * noise.off)
+    more[here] += varied[here] * noise.deviations[here] * slab[here] * TAIL
     return np.diag(variance), more
 
 
@@ -298,10 +348,8 @@ def wrong_nonlinear_path(agent: AnyAgent, path: AgentPath, steps: int) -> list[s
     """What is wrong with the form of a nonlinear path: laws, shapes, numbers."""
     d, m = agent.n_states, agent.n_inputs
     name = f"agent `{agent.name}`"
-    if agent.laws is not None and not (
-        agent.noise_scale is not None and all(isinstance(law, Gaussian) for law in agent.laws)
-    ):
-        return [f"the noise of {name} is not Gaussian"]
+    if any(moments_of(law) is None for law in agent.laws or ()):
+        return [f"no normal law is above the noise of {name}"]
     assert path.states is not None
     if path.slabs is None or path.gains.shape != (steps, m, d) or path.inputs.shape != (steps, m):
         return [f"the inputs of {name} do not fit"]
