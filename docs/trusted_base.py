@@ -24,7 +24,7 @@ TRUSTED = {
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
-        "envs.problem.record envs.problem.specification"
+        "envs.problem.record envs.problem.specification envs.problem.writing_out"
     ),
     "What the formula means": (
         "envs.logic.automaton envs.logic.decision_diagram envs.logic.formula envs.logic.guard_diagrams "
@@ -38,12 +38,14 @@ TRUSTED = {
         "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "
         "synthesis.certificates.path_certificate "
         "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
-        "synthesis.certificates.product synthesis.certificates.team_certificate synthesis.values.terms"
+        "synthesis.certificates.product synthesis.certificates.team_certificate "
+        "synthesis.certificates.timed_certificate synthesis.values.terms"
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
         "synthesis.controllers.controller synthesis.controllers.path_controller "
-        "synthesis.controllers.product_controller synthesis.controllers.team_controller synthesis.controllers.told "
+        "synthesis.controllers.product_controller synthesis.controllers.team_controller "
+        "synthesis.controllers.timed_controller synthesis.controllers.told "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means synthesis.relations.aims synthesis.relations.coordinates "
         "synthesis.relations.ellipsoid_facts synthesis.relations.boxes synthesis.relations.commands "
@@ -66,8 +68,8 @@ TRUSTED = {
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
         "synthesis.checking.readings synthesis.checking.regrown_tree synthesis.checking.relation_check "
-        "synthesis.path_checking.start_check "
-        "synthesis.checking.team_check "
+        "synthesis.path_checking.own_regions synthesis.path_checking.start_check "
+        "synthesis.checking.team_check synthesis.checking.timed_check "
         "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
     ),
