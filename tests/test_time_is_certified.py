@@ -303,3 +303,17 @@ def test_a_clock_that_is_free_would_claim_too_much(monkeypatch: pytest.MonkeyPat
     assert not cg.check(forged) and "clock is not the time" in str(cg.check(forged))
     rollouts = cg.rollout(problem, forged.controller, 4000, seed=0)
     assert lies(forged.lower_bound, int(np.sum(rollouts.success)), 4000)
+
+
+def test_a_door_that_opens_every_ten_steps_is_passed_when_it_is_open() -> None:
+    door = cg.Proposition("robot", [2], ["2 + 2*clip(100*(cos(pi*t/5) - 0.95), 0, 1)"])
+    for agent in (robot(noise=[{"law": "gaussian", "std": 0.1}]), still(noise_covariance=[[0.01]])):
+        problem = follow(agent, door, horizon=17, formula="F band")
+        certificate = cg.synthesize(problem, relation="path").certificate
+        assert certificate.lower_bound > 0.999 and cg.check(certificate)
+        assert certificate.n_steps == 10
+    # At a time at which it is closed nothing is certified.
+    letters, faces = (np.roll(own, -1, axis=0)[:10] for own in (certificate.letters, certificate.faces))
+    (path,) = certificate.paths
+    early = replace(path, inputs=path.inputs[:9])
+    assert not cg.check(replace(certificate, letters=letters, faces=faces, paths=(early,)))

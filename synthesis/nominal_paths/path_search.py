@@ -83,7 +83,10 @@ def path_certificate(problem: Problem) -> Synthesis:
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:
-    """Yield ways with times of their jumps: evenly spread, or as early or as late as possible."""
+    """Yield ways with times of their jumps: evenly spread, or as early or as late as possible.
+
+    Where regions move, jumps are at the nearest times at which what they ask for can hold.
+    """
     drifts = Drifts(problem)
     for way in ways_of(problem):
         n, seen = len(way.jumps), set[tuple[int, ...]]()
@@ -92,7 +95,9 @@ def _plans(problem: Problem) -> Iterator[Plan]:
         for share in (1.0, 0.6, 0.8):
             last = max(n, round(share * problem.horizon))
             times = tuple(max(k + 1, round((k + 1) * last / n)) for k in range(n))
-            if times not in seen and all(a < b for a, b in zip(times, times[1:])):
+            if problem.labeling.moves:
+                times = _nearest_times(problem, way, times)
+            if len(times) == n and times not in seen and all(a < b for a, b in zip(times, times[1:])):
                 seen.add(times)
                 yield from _possible(problem, drifts, way, times)
 
@@ -110,6 +115,30 @@ def _possible(problem: Problem, drifts: Drifts, way: Way, times: tuple[int, ...]
     letters = way.letters(times, steps, len(problem.automaton.propositions))
     if letters is not None and drifts.may_read(without_needless(problem, letters)):
         yield Plan(way, times, steps)
+
+
+def _nearest_times(problem: Problem, way: Way, times: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the times nearest to those of jumps at which regions that are to hold do not pass or close; or fewer."""
+    found: list[int] = []
+    for cube, wanted in zip(way.jumps, times, strict=True):
+        possible = np.ones(problem.horizon + 1, dtype=bool)
+        for p, holds in cube:
+            if holds and p < problem.labeling.first_pair:
+                possible &= _holds_somewhere(problem, problem.automaton.propositions[p])
+        later = np.flatnonzero(possible)
+        later = later[later > (found[-1] if found else 0)]
+        if not len(later):
+            break
+        found.append(int(later[np.argmin(np.abs(later - wanted))]))
+    return tuple(found)
+
+
+def _holds_somewhere(problem: Problem, name: str) -> NDArray[np.bool_]:
+    """Return at which times (T + 1,) a region is not empty, and may be in the workspace."""
+    agent = problem.agents[problem.agent_names.index(problem.propositions[name].agent)]
+    low, high = corners_along(problem, name, problem.horizon + 1)
+    bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    return np.asarray(np.all((low < high) & (low < top) & (bottom < high), axis=1))
 
 
 def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[float, Plan, Any]:
