@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
+from ..agents import MOVING_REFUSAL, Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
 from ..arrays import namespace
 from ..problem import Problem
 
@@ -152,6 +152,8 @@ class Block:
         """Return the corners of the regions at a time, (p, k, 1), or at a time for each world, (p, k, M)."""
         if self.region_low.ndim == 3:
             return self.region_low, self.region_high
+        if time is None:
+            raise ValueError(MOVING_REFUSAL)
         if np.ndim(time) == 0:
             return self.region_low[time], self.region_high[time]
         xp = namespace(self.region_low)

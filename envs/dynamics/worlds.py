@@ -377,10 +377,10 @@ def successor(
     return namespace(x).stack(components) if len(components) > 1 else components[0][None]
 
 
-def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any) -> np.ndarray:
+def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any = None) -> np.ndarray:
     """Return which propositions hold in each world, bool (P, M), for states (d, n, M) per block.
 
-    `time` is that of the states, a number or one for each world: regions may move.
+    `time` is that of the states, a number or one for each world; it may be left out where no region moves.
     """
     rows: list[np.ndarray] = []
     outputs: dict[int, np.ndarray] = {}
