@@ -88,6 +88,18 @@ def task(*agents: Any, formula: str | None = None, horizon: int = 3) -> cg.Probl
     )  # fmt: skip
 
 
+def timed(agent: Any) -> cg.Problem:
+    """The goal comes nearer, and the hole moves."""
+    regions = {
+        "goal": cg.Proposition("one", ["1.2 - 0.3*t"], [3.0]),
+        "hole": cg.Proposition("one", [-3.0], ["-2 - 0.2*t"]),
+    }
+    return cg.Problem(
+        name="composing", horizon=3, agents=[agent], propositions=regions,
+        specification=cg.Specification("(!hole) U goal", "co-safe"),
+    )  # fmt: skip
+
+
 def told(name: str) -> cg.Agent:
     """A follower that the state of the first agent drags along, and is told of it."""
     return expressions(name, dynamics=["0.8*x + 0.1*one.x + 0.8*u"], communicated=["one"], initial_state=[-0.8])
@@ -177,6 +189,15 @@ ROWS: dict[str, Row] = {
         16,
         {"relation": "boxes"},
     ),
+    "exact in time": Row(lambda: timed(matrices()), 24, {"relation": "exact"}),
+    "linear in time": Row(
+        lambda: timed(expressions(dynamics=["0.9*x + 0.8*u + 0.3*sin(t)"])), 24, {"relation": "linear"}
+    ),
+    "path in time": Row(
+        lambda: timed(expressions(dynamics=["0.9*x + 0.8*u + 0.3*sin(t)"], noise=[{"law": "gaussian", "std": 0.1}])),
+        None,
+        {"relation": "path"},
+    ),
     "path": Row(lambda: task(matrices(noise_covariance=[[0.01]])), None, {"relation": "path"}),
     "subtraction": Row(lambda: apart(), 24, {"relation": "exact"}),
     "joint": Row(lambda: apart(), 16, {"relation": "joint"}),
@@ -218,14 +239,16 @@ def _dense(problem: cg.Problem) -> Callable[[NDArray[Any]], float]:
     axes = [a + (np.arange(count) + 0.5) * (b - a) / count for a, b in zip(low, high, strict=True)]
     points = np.stack([mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")])
     parts = [points[columns] for columns in problem.columns]
-    letters = _letters(problem, parts)
-    following = np.stack(
-        [automaton.next_state(np.full(points.shape[1], q), letters) for q in range(automaton.n_states)]
-    )
-    means = [_means(problem, parts, inputs) for inputs in _inputs(problem)]
     noises = _noises(problem, d)
     value = np.repeat(np.asarray(automaton.accepting, dtype=float)[:, None], points.shape[1], axis=1)
-    for _ in range(problem.horizon):
+    for t in reversed(range(problem.horizon)):
+        if t == problem.horizon - 1 or problem.names_time:
+            # Motions are those of t, letters those of t + 1.
+            letters = _letters(problem, parts, t + 1)
+            following = np.stack(
+                [automaton.next_state(np.full(points.shape[1], q), letters) for q in range(automaton.n_states)]
+            )
+            means = [_means(problem, parts, inputs, t) for inputs in _inputs(problem)]
         arriving = np.take_along_axis(value, following, axis=0)
         new = np.empty_like(value)
         for q in range(automaton.n_states):
@@ -240,7 +263,7 @@ def _dense(problem: cg.Problem) -> Callable[[NDArray[Any]], float]:
 
     def at(state: NDArray[Any]) -> float:
         own = [state[columns][:, None] for columns in problem.columns]
-        q = int(automaton.next_state(np.array([automaton.initial]), _letters(problem, own))[0])
+        q = int(automaton.next_state(np.array([automaton.initial]), _letters(problem, own, 0))[0])
         cell = tuple(
             int(np.clip((x - a) / (b - a) * count, 0, count - 1)) for x, a, b in zip(state, low, high, strict=True)
         )
@@ -249,8 +272,8 @@ def _dense(problem: cg.Problem) -> Callable[[NDArray[Any]], float]:
     return at
 
 
-def _letters(problem: cg.Problem, parts: list[NDArray[Any]]) -> NDArray[np.bool_]:
-    holds = [problem.labeling.class_at(i, part) for i, part in enumerate(parts)]
+def _letters(problem: cg.Problem, parts: list[NDArray[Any]], t: int) -> NDArray[np.bool_]:
+    holds = [problem.labeling.at(t).class_at(i, part) for i, part in enumerate(parts)]
     for pair in problem.labeling.pairs:
         gap = parts[pair.first][0] - parts[pair.second][0]
         holds.append(((pair.low[0] <= gap) & (gap < pair.high[0]))[None])
@@ -267,8 +290,8 @@ def _inputs(problem: cg.Problem) -> list[list[NDArray[Any]]]:
     return [list(joint) for joint in itertools.product(*each)]
 
 
-def _means(problem: cg.Problem, parts: list[NDArray[Any]], inputs: list[NDArray[Any]]) -> tuple[Any, Any]:
-    """Means (D, n) of the next joint states, and what noise is multiplied with; disturbances are calm."""
+def _means(problem: cg.Problem, parts: list[NDArray[Any]], inputs: list[NDArray[Any]], t: int) -> tuple[Any, Any]:
+    """Means (D, n) of the next joint states of a step, and what noise is multiplied with; disturbances are calm."""
     n, means, scales = parts[0].shape[1], [], []
     rows = [np.repeat(u[:, None], n, axis=1) for u in inputs]
     for agent, x, u in zip(problem.agents, parts, rows, strict=True):
@@ -282,8 +305,8 @@ def _means(problem: cg.Problem, parts: list[NDArray[Any]], inputs: list[NDArray[
                   for s, row in zip(a.inputs, p, strict=True)}  # fmt: skip
         beside = np.array([named[name] for name in agent.others]) if agent.others else None
         calm = np.zeros((len(agent.disturbances), n)) if agent.disturbances else None
-        means.append(agent.mean(x, u, calm) if beside is None else agent.mean(x, u, calm, beside))
-        scales.append(np.ones_like(x) if agent.noise_scale is None else agent.scales(x, u, calm))
+        means.append(agent.mean(x, u, calm, beside, t))
+        scales.append(np.ones_like(x) if agent.noise_scale is None else agent.scales(x, u, calm, t))
     return np.concatenate(means), np.concatenate(scales)
 
 

@@ -18,6 +18,7 @@ CELLS = [(row, column) for row in ROWS for column in COLUMNS]
 
 BOXES = [row for row in ROWS if row.startswith("boxes")]
 LINEAR = [row for row in ROWS if row.startswith("linear")]
+TIMED = ["exact in time", "linear in time"]
 EXPRESSIONS = ["exact expressions", "linear expressions", *(row for row in BOXES if row not in
                ("boxes matrices", "boxes Laplace", "boxes common input"))]  # fmt: skip
 
@@ -33,8 +34,8 @@ GROWS = "what pairs may spoil grows with every step"
 CANNOT: dict[str, dict[str, str]] = {
     # Trains round sums of factors: a step must take sums to sums, which least values over boxes and corners do not.
     "train": dict.fromkeys(BOXES + LINEAR, "expected 'auto' or 'tree'"),
-    "own upper end": {"path": "no upper end"},
-    "opposite end": {"path": "another kind", "subtraction": NO_VALUES_BY_SUBTRACTION},
+    "own upper end": {"path": "no upper end", "path in time": "no upper end"},
+    "opposite end": {"path": "another kind", "path in time": "another kind", "subtraction": NO_VALUES_BY_SUBTRACTION},
     # What may be lost at every step cannot be promised; an abstract state is not the state that a shield sees; inputs
     # that others rely on cannot be left to a learner.
     "shield": {
@@ -44,6 +45,7 @@ CANNOT: dict[str, dict[str, str]] = {
         "paper": "delta = 0",
         "boxes common input": "chosen in common",
         "path": NO_VALUES_ON_PATHS,
+        "path in time": NO_VALUES_ON_PATHS,
         "subtraction": NO_VALUES_BY_SUBTRACTION,
     },
     # Permissions are sets of inputs at states: choices of an abstract state are none. Inputs that others rely on are
@@ -55,30 +57,45 @@ CANNOT: dict[str, dict[str, str]] = {
         "ellipsoid with delta": "expected the relation",
         "paper": "expected the relation",
         "path": NO_VALUES_ON_PATHS,
+        "path in time": NO_VALUES_ON_PATHS,
         "subtraction": NO_VALUES_BY_SUBTRACTION,
     },
     # A policy that looks at the state is not known to others; a path has a feedback of its own.
-    "certify": {"boxes common input": "whose inputs depend on states", "path": "expected one of auto"},
+    "certify": {
+        "boxes common input": "whose inputs depend on states",
+        "path": "expected one of auto",
+        "path in time": "expected one of auto",
+    },
     "network": {"boxes common input": "expected linear dynamics"},
-    "at": {"path": NO_VALUES_ON_PATHS, "subtraction": "about pairs of agents"},
-    "values in time": {"path": "expected a Certificate", "subtraction": "expected a Certificate"},
-    "audit": {"path": NO_VALUES_ON_PATHS, "subtraction": NO_VALUES_BY_SUBTRACTION},
-    "field": {"path": NO_VALUES_ON_PATHS, "subtraction": "."},
+    "at": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "about pairs of agents"},
+    "values in time": dict.fromkeys(["path", "path in time", "subtraction"], "expected a Certificate"),
+    "audit": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": NO_VALUES_BY_SUBTRACTION},
+    "field": {"path": NO_VALUES_ON_PATHS, "path in time": NO_VALUES_ON_PATHS, "subtraction": "."},
     # Rates are read from least values: nothing is bounded where one of them is 0, as when a battery runs empty.
     "safety rate": {
         "ellipsoid with delta": "delta = 0",
         "paper": "delta = 0",
         "boxes no noise": "falls to 0",
+        **dict.fromkeys(TIMED, "policies have to look at it"),
         "path": NO_VALUES_ON_PATHS,
+        "path in time": NO_VALUES_ON_PATHS,
         "subtraction": GROWS,
     },
-    "no deadline": {"subtraction": GROWS},
-    "budget": {"path": "has no grid"},
-    "start=": {"path": "expected a Certificate"},
+    # Beyond the horizon nothing is said of the time, and policies that do not look at it cannot know it.
+    "no deadline": {"subtraction": GROWS, **dict.fromkeys([*TIMED, "path in time"], "the same at every step")},
+    "budget": {"path": "has no grid", "path in time": "which has no grid"},
+    "start=": dict.fromkeys(["path", "path in time"], "expected a Certificate"),
 }
 """Refusals by mathematics: column, row, and what the message says."""
 
+WRITTEN_OUT = "it is about the problem written out alone"
+
 MISSING: dict[str, dict[str, str]] = {
+    "opposite end": dict.fromkeys(TIMED, WRITTEN_OUT),
+    "certify": dict.fromkeys(TIMED, "given policies are not written out"),
+    "values in time": dict.fromkeys(TIMED, WRITTEN_OUT),
+    "audit": dict.fromkeys(TIMED, WRITTEN_OUT),
+    "field": dict.fromkeys(TIMED, WRITTEN_OUT),
     "train": {"subtraction": "tasks about pairs do not ask for trains"},
     "own upper end": dict.fromkeys(
         ["exact correlated", "tube", "ellipsoid", "ellipsoid with delta", "paper", "joint", *LINEAR, *BOXES],
@@ -86,11 +103,14 @@ MISSING: dict[str, dict[str, str]] = {
     ),
     "shield": {
         "train": "values in time of trains are not read",
+        **dict.fromkeys(TIMED, WRITTEN_OUT),
     },
     "permission": {
         "train": "permissions read trees alone",
+        **dict.fromkeys(TIMED, WRITTEN_OUT),
     },
     "network": {
+        **dict.fromkeys([*TIMED, "path in time"], "networks are certified where every step is the same"),
         **dict.fromkeys(EXPRESSIONS, "networks are enclosed with matrices alone"),
         **dict.fromkeys(["joint", "subtraction"], "networks of pairs are not certified"),
     },
@@ -100,7 +120,7 @@ MISSING: dict[str, dict[str, str]] = {
     },
     "safety rate": {"train": "rates read trees alone"},
     "budget": {"subtraction": "tasks about pairs do not ask for budgets"},
-    "start=": {"subtraction": "tasks about pairs begin anew"},
+    "start=": {"subtraction": "tasks about pairs begin anew", **dict.fromkeys(TIMED, "tasks in time begin anew")},
     "device": {
         **dict.fromkeys([*LINEAR, *BOXES], "only points are read on devices"),
         "joint": "its relation has no devices, and another one is taken",

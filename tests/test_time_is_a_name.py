@@ -25,7 +25,8 @@ def written(horizon: int = 12) -> cg.Problem:
     return cg.Problem(
         name="written", horizon=horizon, agents=[first, robot("second", dynamics=["0.9*x + u*cos(t)"]), still("third")],
         propositions={
-            "a": cg.Proposition("first", ["sin(t) - 1"], ["sin(t) + 1"]), "b": cg.Proposition("second", [-1], ["0.1*t"]),
+            "a": cg.Proposition("first", ["sin(t) - 1"], ["sin(t) + 1"]),
+            "b": cg.Proposition("second", [-1], ["0.1*t"]),
             "c": cg.Proposition("third", [-2], [2]),
         },
         specification=cg.Specification("G (a | b | c)", "finite-trace"),

@@ -71,7 +71,7 @@ def test_without_options_a_path_or_a_grid_is_chosen() -> None:
     assert isinstance(calm.certificate, PathCertificate) and calm.certificate.lower_bound > 0.99
     rough = cg.synthesize(follow(robot(), horizon=3), effort=20)
     assert isinstance(rough.certificate, TimedCertificate) and cg.check(rough.certificate)
-    assert {"path", "linear"} <= set(rough.stats["tried"])  # type: ignore[call-overload]
+    assert {"path", "linear"} <= set(rough.stats["tried"])
 
 
 def test_a_reference_is_followed_for_thirty_steps() -> None:
@@ -263,9 +263,10 @@ def test_teams_of_both_kinds_are_certified_together() -> None:
 def test_what_else_changes_with_time_is_certified() -> None:
     wind = robot(dynamics=["x + u + gust*cos(t)"], disturbances={"gust": [-0.1, 0.1]})
     noisy = robot(dynamics=["x + u"], noise=[{"law": "gaussian", "std": 1.0}], noise_scale=["0.1 + 0.2*exp(-t/3)"])
+    pulled = robot(dynamics=["0.98*x + 0.02*leader.x + u + 0.1*t"])
     told = cg.Problem(
-        name="told", horizon=4, agents=[robot("leader"), robot("robot", dynamics=["0.98*x + 0.02*leader.x + u + 0.1*t"])],
-        propositions={"band": band()}, specification=cg.Specification("G band", "finite-trace"),
+        name="told", horizon=4, agents=[robot("leader"), pulled], propositions={"band": band()},
+        specification=cg.Specification("G band", "finite-trace"),
     )  # fmt: skip
     for problem in (follow(wind), follow(noisy), told):
         for cells, relation in ((80, "boxes"), (None, "path")):
@@ -309,7 +310,7 @@ def test_a_door_that_opens_every_ten_steps_is_passed_when_it_is_open() -> None:
     door = cg.Proposition("robot", [2], ["2 + 2*clip(100*(cos(pi*t/5) - 0.95), 0, 1)"])
     for agent in (robot(noise=[{"law": "gaussian", "std": 0.1}]), still(noise_covariance=[[0.01]])):
         problem = follow(agent, door, horizon=17, formula="F band")
-        certificate = cg.synthesize(problem, relation="path").certificate
+        certificate: Any = cg.synthesize(problem, relation="path").certificate
         assert certificate.lower_bound > 0.999 and cg.check(certificate)
         assert certificate.n_steps == 10
     # At a time at which it is closed nothing is certified.
@@ -317,3 +318,26 @@ def test_a_door_that_opens_every_ten_steps_is_passed_when_it_is_open() -> None:
     (path,) = certificate.paths
     early = replace(path, inputs=path.inputs[:9])
     assert not cg.check(replace(certificate, letters=letters, faces=faces, paths=(early,)))
+
+
+def test_pairs_keep_apart_beside_regions_that_move() -> None:
+    noise = {"noise": [{"law": "gaussian", "std": 0.1}]}
+    agents = robot("first", **noise, initial_state=[-1.0]), robot("second", **noise, initial_state=[1.0])
+    goal = cg.Proposition("first", ["-2 + 0.2*t"], ["0.2*t"])
+    problem = cg.Problem(
+        name="apart", horizon=5, agents=agents,
+        propositions={"goal": goal, "near": cg.Pair(["first", "second"], [-0.6], [0.6])},
+        specification=cg.Specification("G (goal & !near)", "finite-trace"),
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, relation="path").certificate
+    assert cg.check(certificate) and certificate.lower_bound > 0.99
+    rollouts = cg.rollout(problem, certificate.controller, 2000, seed=2)
+    assert not lies(certificate.lower_bound, int(np.sum(rollouts.success)), 2000)
+    for relation in ("exact", "joint"):
+        with pytest.raises(ValueError):
+            cg.synthesize(problem, relation=relation)
+
+
+def test_long_horizons_have_paths_alone() -> None:
+    with pytest.raises(ValueError, match="relation `path`"):
+        cg.synthesize(follow(still(), horizon=600), 30, relation="exact")

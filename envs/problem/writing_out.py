@@ -17,8 +17,8 @@ from .families import AnyProposition
 from .record import Problem
 from .specification import Specification
 
-MOST_STATES = 20_000
-"""Most automaton states of a problem that is written out: more would fill the memory with policies."""
+MOST_TABLES = 250_000
+"""Most automaton states of a problem that is written out, times its steps: policies have a table for each of them."""
 
 MOST_REGIONS = 2_000
 """Most places of regions: labels are compared place by place."""
@@ -134,10 +134,10 @@ def _counting(problem: Problem, places: Places) -> Automaton:
         if (read, q) not in number:
             number[read, q] = len(order)
             order.append((read, q))
-            if len(order) > MOST_STATES:
+            if len(order) * problem.horizon > MOST_TABLES:
                 raise ValueError(
-                    f"`specification`: expected at most {MOST_STATES} automaton states over all steps, got more; ask "
-                    "for the relation `path`, or a shorter horizon"
+                    f"`horizon`: expected at most {MOST_TABLES} pairs of a step and an automaton state that counts "
+                    "steps, got more; ask for the relation `path`, or a shorter horizon"
                 )
         return number[read, q]
 
