@@ -316,6 +316,7 @@ def _uneven(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.
             "laplace": lambda n, law=law: rng.laplace(0.0, law["scale"], n),
             "logistic": lambda n, law=law: rng.logistic(0.0, law["scale"], n),
             "uniform": lambda n, law=law: rng.uniform(law["low"], law["high"], n),
+            "triangular": lambda n, law=law: rng.triangular(law["low"], law["mode"], law["high"], n),
         }[law["law"]](x.shape[1])
         with np.errstate(all="ignore"):
             rows.append(np.broadcast_to(value_of(scale, values), drawn.shape) * drawn)

@@ -308,7 +308,20 @@ def _nonlinear(rng: np.random.Generator) -> Spec:
             deviations = rng.uniform(0.04, 0.12, d) * np.array(agent["state_high"])
             agent["laws"] = [{"law": "gaussian", "std": float(std)} for std in deviations]
             agent["written"]["noise"] = agent["laws"]
+        elif rng.random() < 0.4:
+            del agent["noise_covariance"], agent["written"]["noise_covariance"]
+            agent["scales"], agent["laws"] = [1.0] * d, [_light_law(rng, float(size)) for size in agent["state_high"]]
+            agent["written"]["noise"] = agent["laws"]
     return _told_starts(_problem(rng, agents, {"relation": "path"}, (1, 2, 3, 5)))
+
+
+def _light_law(rng: np.random.Generator, size: float) -> Spec:
+    """A law whose tails are below those of a normal one; its mean need not be 0."""
+    half, off = size * float(rng.uniform(0.05, 0.25)), size * float(rng.choice([0.0, 0.05, -0.1]))
+    if rng.random() < 0.6:
+        return {"law": "uniform", "low": off - half, "high": off + half}
+    return {"law": "triangular", "low": off - half, "mode": off + half * float(rng.uniform(-1.0, 1.0)),
+            "high": off + half}  # fmt: skip
 
 
 def _fleet(rng: np.random.Generator) -> Spec:
