@@ -232,7 +232,7 @@ MUTANTS = [
             '"noise_covariance": (agent.noise_covariance, state, state)',
         ),
         ("        state, values = np.ones(agent.n_states), {", "        values = {"),
-        ("if region.agent != owner or value == 0:", "if region.agent != name or value == 0:"),
+        ("if problem.propositions[name].agent != owner or value == 0:", "if value == 0:"),
     ),
     *_in(
         "synthesis/path_checking/linear_deviations.py",
@@ -317,6 +317,27 @@ MUTANTS = [
     *_in(
         "synthesis/path_checking/own_intervals.py",
         ("np.where((off == 0.0) | (slope == 0.0), 0.0, slope * off)", "0.0"),
+    ),
+    *_in(
+        "synthesis/path_checking/own_regions.py",
+        ("np.full((2, 1), float(time))", "np.full((2, 1), float(time - 1))"),
+        ("np.any(self.high[1] <= self.low[0])", "np.any(self.low[0] <= self.high[1])"),
+    ),
+    *_in(
+        "synthesis/path_checking/nonlinear_check.py",
+        ("now = _at(agent, min(t, path.n_steps - 1))", "now = _at(agent, 0)"),
+        ("region = RegionSpan.of(proposition, self.t)", "region = RegionSpan.of(proposition, self.t - 1)"),
+        ("np.where(is_stopped | is_number, largest, nominal)", "np.where(is_stopped, largest, 0.0 * nominal)"),
+    ),
+    *_in(
+        "synthesis/checking/timed_check.py",
+        ("np.any(menu[chosen, -1] != float(time))", "np.any(menu[chosen, -1] != menu[chosen[0], -1])"),
+        ("np.any(part.policy >= len(menu))", "False"),
+    ),
+    *_in(
+        "envs/problem/writing_out.py",
+        ("first.accepting[q] != second.accepting[b]", "first.accepting[q] > second.accepting[b]"),
+        ("other.to_dict() != region.to_dict()", "other.agent != region.agent"),
     ),
     *_in(
         "synthesis/checking/team_check.py",
