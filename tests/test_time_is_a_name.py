@@ -286,3 +286,12 @@ def test_another_problem_is_not_the_one_that_is_written_out() -> None:
     for other in (follow(still(), band(shift=1)), follow(still(), horizon=5), follow(still(), formula="F band")):
         with pytest.raises(ValueError):
             states_in_time(problem, written_out(other))
+
+
+@pytest.mark.parametrize(("asked", "proved"), [("G (band & other)", "G (band | other)"), ("F (band & other)", "F band")])
+def test_a_task_that_is_easier_is_not_the_one_that_is_written_out(asked: str, proved: str) -> None:
+    other = cg.Proposition("robot", ["-t"], [2])
+    for own, base in ((asked, proved), (proved, asked)):
+        problem = follow(still(), horizon=4, formula=own, other=other)
+        with pytest.raises(ValueError, match="satisfied where the task is not|two states"):
+            states_in_time(problem, written_out(follow(still(), horizon=4, formula=base, other=other)))
