@@ -295,3 +295,14 @@ def test_a_task_that_is_easier_is_not_the_one_that_is_written_out(asked: str, pr
         problem = follow(still(), horizon=4, formula=own, other=other)
         with pytest.raises(ValueError, match="satisfied where the task is not|two states"):
             states_in_time(problem, written_out(follow(still(), horizon=4, formula=base, other=other)))
+
+
+@pytest.mark.parametrize("formula", ["G (band_t0 | !band_t0)", "F (band_t0 & !band_t0)"])
+def test_what_is_always_or_never_satisfied_is_not_the_task(formula: str) -> None:
+    problem = follow(still(), horizon=4)
+    base = cg.Problem(
+        name="always", horizon=4, agents=problem.agents, propositions=written_out(problem).propositions,
+        specification=cg.Specification(formula, "finite-trace"),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="satisfied where the task is not"):
+        states_in_time(problem, base)
