@@ -288,7 +288,9 @@ def test_another_problem_is_not_the_one_that_is_written_out() -> None:
             states_in_time(problem, written_out(other))
 
 
-@pytest.mark.parametrize(("asked", "proved"), [("G (band & other)", "G (band | other)"), ("F (band & other)", "F band")])
+@pytest.mark.parametrize(
+    ("asked", "proved"), [("G (band & other)", "G (band | other)"), ("F (band & other)", "F band")]
+)
 def test_a_task_that_is_easier_is_not_the_one_that_is_written_out(asked: str, proved: str) -> None:
     other = cg.Proposition("robot", ["-t"], [2])
     for own, base in ((asked, proved), (proved, asked)):
