@@ -58,7 +58,7 @@ def test_families_are_named_by_what_the_star_stands_for() -> None:
     assert problem.families["near"] == ("near_0_1", "near_0_2", "near_1_2")
     assert problem.families["next"] == ("next_0_1", "next_1_2")
     assert problem.families["tied"] == ("tied_0", "tied_2")
-    assert problem.propositions["tied_2"].agents == ("drone_1", "drone_2")
+    assert problem.propositions["tied_2"].agents == ("drone_1", "drone_2")  # type: ignore[union-attr]
     assert problem.labeling.names == tuple(problem.propositions) == problem.automaton.propositions
     again = problem_from_dict(problem.to_dict())
     assert again.fingerprint == problem.fingerprint == pickle.loads(pickle.dumps(problem)).fingerprint

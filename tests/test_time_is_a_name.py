@@ -295,7 +295,7 @@ def test_a_task_that_is_easier_is_not_the_one_that_is_written_out(asked: str, pr
     other = cg.Proposition("robot", ["-t"], [2])
     for own, base in ((asked, proved), (proved, asked)):
         problem = follow(still(), horizon=4, formula=own, other=other)
-        with pytest.raises(ValueError, match="satisfied where the task is not|two states"):
+        with pytest.raises(ValueError, match=r"satisfied where the task is not|two states"):
             states_in_time(problem, written_out(follow(still(), horizon=4, formula=base, other=other)))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -88,11 +88,12 @@ class Proposition:
         for key, value in (("low", box.low), ("high", box.high), ("corners", None)):
             object.__setattr__(self, key, value)
 
-    # Asked for what the region has not: whoever reads corners without a time must not go on with any.
-    def __getattr__(self, name: str) -> Any:
-        if name in ("low", "high"):
-            raise ValueError(f"`proposition`: expected a region that stands still, got {self!r}; ask `at` a time")
-        raise AttributeError(name)
+    if not TYPE_CHECKING:  # types are those of the attributes
+        # Asked for what the region has not: whoever reads corners without a time must not go on with any.
+        def __getattr__(self, name: str) -> Any:
+            if name in ("low", "high"):
+                raise ValueError(f"`proposition`: expected a region that stands still, got {self!r}; ask `at` a time")
+            raise AttributeError(name)
 
     # Rebuilt from its arguments: a pickled array would come back writable.
     def __reduce__(self) -> tuple[Any, ...]:
