@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from ..envs.agents import AnyAgent
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
+from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused, corner_sides
 from .certificates import Synthesis, TeamCertificate
 from .certification import certificate_of
@@ -73,8 +74,8 @@ def certify(
     ----------
     problem : Problem, id or path
         Agents with positive definite noise, to whom the relation applies.
-    policy : Policy
-        Decentralised policies, in any form that ``synthesis.decentralised`` takes.
+    policy : Policy, model or path
+        Decentralised policies, in any form that ``synthesis.decentralised`` or ``as_policy`` takes.
     cells : int, sequence of int or mapping from agent name, optional
         Cells per axis; with more cells the wrapped policy is closer to the raw one.
     relation : str, or mapping from agent name to str
@@ -101,6 +102,7 @@ def certify(
         kind = "auto" if relation == "quick" else relation
         return certify_network(problem, policy, cells, relation=kind, **settings)
     problem = as_problem(problem)
+    policy = certifiable(problem, policy)
     if problem.labeling.pairs:
         return _about_pairs(problem, policy, cells, relation, settings)
     return _of_task(problem, policy, cells, relation, settings)[0]
@@ -189,7 +191,7 @@ def improve(
     """
     clock, problem = _Clock(), as_problem(problem)
     search = Search(max_sweeps, Limits() if limits is None else limits, progress=progress)
-    wrapped = _wrapped(problem, policy, cells, relation, settings)
+    wrapped = _wrapped(problem, certifiable(problem, policy), cells, relation, settings)
     joint, start = wrapped.joint, start_of(problem, wrapped.joint)
     clock.abstracted()
     best = sweep(joint, wrapped.policies, start, FINAL, improve=False)

@@ -8,7 +8,7 @@ unknown. What is certified is the deployed network itself (docs/theory/networks.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from ..envs.agents import counted, tree_text
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
+from .bridges import certifiable
 from .cells import CellCounts, FloatArray, RelationRefused
 from .certificates import Certificate, Synthesis
 from .certification import certificate_of
@@ -110,7 +111,7 @@ def certify_network(
     ----------
     problem : Problem, id or path
         Agents with linear dynamics.
-    actor : SharedActor or TeamActor
+    actor : SharedActor, TeamActor, or what ``as_policy`` takes
         Networks that see the agent's own state, the automaton state and the time.
     cells : int, sequence of int or mapping from agent name to one of these, optional
         Cells per axis; the bound rises with their number.
@@ -198,16 +199,14 @@ def _boxes_of(certificate: Certificate) -> int:
 
 def _policies(problem: Problem, actor: Any) -> list[NetworkPolicy]:
     """Return the networks of all agents, or raise ValueError if they see more than is certified."""
-    actor = getattr(actor, "actor", actor)  # of a training
+    actor = certifiable(problem, actor)
     if not hasattr(actor, "agent_policy"):
         raise ValueError(
             f"`policy`: expected networks that see their agent's own state, the automaton state and the time, got "
             f"{type(actor).__name__}; train `ppo`, `ippo` or `mappo`, or leave out `raw`"
         )
     if actor.problem.fingerprint != problem.fingerprint:
-        actor = type(actor)(
-            problem, *(getattr(actor, name) for name in ("network", "networks") if hasattr(actor, name))
-        )
+        actor = replace(actor, problem=problem)
     policies = [actor.agent_policy(i) for i in range(problem.n_agents)]
     for policy in policies:
         if any(layer.dtype != np.float32 for layer in (*policy.network.weights, *policy.network.biases)):
@@ -279,7 +278,8 @@ def differences(certificate: Certificate, actor: Any) -> list[str]:
         if stored is None:
             found.append(f"agent `{name}` is not moved by a network")
             continue
-        found += [f"agent `{name}`: its network has other {key}" for key in given if stored[key] != given[key]]
+        keys = dict.fromkeys((*given, *stored))
+        found += [f"agent `{name}`: its network has other {key}" for key in keys if stored.get(key) != given.get(key)]
         modes = policy.n_modes
         if np.any((part.policy < 0) | (part.policy >= modes)):
             found.append(f"agent `{name}`: its network was replaced in some cells")

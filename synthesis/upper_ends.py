@@ -15,6 +15,7 @@ import numpy as np
 from ..envs.agents import tree_text
 from ..envs.problem import Problem, Specification
 from ..envs.suite import as_problem
+from .bridges import certifiable
 from .cells import CellCounts
 from .certificates import Certificate, PairsCertificate, TeamCertificate, rounded_up
 from .checking import check, other_controllers, wrong_opposite, wrong_team
@@ -121,6 +122,7 @@ def bound_network_above(
         As for ``certify_network``.
     """
     problem = as_problem(problem)
+    actor = certifiable(problem, actor)
     found = certify_network(opposite_of(problem), actor, cells, relation=relation, targets_per_cell=targets_per_cell)
     assert isinstance(found.certificate, Certificate)
     return UpperEnd(problem, found.certificate)

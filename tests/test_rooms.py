@@ -41,6 +41,8 @@ MAY_IMPORT = {
     "synthesis.search",
     "synthesis.controllers": f"{ENVS} synthesis.cells synthesis.relations",
     "synthesis.certificates": f"{ENVS} synthesis.values synthesis.cells synthesis.relations synthesis.controllers",
+    "synthesis.bridges": f"{ENVS} envs.interfaces envs.suite synthesis.relations synthesis.controllers "
+    "synthesis.certificates",
     "synthesis.path_checking": f"{ENVS} {CERTIFICATES}",
     "synthesis.checking": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking",
     "synthesis.balls": f"{ENVS} envs.suite {CERTIFICATES} synthesis.path_checking synthesis.checking",
@@ -50,13 +52,14 @@ MAY_IMPORT = {
     "synthesis.nominal_paths": f"{ENVS} {CERTIFICATES}",
     "synthesis.pairs": f"{ENVS} {CERTIFICATES} synthesis.models synthesis.search",
     "synthesis": f"{ENVS} envs.suite {CERTIFICATES} synthesis.models synthesis.search synthesis.bounds "
-    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking",
+    "synthesis.choosing synthesis.nominal_paths synthesis.pairs synthesis.checking synthesis.bridges",
     "validation.statistics": "",
-    "validation.simulation": f"{ENVS} envs.suite",
+    "validation.simulation": f"{ENVS} envs.suite synthesis.bridges",
     "validation.verdicts": f"{EVIDENCE} synthesis synthesis.checking",
     "validation.audits": f"{EVIDENCE} synthesis.checking",
-    "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.shielding",
-    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.shielding validation.shields",
+    "validation.shields": f"{EVIDENCE} envs.interfaces envs.suite synthesis.bridges synthesis.shielding",
+    "validation.policies": f"{EVIDENCE} envs.interfaces envs.suite synthesis synthesis.bridges synthesis.shielding "
+    "validation.shields",
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.permissions "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",

@@ -2,7 +2,8 @@
 
 from .central_env import CentralEnv
 from .device_team_env import DeviceTeamEnv, TeamState
-from .observation import checked_option
+from .nearest import checked_neighbours, common_sizes, nearest_bounds, nearest_seen
+from .observation import AUTOMATON, SCALES, SCOPES, Bounds, checked_option, joint_bounds, relative_bounds
 from .problem_env import ProblemEnv
 from .shaping import Potential
 from .tasks_env import TasksEnv
@@ -10,14 +11,24 @@ from .team_env import TeamEnv, TeamStep
 from .vector_env import ProblemVectorEnv
 
 __all__ = [
+    "AUTOMATON",
+    "Bounds",
     "CentralEnv",
     "DeviceTeamEnv",
     "Potential",
     "ProblemEnv",
     "ProblemVectorEnv",
+    "SCALES",
+    "SCOPES",
     "TasksEnv",
     "TeamEnv",
     "TeamState",
     "TeamStep",
+    "checked_neighbours",
     "checked_option",
+    "common_sizes",
+    "joint_bounds",
+    "nearest_bounds",
+    "nearest_seen",
+    "relative_bounds",
 ]

@@ -21,6 +21,8 @@ from .envs.suite import problem_ids as problem_ids
 from .envs.suite import team_env as team_env
 from .envs.suite import vector_env as vector_env
 from .synthesis.balls import check_rigorous as check_rigorous
+from .synthesis.bridges import as_policy as as_policy
+from .synthesis.bridges import save_policy as save_policy
 from .synthesis.certificates import Certificate as Certificate
 from .synthesis.certificates import ProductCertificate as ProductCertificate
 from .synthesis.certificates import Synthesis as Synthesis
@@ -102,6 +104,7 @@ __all__ = [
     "abstract",
     "aec_env",
     "as_controller",
+    "as_policy",
     "audit",
     "automaton_from_hoa",
     "automaton_from_transitions",
@@ -127,6 +130,7 @@ __all__ = [
     "rollout",
     "save_certificate",
     "save_permission",
+    "save_policy",
     "safety_rate",
     "shield",
     "shielded",

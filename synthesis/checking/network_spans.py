@@ -158,6 +158,11 @@ def _mean_forms(
         count = matrix.shape[1] + 2
         rounding = np.maximum(np.abs(low), np.abs(high)) @ np.abs(matrix).T + np.abs(shift)
         rounding = (rounding * (count * HALF_UNIT / (1.0 - count * HALF_UNIT)) + count * TINY) * SPARE
+        if is_last and _is_in_units(network):
+            # Inputs are cut to their box: the same as their share of it cut to [-1, 1].
+            shares = 2.0 / (agent.input_box.high - agent.input_box.low)
+            centres = 0.5 * (agent.input_box.low + agent.input_box.high)
+            matrix, shift, rounding = matrix * shares[:, None], (shift - centres) * shares, rounding * shares
         if k == 0:
             rounding = rounding + off @ np.abs(matrix).T * SPARE
         positive, negative = np.where(matrix > 0, matrix, 0.0), np.where(matrix < 0, matrix, 0.0)
@@ -173,21 +178,39 @@ def _mean_forms(
     gain, still = B * (0.5 * (box.high - box.low)), middle @ A.T + c + B @ (0.5 * (box.low + box.high))
     total = forms.through(gain, np.zeros(len(gain)))
     up, down, moved = np.where(gain > 0, gain, 0.0), np.where(gain < 0, gain, 0.0), half @ np.abs(A).T
-    spare = np.abs(B) @ ((LATER + _cancelled(layers)) * (np.abs(box.low) + np.abs(box.high)))
+    cancelled = _cancelled(layers, _largest_seen(agent, network), agent if _is_in_units(network) else None)
+    spare = np.abs(B) @ ((LATER + cancelled) * (np.abs(box.low) + np.abs(box.high)))
     plain = still - moved + low @ up.T + high @ down.T, still + moved + high @ up.T + low @ down.T
     return Forms(total.slopes + A, total.constants + still, total.symbols, total.own), spare, plain
 
 
-def _cancelled(layers: list[tuple[Any, Any]]) -> float:
+def _is_in_units(network: dict[str, Any]) -> bool:
+    """Whether outputs are inputs, cut to their box, and not actions in [-1, 1]."""
+    return bool(network.get("outputs", "unit") == "box")
+
+
+def _largest_seen(agent: LinearAgent, network: dict[str, Any]) -> float:
+    """A number that no number of a row, nor a sum that it is made of, exceeds by far."""
+    if network.get("scale", "unit") == "unit":
+        return 4.0
+    return 4.0 + max(float(np.max(np.abs(end))) for end in (agent.workspace.low, agent.workspace.high))
+
+
+def _cancelled(layers: list[tuple[Any, Any]], size: float, in_units: LinearAgent | None) -> float:
     """What double precision is off by in actions, at most, however much weights cancel each other.
 
     No number of any layer, nor any coefficient of a form, is larger than what absolute values lead to, and what is
-    rounded in one layer grows in the later ones as these do.
+    rounded in one layer grows in the later ones as these do. With an agent outputs are inputs of its, in their units.
     """
-    size, widest = 4.0, 0
-    for weights, biases in layers:
-        matrix = np.abs(np.array(weights, dtype=float))
-        size = float(np.max(matrix.sum(axis=1) * size + np.abs(np.array(biases, dtype=float)))) + 1.0
+    widest = 0
+    for k, (weights, biases) in enumerate(layers):
+        matrix, shift = np.abs(np.array(weights, dtype=float)), np.abs(np.array(biases, dtype=float))
+        if in_units is not None and k == len(layers) - 1:
+            box = in_units.input_box
+            matrix, shift = matrix[: box.dimension], shift[: box.dimension] + 0.5 * np.abs(box.low + box.high)
+            shares = 2.0 / (box.high - box.low)
+            matrix, shift = matrix * shares[:, None], shift * shares
+        size = float(np.max(matrix.sum(axis=1) * size + shift)) + 1.0
         widest = max(widest, matrix.shape[1])
     return len(layers) * (widest + 16.0) * 2.0**-50 * size
 
@@ -202,8 +225,11 @@ def _seen(
     size = width + network["states"] + 1 + network["agents"]
     scale = 2.0 / (agent.workspace.high - agent.workspace.low)
     slopes, constants, off = np.zeros((n, size, d)), np.zeros((n, size)), np.zeros((n, size))
+    first, shift = agent.workspace.low, 1.0
+    if network.get("scale", "unit") == "raw":  # states are seen in their units
+        scale, first, shift = np.ones(d), np.zeros(d), 0.0
     slopes[:, :d] = scale[:, None] * part.coordinates
-    constants[:, :d] = (middle @ part.coordinates.T - agent.workspace.low) * scale - 1.0
+    constants[:, :d] = (middle @ part.coordinates.T - first) * scale - shift
     # States are scaled in double precision, and the row rounded to single.
     reach = np.abs(constants[:, :d]) + half @ np.abs(slopes[0, :d]).T
     doubled = 2.0**-50 * (1.0 + scale * (np.abs(agent.workspace.low) + np.abs(agent.workspace.high)))
@@ -265,6 +291,14 @@ def _ends(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, Flo
     return np.clip(low, floor, _most(kind)), np.clip(high, floor, _most(kind))
 
 
+def _has_known_form(agent: LinearAgent, network: dict[str, Any]) -> bool:
+    """Whether states are seen as shares or in units, and outputs are actions, or inputs of a box that is not flat."""
+    box = agent.input_box
+    if network.get("outputs", "unit") == "box" and (network["squashed"] or np.any(box.low >= box.high)):
+        return False
+    return network.get("scale", "unit") in ("unit", "raw") and network.get("outputs", "unit") in ("unit", "box")
+
+
 def wrong_networks(certificate: Certificate) -> list[str]:
     """What networks of a certificate see or do otherwise than its problem and its policies say."""
     problem, failures = certificate.problem, []
@@ -282,6 +316,8 @@ def wrong_networks(certificate: Certificate) -> list[str]:
             continue
         if not isinstance(agent, LinearAgent) or part.relation["kind"] not in ("boxes", "linear"):
             failures.append(f"the network of agent `{agent.name}` is for another relation or other dynamics")
+        elif not _has_known_form(agent, network):
+            failures.append(f"the network of agent `{agent.name}` sees states, or answers, in a form that is not known")
         elif any(network[name] != value for name, value in (expected | {"agent": i} | alone(network)).items()):
             failures.append(f"the network of agent `{agent.name}` sees another problem, or another agent")
         elif len(part.policy) != horizon:

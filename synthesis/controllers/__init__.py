@@ -2,7 +2,7 @@
 
 from .agent_controller import AgentController
 from .controller import Controller
-from .given_policies import LOCAL, Decentralised, InputTable, Policy, decentralised, vectorized
+from .given_policies import LOCAL, Decentralised, InputTable, Policy, Vectorized, decentralised, vectorized
 from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
@@ -17,6 +17,7 @@ __all__ = [
     "LOCAL",
     "PathController",
     "Policy",
+    "Vectorized",
     "ProductController",
     "TeamController",
     "TimedController",

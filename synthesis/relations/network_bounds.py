@@ -195,10 +195,56 @@ def _double_rounding(policy: NetworkPolicy) -> float:
     Rows that are pulled back through layers may be sums of large numbers that cancel each other.
     """
     size, widest, network = 4.0, 0, policy.network
-    for weight, bias in zip(network.weights, network.biases, strict=True):
-        size = float((np.abs(weight).astype(float).sum(axis=1) * size + np.abs(bias)).max()) + 1.0
+    if policy.view.scale == "raw":
+        size += float(np.max([np.abs(policy.workspace.low), np.abs(policy.workspace.high)]))
+    pairs = [(np.abs(w).astype(float), np.abs(b)) for w, b in zip(network.weights, network.biases, strict=True)]
+    if network.outputs == "box":
+        last = _layers(policy)[-1]
+        pairs[-1] = np.abs(last.weight), np.abs(last.bias) + np.abs(last.moved)
+    for weight, bias in pairs:
+        size = float((weight.sum(axis=1) * size + bias).max()) + 1.0
         widest = max(widest, weight.shape[1])
-    return len(network.weights) * (widest + 16.0) * 2.0**-50 * size
+    return len(pairs) * (widest + 16.0) * 2.0**-50 * size
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A layer ``(W h + b) - moved`` in double precision, all of it divided by ``unit``.
+
+    Parameters
+    ----------
+    weight : (n, k) array
+    bias : (n,) array
+        As single precision adds it.
+    moved, unit : (n,) arrays
+        Middle and half width of the input box behind a layer that answers with inputs; else 0 and 1.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    moved: FloatArray
+    unit: FloatArray
+
+    def rounded(self, largest: FloatArray) -> FloatArray:
+        """Return what single precision is off by in ``W h + b``, in any order, for ``|h| <= largest`` (N, k)."""
+        count = self.weight.shape[1] + 2
+        share = count * SINGLE / (1.0 - count * SINGLE)
+        sums = largest @ np.abs(self.weight).T + np.abs(self.bias)
+        return np.asarray((share * sums + count * SMALLEST / self.unit) * WIDER)
+
+
+def _layers(policy: NetworkPolicy) -> list[Layer]:
+    """Return the layers of a network; the last one leads to actions in [-1, 1] before clipping.
+
+    Outputs beyond the inputs of the agent are dropped.
+    """
+    network, box, m = policy.network, policy.input_box, policy.input_box.dimension
+    weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
+    layers = [Layer(w, b, np.zeros(len(b)), np.ones(len(b))) for w, b in zip(weights[:-1], biases[:-1], strict=True)]
+    moved, unit = np.zeros(m), np.ones(m)
+    if network.outputs == "box":
+        moved, unit = (0.5 * box.low + 0.5 * box.high) / box.half_width, box.half_width
+    return [*layers, Layer(weights[-1][:m] / unit[:, None], biases[-1][:m] / unit, moved, unit)]
 
 
 def _means(
@@ -230,13 +276,10 @@ def mean_form(
     Double precision is not paid for: ``widening`` says what is to be added.
     """
     (A, B, offset), (centre, half), network = moves, cells, policy.network
-    m = policy.input_box.dimension
-    weights = [w.astype(float) for w in network.weights]
-    biases = [b.astype(float) for b in network.biases]
-    # Outputs beyond the inputs of the agent are dropped.
-    weights[-1], biases[-1] = weights[-1][:m], biases[-1][:m]
-    kinds = [network.activation] * (len(weights) - 1) + ["tanh" if network.squashed else "clip"]
-    slopes, before, error = _first_layer(policy, weights[0], biases[0], coordinates, cells, mode)
+    layers = _layers(policy)
+    weights, biases = [layer.weight for layer in layers], [layer.bias - layer.moved for layer in layers]
+    kinds = [network.activation] * (len(layers) - 1) + ["tanh" if network.squashed else "clip"]
+    slopes, before, error = _first_layer(policy, layers[0], coordinates, cells, mode)
     form = Form(np.broadcast_to(slopes, (len(centre), *slopes.shape)), before, error)
     low, high = form.ends(half)
     line = line_around(kinds[0], low, high)
@@ -245,7 +288,7 @@ def mean_form(
     values = _values(kinds[0], low, high)
     for k, kind in enumerate(kinds[1:]):
         weight, bias = weights[k + 1], biases[k + 1]
-        error = _rounded(weight, bias, np.maximum(np.abs(values[0]), np.abs(values[1])))
+        error = layers[k + 1].rounded(np.maximum(np.abs(values[0]), np.abs(values[1])))
         form = bounds.pulled_back(weight, k)
         low, high = Form(form.slopes, form.centre + bias, form.radius + error).ends(half)
         # Plain intervals are narrower where the activations before are saturated.
@@ -263,34 +306,29 @@ def mean_form(
 
 def _first_layer(
     policy: NetworkPolicy,
-    weight: FloatArray,
-    bias: FloatArray,
+    layer: Layer,
     coordinates: FloatArray,
     cells: tuple[FloatArray, FloatArray],
     mode: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the first layer before its activation: slopes (n, d), centres (N, n) and errors (N, n)."""
-    d, space = len(coordinates), policy.workspace
-    scale = 2.0 / (space.high - space.low)
+    d, space, weight = len(coordinates), policy.workspace, layer.weight
+    # What is seen of a state x is ``scale (x - low) - 1``, or x itself.
+    scale, low, shift = 2.0 / (space.high - space.low), space.low, 1.0
+    if policy.view.scale == "raw":
+        scale, low, shift = np.ones(d), np.zeros(d), 0.0
     seen = scale[:, None] * coordinates  # of what is seen, by grid coordinates
-    centre = cells[0] @ seen.T - scale * space.low - 1.0
+    centre = cells[0] @ seen.T - scale * low - shift
     largest = np.abs(centre) + cells[1] @ np.abs(seen).T
     # A row is computed in double precision and rounded to single.
     off = SINGLE * largest + 2.0**-49 * (1.0 + scale * (np.abs(space.low) + np.abs(space.high)))
     constants = policy.constants(mode)
     rest = weight[:, policy.view.width :]
-    before = centre @ weight[:, :d].T + (rest @ constants + bias)
+    before = centre @ weight[:, :d].T + (rest @ constants + (layer.bias - layer.moved))
     size = np.zeros((len(largest), weight.shape[1]))
     size[:, :d], size[:, policy.view.width :] = largest + off, np.abs(constants)
-    error = off @ np.abs(weight[:, :d]).T * WIDER + _rounded(weight, bias, size)
+    error = off @ np.abs(weight[:, :d]).T * WIDER + layer.rounded(size)
     return weight[:, :d] @ seen, before, error
-
-
-def _rounded(weight: FloatArray, bias: FloatArray, largest: FloatArray) -> FloatArray:
-    """Return what single precision is off by in ``W h + b``, in any order, for ``|h| <= largest`` (N, n)."""
-    count = weight.shape[1] + 2
-    share = count * SINGLE / (1.0 - count * SINGLE)
-    return np.asarray((share * (largest @ np.abs(weight).T + np.abs(bias)) + count * SMALLEST) * WIDER)
 
 
 def _values(kind: str, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:

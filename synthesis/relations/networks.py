@@ -1,8 +1,9 @@
 """Policies that are feed-forward networks, as they are deployed: from an agent's state to its input.
 
-A network reads a row of numbers in single precision: the agent's state, moved into the workspace and scaled to [-1, 1]
-and filled up with zeros; the automaton state (one-hot); the share of time left; which agent it is (one-hot). Its
-outputs are clipped to [-1, 1] or squashed by tanh, and stand for the input box. Trained actors use this very code.
+A network reads a row of numbers in single precision: the agent's state, moved into the workspace and either scaled to
+[-1, 1] or left in its units, and filled up with zeros; the automaton state (one-hot); the share of time left; which
+agent it is (one-hot). Its outputs are clipped to [-1, 1] or squashed by tanh, and stand for the input box; or they are
+inputs in their units, clipped to the input box. Trained actors use this very code.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ Array = NDArray[Any]
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
+SCALES, OUTPUTS = ("unit", "raw"), ("unit", "box")
+"""How networks see states: scaled to [-1, 1], or in their units. And what clips outputs: [-1, 1], or the input box."""
+
 LARGEST_WEIGHT, MOST_LAYERS, MOST_UNITS = 1e6, 16, 4096
 """Largest weight, and most layers and units of each, that a file may ask a check to compute with."""
 
@@ -36,20 +40,25 @@ class Network:
     activation : "tanh" or "relu"
     squashed : bool
         Whether the last layer goes through tanh (SAC); otherwise it is clipped to [-1, 1] (PPO).
+    outputs : "unit" or "box"
+        Whether outputs in [-1, 1] stand for the input box, or are inputs that are clipped to it (never squashed).
     """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     activation: str
     squashed: bool
+    outputs: str = "unit"
 
     def actions(self, rows: Array) -> Array:
-        """Return actions (N, m) in [-1, 1] for observations (N, n)."""
+        """Return actions (N, m) for observations (N, n): in [-1, 1], or inputs that are not clipped yet."""
         # In single precision, as torch computes them.
         hidden, apply = np.asarray(rows, dtype=np.float32), ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = apply(hidden @ weight.T + bias)
         last = hidden @ self.weights[-1].T + self.biases[-1]
+        if self.outputs == "box":
+            return np.asarray(last)
         return np.asarray(np.tanh(last) if self.squashed else np.clip(last, -1.0, 1.0))
 
 
@@ -67,6 +76,8 @@ class OwnView:
         Automaton states.
     horizon : int
         Steps of the problem.
+    scale : "unit" or "raw"
+        Whether states are scaled from the workspace to [-1, 1], or stand in their units.
     """
 
     agent: int
@@ -74,6 +85,7 @@ class OwnView:
     width: int
     states: int
     horizon: int
+    scale: str = "unit"
 
     @property
     def size(self) -> int:
@@ -83,7 +95,8 @@ class OwnView:
     def rows(self, workspace: Box, states: Array, q: Array, time: Any) -> NDArray[np.float32]:
         """Return rows (N, size) at states (d, N), automaton states (N,) and times, one or (N,)."""
         rows = np.zeros((states.shape[1], self.size), dtype=np.float32)
-        rows[:, : len(states)] = scaled(workspace, states).T
+        seen = scaled if self.scale == "unit" else moved_inside
+        rows[:, : len(states)] = seen(workspace, states).T
         write_task(rows, self.width, self.states, q, 1.0 - np.asarray(time) / self.horizon)
         if self.agents:
             rows[:, self.width + self.states + 1 + self.agent] = 1.0
@@ -117,7 +130,10 @@ class NetworkPolicy:
     def inputs(self, states: FloatArray, q: Array, time: int) -> FloatArray:
         """Return the inputs (m, N) at states (d, N), automaton states (N,) and a time."""
         actions = self.network.actions(self.view.rows(self.workspace, states, q, time))
-        return inputs_of(self.input_box, actions[:, : self.input_box.dimension].T.astype(float))
+        own = actions[:, : self.input_box.dimension].T.astype(float)
+        if self.network.outputs == "box":
+            return np.clip(own, self.input_box.low[:, None], self.input_box.high[:, None])
+        return inputs_of(self.input_box, own)
 
     def replaced(
         self,
@@ -164,23 +180,26 @@ class NetworkPolicy:
         view = self.view
         facts = [view.agent, view.agents, view.width, view.states, view.horizon, self.network.squashed]
         kind = sorted(ACTIVATIONS).index(self.network.activation)
-        return (np.array([*facts, kind]), *self.network.weights, *self.network.biases)
+        forms = SCALES.index(view.scale), OUTPUTS.index(self.network.outputs)
+        return (np.array([*facts, kind, *forms]), *self.network.weights, *self.network.biases)
 
     @property
     def description(self) -> dict[str, Any]:
         """All numbers of the policy as plain values; ``network_policy`` makes the same policy from them."""
-        network = self.network
+        network, forms = self.network, {"scale": self.view.scale, "outputs": self.network.outputs}
         return {
             "weights": [weight.tolist() for weight in network.weights],
             "biases": [bias.tolist() for bias in network.biases],
             "activation": network.activation,
             "squashed": network.squashed,
             **{name: getattr(self.view, name) for name in VIEW_FIELDS},
+            # Files of 0.2 know one form alone, and do not name it.
+            **{name: form for name, form in forms.items() if form != "unit"},
         }
 
 
 VIEW_FIELDS = ("agent", "agents", "width", "states", "horizon")
-"""Fields of ``OwnView``."""
+"""Fields of ``OwnView`` that are numbers."""
 
 
 def network_policy(description: dict[str, Any], agent: AnyAgent) -> NetworkPolicy:
@@ -188,8 +207,9 @@ def network_policy(description: dict[str, Any], agent: AnyAgent) -> NetworkPolic
     weights, biases = (
         tuple(np.array(layer, dtype=np.float32) for layer in description[name]) for name in ("weights", "biases")
     )
-    network = Network(weights, biases, description["activation"], description["squashed"])
-    view = OwnView(**{name: int(description[name]) for name in VIEW_FIELDS})
+    kind = description["activation"], description["squashed"], description.get("outputs", "unit")
+    network = Network(weights, biases, *kind)
+    view = OwnView(**{name: int(description[name]) for name in VIEW_FIELDS}, scale=description.get("scale", "unit"))
     return NetworkPolicy(network, view, agent.workspace, agent.input_box)
 
 
@@ -201,6 +221,11 @@ def check_network(description: Any, agent: AnyAgent, n_choices: int) -> None:
     if any(isinstance(n, bool) or not isinstance(n, int) or not 0 <= n < 2**31 for n in numbers):
         raise ValueError("a network has a view whose sizes are not numbers")
     view = OwnView(*numbers)
+    forms = description.get("scale", "unit"), description.get("outputs", "unit")
+    if forms[0] not in SCALES or forms[1] not in OUTPUTS or (forms[1] == "box" and description["squashed"]):
+        raise ValueError("a network sees states, or answers, in a form that is not known")
+    if forms[1] == "box" and np.any(agent.input_low >= agent.input_high):
+        raise ValueError("a network answers with inputs in a box that is flat")
     if (
         not view.agent < view.agents
         or not agent.n_states <= view.width
@@ -233,11 +258,16 @@ def inputs_of(box: Box, actions: Array) -> Array:
     return np.clip(middle + half * np.clip(actions, -1.0, 1.0), low, high)
 
 
+def moved_inside(workspace: Box, states: Array) -> Array:
+    """Return states (d, N) moved into the workspace; NaN counts as the lower corner."""
+    low, high = workspace.low[:, None], workspace.high[:, None]
+    return np.clip(np.where(np.isnan(states), low, states), low, high)
+
+
 def scaled(workspace: Box, states: Array) -> Array:
     """Return states (d, N) moved into the workspace and scaled to [-1, 1]; NaN counts as the lower corner."""
     low, high = workspace.low[:, None], workspace.high[:, None]
-    inside = np.clip(np.where(np.isnan(states), low, states), low, high)
-    return 2.0 * (inside - low) / (high - low) - 1.0
+    return 2.0 * (moved_inside(workspace, states) - low) / (high - low) - 1.0
 
 
 def write_task(rows: Array, first: int, n_states: int, q: Array, left: Any) -> None:

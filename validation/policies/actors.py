@@ -20,13 +20,16 @@ from ...envs.agents import write_bytes
 from ...envs.dynamics import Dynamics, Worlds, joint
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
-from ...synthesis.relations import ACTIVATIONS, Network, NetworkPolicy, OwnView, inputs_of
+from ...synthesis.bridges import LocalBatch, NotAnActor, stored
+from ...synthesis.relations import Network, NetworkPolicy, OwnView, inputs_of
 from ..simulation import BatchPolicy
-from .rollout_policies import as_controller
 from .views import CentralView, SharedView, View
 
 Array = NDArray[Any]
 VIEWS = {"shared": SharedView, "team": SharedView, "central": CentralView}
+
+__all__ = ["Actor", "CentralActor", "NotAnActor", "SharedActor", "TeamActor", "actor_of", "load_actor", "networks_of",
+           "save_actor"]  # fmt: skip
 
 ACTOR_FORMAT = "certigym actor 1"
 """Name and version of the file format."""
@@ -60,7 +63,7 @@ class SharedActor:
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """Return the policy for batched rollouts."""
-        return as_controller(self.problem, self).batch(dynamics)
+        return LocalBatch(self, dynamics)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ class TeamActor:
 
     def batch(self, dynamics: Dynamics) -> BatchPolicy:
         """Return the policy for batched rollouts."""
-        return as_controller(self.problem, self).batch(dynamics)
+        return LocalBatch(self, dynamics)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +184,6 @@ def save_actor(actor: Actor, path: str | Path, **header: Any) -> None:
     write_bytes(path, file.getvalue())
 
 
-class NotAnActor(ValueError):
-    """A file holds no actor; it may hold something else, such as a certificate."""
-
-
 def load_actor(path: str | Path, problem: Any) -> Actor:
     """Read an actor for ``problem`` (a Problem, an id or a path).
 
@@ -195,29 +194,15 @@ def load_actor(path: str | Path, problem: Any) -> Actor:
     ValueError
         If the file holds no actor (``NotAnActor``), or if the sizes of the actor do not fit the problem.
     """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            header = json.loads(str(stored["header"]))
-            count = sum(name.startswith("weight_") for name in stored.files)
-            weights = tuple(stored[f"weight_{k}"] for k in range(count))
-            biases = tuple(stored[f"bias_{k}"] for k in range(count))
-    except (KeyError, ValueError, EOFError) as error:
-        raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)") from error
-    # Certificates are .npz files, too: a file without the fields of an actor is not an actor.
-    if not count or header.get("view") not in VIEWS or header.get("activation") not in ACTIVATIONS:
-        raise NotAnActor(f"`{path}`: expected the file of an actor (.npz of `certigym train`)")
-    # The first layer fixes the size of observations, the last one that of actions.
     problem = as_problem(problem)
+    header, networks = stored(path, problem.n_agents)
+    # The first layer fixes the size of observations, the last one that of actions.
     view: View = VIEWS[header["view"]](problem)  # type: ignore[assignment]
-    teams = problem.n_agents if header["view"] == "team" else 1
-    if count % teams:
-        raise ValueError(f"`{path}`: expected a network for each of {teams} agents; it has {count} layers in all")
+    weights = networks[0].weights
     sizes = (weights[0].shape[1], weights[-1].shape[0])
     if sizes != (view.size, view.n_actions):
         raise ValueError(
             f"`{path}`: expected {view.size} observed numbers and {view.n_actions} actions for problem "
             f"{problem.name!r}, got {sizes[0]} and {sizes[1]}; it was trained on {header.get('problem')!r}"
         )
-    kind, depth = (header["activation"], bool(header["squashed"])), count // teams
-    cuts = [slice(first, first + depth) for first in range(0, count, depth)]
-    return actor_of(view, tuple(Network(weights[cut], biases[cut], *kind) for cut in cuts))
+    return actor_of(view, networks)

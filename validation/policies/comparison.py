@@ -23,6 +23,7 @@ import numpy as np
 from ...envs.agents import counted, shortened, tree_text, write_json
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
+from ...synthesis.bridges import is_model
 from ...synthesis.certificates import AnyCertificate, Synthesis, any_certificate, shown_bound
 from ...synthesis.controllers import LOCAL, Controller
 from ..shields import ShieldedController
@@ -220,7 +221,8 @@ def compare(
     ----------
     problem : Problem, id or path
     policies : mapping from name to policy
-        Syntheses and certificates of this problem, trainings, actors, controllers, decentralised policies in any form
+        Syntheses and certificates of this problem, trainings, actors, controllers, models of other libraries and
+        paths of files (``as_policy``), decentralised policies in any form
         that ``certify`` takes, objects with ``batch(dynamics)``; or a sequence of these (several training seeds).
     plan, **trial
         Episodes (default 10,000), seed, confidence of the two-sided limits of each policy (.99), chunk, executor,
@@ -268,13 +270,13 @@ def compare(
 
 def contestants_of(problem: Problem, name: str, policy: Any) -> list[Contestant]:
     """Return the contestants for which a value of ``policies`` stands: one, or one per element of a sequence."""
-    if isinstance(policy, str):
+    if isinstance(policy, str) and not Path(policy.rpartition("@")[0] or policy).exists():
         raise ValueError(
-            f"`policies`: expected a policy, certificate or training for {name!r}, got the text {policy!r}; load "
-            "it with `load_certificate` or `load_actor`"
+            f"`policies`: expected a policy, certificate or training for {name!r}, or the path of a file that exists, "
+            f"got the text {policy!r}"
         )
     # Several training seeds: one contestant each, which share the name as their group.
-    if isinstance(policy, Sequence):
+    if isinstance(policy, Sequence) and not isinstance(policy, str) and not is_model(policy):
         if len(policy) == 1:
             return contestants_of(problem, name, policy[0])
         members = [contestants_of(problem, name, member)[0] for member in policy]

@@ -13,46 +13,10 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.suite import as_problem
-from ...synthesis.controllers import LOCAL, Decentralised, Policy, decentralised
+from ...synthesis.bridges import LocalController, brought
+from ...synthesis.controllers import decentralised
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
-class LocalController:
-    """Decentralised policies, not wrapped on cells ("raw"), for batched rollouts; inputs beyond the box saturate."""
-
-    policy: Decentralised
-
-    information = LOCAL
-
-    def batch(self, dynamics: Dynamics) -> LocalBatch:
-        """Return the policy for batches of ``dynamics``."""
-        return LocalBatch(self.policy, dynamics)
-
-
-@dataclass(frozen=True, eq=False)
-class LocalBatch:
-    """Decentralised policies arranged for batches; nothing is remembered."""
-
-    policy: Decentralised
-    dynamics: Dynamics
-
-    def begin(self, worlds: Worlds, rng: np.random.Generator) -> None:
-        """Return no memory."""
-        return None
-
-    def act(self, worlds: Worlds, memory: Any) -> tuple[tuple[Array, ...], Any]:
-        """Return inputs (m, n, M) per block; decided worlds, whose states may be anything, get the input 0."""
-        # Ask only about undecided worlds: functions of users need not handle states outside the workspace.
-        going = np.flatnonzero(~(worlds.failed | worlds.accepted))
-        q, time, result = worlds.q[going], int(worlds.time), []
-        for block, states in zip(self.dynamics.blocks, worlds.states, strict=True):
-            inputs = np.zeros((block.n_inputs, len(block.agents), worlds.n_worlds))
-            for k, agent in enumerate(block.agents):
-                inputs[:, k, going] = self.policy.inputs(int(agent), states[:, k, going], q, time)
-            result.append(inputs)
-        return tuple(result), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +77,15 @@ class IdleBatch:
         return tuple(np.repeat(middle, worlds.n_worlds, axis=-1) for middle in middles), None
 
 
-def as_controller(problem: Any, policy: Policy) -> LocalController:
-    """Return decentralised policies of any form as a controller for ``rollout`` and ``compare``.
+def as_controller(problem: Any, policy: Any) -> Any:
+    """Return policies of any form as a controller for ``rollout`` and ``compare``.
 
     Parameters
     ----------
     problem : Problem, id or path
-    policy : mapping, function, InputTable, controller or actor
-        As for ``certify``: one policy for all agents, or one per agent by name.
+    policy : mapping, function, InputTable, controller, actor or model
+        As for ``certify`` and ``as_policy``: one policy for all agents, or one per agent by name.
     """
-    return LocalController(decentralised(as_problem(problem), policy))
+    problem = as_problem(problem)
+    found = brought(policy, problem)
+    return found if hasattr(found, "batch") else LocalController(decentralised(problem, found))

@@ -9,6 +9,7 @@ import numpy as np
 from ...envs.interfaces import CentralEnv, ProblemEnv, ProblemVectorEnv, TasksEnv, TeamEnv
 from ...envs.problem import Problem
 from ...envs.suite import as_problem, parallel_env
+from ...synthesis.bridges import as_policy
 from ...synthesis.shielding import ProductShield, Shield, shield_of
 from .shielded_batches import ShieldedTeamEnv, ShieldedVectorEnv
 from .shielded_envs import ShieldedCentralEnv, ShieldedEnv, ShieldedTasksEnv
@@ -88,8 +89,7 @@ def shielded(policy: Any, certificate: Any, *, probability: float | None = None,
 
     Parameters
     ----------
-    policy : object with ``batch(dynamics)``, Synthesis, certificate or Training
-        Decentralised policies of other forms become one by ``as_controller(problem, policy)``.
+    policy : object with ``batch(dynamics)``, Synthesis, certificate, Training, or what ``as_policy`` takes
     certificate, probability, form
         As for ``shield``.
 
@@ -99,14 +99,7 @@ def shielded(policy: Any, certificate: Any, *, probability: float | None = None,
         As for ``shield``.
     """
     made = _made(None, certificate, probability, form)
-    for attribute in ("controller", "actor"):
-        policy = getattr(policy, attribute, policy)
-    if not hasattr(policy, "batch"):
-        raise ValueError(
-            f"`policy`: expected an object with `batch(dynamics)`, got {type(policy).__name__}; give "
-            "`as_controller(problem, policy)`"
-        )
-    return ShieldedController(policy, made)
+    return ShieldedController(as_policy(policy, made.problem), made)
 
 
 def _made(problem: Problem | None, certificate: Any, probability: float | None, form: str) -> Shield | ProductShield:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ...envs.agents import counted, tree_text
 from ...envs.dynamics import Behaviour, checked_behaviour
 from ...envs.suite import as_problem
+from ...synthesis.bridges import as_policy
 from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
 from .mismatch import Mismatch
@@ -87,7 +88,7 @@ def rollout(
     Parameters
     ----------
     problem : Problem, id or path
-    controller : Synthesis, certificate, or object with ``batch(dynamics)``
+    controller : Synthesis, certificate, object with ``batch(dynamics)``, or what ``as_policy`` takes
     plan, **trial
         Episodes (default 10,000), seed, chunk, executor, progress; see ``TrialPlan``.
     initial_state : optional
@@ -107,10 +108,7 @@ def rollout(
     problem = as_problem(problem)
     controller = getattr(controller, "controller", controller)  # syntheses and certificates have one
     if not hasattr(controller, "batch"):
-        raise ValueError(
-            f"`controller`: expected an object with `batch(dynamics)`, got {type(controller).__name__}; give a "
-            "synthesis, a certificate, or `as_controller(problem, policy)`"
-        )
+        controller = as_policy(controller, problem)
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
     settled = planned(plan, trial, 10_000)

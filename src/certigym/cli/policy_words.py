@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..envs.problem import Problem
+from ..synthesis.bridges import as_policy
 from ..synthesis.certificates import load_certificate
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import ALGORITHMS, IdleController, NotAnActor, RandomController, load_actor
@@ -39,11 +40,16 @@ def policy_of_file(problem: Problem, name: str) -> Any:
         if not hasattr(module, attribute):
             raise ValueError(f"`{name}`: expected the name of a policy in {path}, found no {attribute!r}")
         return getattr(module, attribute)
-    if not Path(name).is_file():
+    # FILE@ENV says in which environment a model was trained.
+    file = Path(name if Path(name).exists() else name.rpartition("@")[0])
+    if str(file) == "." or not file.exists():
         raise ValueError(
-            f"`{name}`: expected certified, {', '.join(ALGORITHMS)}, random, idle, an existing file (.npz) or "
-            "FILE.py:NAME"
+            f"`{name}`: expected certified, {', '.join(ALGORITHMS)}, random, idle, FILE.py:NAME or an existing file: "
+            ".npz (actor or certificate), .zip (Stable-Baselines3), .onnx, .pt, a folder of RLlib, followed by @ENV "
+            "where it was trained in another environment than it says"
         )
+    if file.suffix != ".npz":
+        return as_policy(name, problem)
     try:
         return load_actor(name, problem)
     except NotAnActor:  # an actor that does not fit the problem is refused above; any other file is a certificate

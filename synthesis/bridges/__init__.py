@@ -1,0 +1,28 @@
+"""Models of other libraries brought into the forms that verbs take: what they are, what they see, and written files."""
+
+from .actor_files import NotAnActor, stored
+from .bringing import as_policy, brought, certifiable, is_model
+from .environments import sight_of
+from .found import Found, Reader
+from .local_policies import LocalBatch, LocalController
+from .model_policies import OwnModels, TeamModels
+from .sights import Sight
+from .writing import save_policy
+
+__all__ = [
+    "Found",
+    "LocalBatch",
+    "LocalController",
+    "NotAnActor",
+    "OwnModels",
+    "Reader",
+    "Sight",
+    "TeamModels",
+    "as_policy",
+    "brought",
+    "certifiable",
+    "is_model",
+    "save_policy",
+    "sight_of",
+    "stored",
+]

@@ -1,0 +1,104 @@
+"""Modules of torch: chains of layers, modules with an actor inside (CleanRL), and any other that maps rows to actions.
+
+A module answers with actions, which environments clip, or with what a tanh at its end makes of them. These members are
+taken for the deterministic actor, the first that there is: ``actor_mean`` and ``actor`` (PPO of CleanRL), ``fc_mean``
+and ``fc_mu`` behind ``fc1``, ``fc2`` (its SAC, DDPG and TD3), ``mean_net``, ``mu``, ``pi``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .found import Found, agreed, origins
+from .layers import NotFeedForward, network_of
+
+SAYS = "modules of torch (also with `actor_mean` or `fc_mean` as in CleanRL), and files of torch.save or TorchScript"
+
+ACTORS = ("actor_mean", "actor", "mean_net", "mu", "pi")
+"""Members that are the deterministic actor of a module."""
+
+
+def recognises(model: Any) -> bool:
+    """Return whether a model is a module of torch."""
+    return "torch" in origins(model) and hasattr(model, "state_dict") and callable(model)
+
+
+def read(model: Any, facts: dict[str, Any]) -> Found:
+    """Return what a module is; ``facts["squashed"]`` says whether tanh follows its outputs."""
+    name = f"the torch module {type(model).__name__}"
+    actor, squashed = model, facts.get("squashed")
+    if hasattr(model, "fc_mean") or hasattr(model, "fc_mu"):
+        return _of_clean_rl(model, name)
+    for member in ACTORS:
+        if recognises(getattr(model, member, None)):
+            actor = getattr(model, member)
+            break
+    layers = [layer for layer in actor.modules() if hasattr(layer, "in_features")]
+    sizes = {"observed": layers[0].in_features, "answered": layers[-1].out_features} if layers else {}
+
+    def act(rows: Any) -> Any:
+        answer = _asked(actor, rows)
+        return np.tanh(answer) if squashed else answer
+
+    try:
+        network = network_of([actor], squashed=squashed)
+    except NotFeedForward as error:
+        return Found(name, act=act, why_not=str(error), **sizes)
+    sizes = {"observed": network.weights[0].shape[1], "answered": network.weights[-1].shape[0]}
+    # The environment clips what is not squashed, so that such a network is compared before it clips.
+    plain = network if network.squashed else replace(network, outputs="box")
+    found = agreed(Found(name, act=act, networks=(plain,), **sizes))
+    return Found(name, act=act, networks=(network,) if found.networks else (), why_not=found.why_not, **sizes)
+
+
+def read_file(path: Path, facts: dict[str, Any]) -> Found:
+    """Return what a file of ``torch.save(module)`` or of TorchScript holds. The first kind is unpickled: trust it."""
+    import torch
+
+    try:
+        model = torch.jit.load(str(path), map_location="cpu")
+    except RuntimeError:
+        model = torch.load(path, map_location="cpu", weights_only=False)
+    if not recognises(model):
+        raise ValueError(
+            f"`{path}`: expected a whole module of torch, got {type(model).__name__}; load the numbers into their "
+            "module, and save that (torch.jit.script(module).save), or give the module itself"
+        )
+    return read(model, facts)
+
+
+def _of_clean_rl(model: Any, name: str) -> Found:
+    """Return the actor of CleanRL's SAC, DDPG or TD3: two relu layers, tanh, and the scale of the input box."""
+    last = model.fc_mean if hasattr(model, "fc_mean") else model.fc_mu
+    first = model.fc1
+    sizes = {"observed": first.in_features, "answered": last.out_features}
+    scale, bias = (np.asarray(getattr(model, k).detach().cpu()).reshape(-1) for k in ("action_scale", "action_bias"))
+
+    def act(rows: Any) -> Any:
+        answer = _asked(model, rows)
+        return np.tanh(answer) * scale + bias if hasattr(model, "fc_mean") else answer
+
+    space = (bias - scale, bias + scale)
+    import torch
+
+    layers = [first, torch.nn.ReLU(), model.fc2, torch.nn.ReLU(), last]
+    return agreed(Found(name, act=act, networks=(network_of(layers, squashed=True),), action_space=space, **sizes))
+
+
+def _asked(module: Any, rows: Any) -> Any:
+    """Return the answer of a module in evaluation, the first one if there are several."""
+    import torch
+
+    was, dtype = module.training, next((p.dtype for p in module.parameters()), torch.float32)
+    module.eval()
+    try:
+        with torch.no_grad():
+            answer = module(torch.as_tensor(np.asarray(rows)).to(dtype))
+    finally:
+        module.train(was)
+    answer = answer[0] if isinstance(answer, tuple) else answer
+    return answer.cpu().numpy()

@@ -1,0 +1,145 @@
+"""Networks that see states in their units, or answer with inputs in theirs, are enclosed by search and check alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import certigym as cg
+from certigym.synthesis.checking.network_spans import network_maps, network_spans
+from certigym.synthesis.models import network_abstraction
+from certigym.synthesis.raw_networks import certify_network, differences
+from certigym.synthesis.relations import Network
+from network_problems import RNG, changed, means_at, reach
+from problems import cart, scalar_agent
+
+FORMS = [(scale, actions) for scale in ("raw", "unit") for actions in ("input", "unit")]
+SHAPES = [([8], "tanh", False), ([16, 16], "relu", False), ([8, 8], "tanh", True), ([], "tanh", False)]
+
+
+def network_of(problem: cg.Problem, form: tuple[str, str], hidden: list[int], kind: str, squashed: bool) -> Network:
+    """A random network whose outputs reach both ends of the input box, in the units of its form."""
+    agent = problem.agents[0]
+    d, middle = agent.n_states, 0.5 * (agent.workspace.low + agent.workspace.high)
+    sizes = [d + problem.automaton.n_states + 1, *hidden, agent.n_inputs]
+    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+    weights = [1.5 * RNG.normal(size=(b, a)) / np.sqrt(a) for a, b in pairs]
+    biases = [0.3 * RNG.normal(size=b) for _, b in pairs]
+    if form[0] == "raw":
+        weights[0][:, :d] /= 0.5 * (agent.workspace.high - agent.workspace.low)
+        biases[0] -= weights[0][:, :d] @ middle
+    if form[1] == "input" and not squashed:
+        half, centre = 0.5 * (agent.input_high - agent.input_low), 0.5 * (agent.input_high + agent.input_low)
+        weights[-1], biases[-1] = weights[-1] * half[:, None], biases[-1] * half + centre
+    singles = [tuple(x.astype(np.float32) for x in arrays) for arrays in (weights, biases)]
+    return Network(*singles, kind, squashed)
+
+
+def policy_of(problem: cg.Problem, form: tuple[str, str], shape: tuple[list[int], str, bool]) -> Any:
+    env = f"parallel_env(scale={form[0]}, actions={form[1]})"
+    return cg.as_policy(network_of(problem, form, *shape), problem, env)
+
+
+def agents() -> list[Any]:
+    moved = cart(
+        B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -0.25], input_high=[1.0, 1.5],
+        noise_covariance=[[0.04, 0.02], [0.02, 0.05]], initial_state=[-1.0, 0.0],
+    )  # fmt: skip
+    return [scalar_agent("a"), cart(), moved]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("which", range(3))
+def test_no_point_of_a_cell_leaves_its_box_or_its_map(which: int, form: tuple[str, str], shape: Any) -> None:
+    """Dense samples of closed cells, corners among them; the boxes of the check lie inside those of the search."""
+    agent = agents()[which]
+    if shape[2] and form[1] == "input":
+        pytest.skip("tanh answers with shares of the input box")
+    problem, d = reach(agent, horizon=2), agent.n_states
+    policy, cells = policy_of(problem, form, shape), 12 if d == 1 else 6
+    model = network_abstraction(problem, [policy.agent_policy(0)], cells, relation="boxes").models[0]
+    found = model.relation.mean_boxes(model.grid.low, model.grid.high)  # type: ignore[union-attr]
+    parts = [
+        certify_network(problem, policy, cells, relation=kind).certificate.agents[0] for kind in ("boxes", "linear")
+    ]
+    shares = np.concatenate([RNG.random((100, d)), np.array(np.meshgrid(*[[0.0, 1.0]] * d)).reshape(d, -1).T])
+    coordinates, n = parts[0].coordinates, np.arange(model.grid.n_cells)
+    for mode in range(2 * problem.automaton.n_states):
+        t, q = divmod(mode, problem.automaton.n_states)
+        again = network_spans(agent, parts[0], n, mode)
+        assert np.all(found.low[:, mode] <= again[0]) and np.all(again[1] <= found.high[:, mode])
+        maps = None if problem.automaton.absorbing[q] else network_maps(agent, parts[1], n, mode)
+        for cell, (low, high) in enumerate(zip(model.grid.low, model.grid.high, strict=True)):
+            points = low + shares * (high - low)
+            states = points @ coordinates.T
+            inside = np.all((agent.workspace.low <= states) & (states <= agent.workspace.high), axis=1)
+            means = np.linalg.solve(coordinates, means_at(problem, policy, 0, states[inside].T, q, t)).T
+            assert np.all(again[0][cell] - 1e-13 <= means) and np.all(means <= again[1][cell] + 1e-13)
+            if maps is not None:
+                z, gain, rho = (each[cell] for each in maps)
+                off = np.abs(means - z - (points[inside] - 0.5 * (low + high)) @ gain.T)
+                assert np.all(off <= rho + 1e-13)
+
+
+def goal_seeker(problem: cg.Problem) -> Network:
+    """All agents go to 2 on their first axes, seen in its unit, and answer with inputs."""
+    row = np.zeros((1, problem.agents[0].n_states + problem.automaton.n_states + 1), dtype=np.float32)
+    row[0, 0] = -0.9
+    wide = np.concatenate([row, -row])
+    out = np.array([[1.0, -1.0]], dtype=np.float32)
+    return Network((wide, out), (np.array([1.8, -1.8], np.float32), np.zeros(1, np.float32)), "relu", False)
+
+
+@pytest.fixture(scope="module")
+def certified() -> tuple[cg.Problem, Any, cg.Synthesis]:
+    problem = reach(scalar_agent("a"), scalar_agent("b"))
+    policy = cg.as_policy(goal_seeker(problem), problem, "parallel_env")
+    return problem, policy, cg.certify(problem, policy, 100, raw=True)
+
+
+def test_the_bound_is_that_of_the_network_itself(certified: tuple[cg.Problem, Any, cg.Synthesis]) -> None:
+    problem, policy, found = certified
+    assert cg.check(found)
+    assert differences(found.certificate, policy) == []  # type: ignore[arg-type]
+    runs = cg.rollout(problem, policy, 20_000)
+    assert 0.3 < found.certificate.lower_bound <= runs.successes / runs.episodes + 0.02
+    # The controller of the certificate does what the network does, in every episode.
+    assert np.array_equal(runs.success, cg.rollout(problem, found, 20_000).success)
+
+
+def test_files_keep_the_form_and_refuse_another(certified: tuple[cg.Problem, Any, cg.Synthesis], tmp_path: Any) -> None:
+    _, policy, found = certified
+    cg.save_certificate(found.certificate, tmp_path / "c.npz")
+    read = cg.load_certificate(tmp_path / "c.npz")
+    assert cg.check(read) and differences(read, policy) == []  # type: ignore[arg-type]
+    assert read.agents[0].relation["network"]["scale"] == "raw"  # type: ignore[union-attr]
+    assert read.agents[0].relation["network"]["outputs"] == "box"  # type: ignore[union-attr]
+    for facts in ({"scale": "unit"}, {"outputs": "unit"}, {"scale": "metric"}, {"outputs": "metric"}):
+        other = changed(found.certificate, **facts)  # type: ignore[arg-type]
+        assert not _passes(other), facts
+        assert differences(other, policy) != []
+
+
+def _passes(certificate: Any) -> bool:
+    try:
+        return bool(cg.check(certificate))
+    except ValueError:
+        return False
+
+
+def test_rows_are_those_of_the_environment() -> None:
+    """The environment's own float32 observation and the row that is enclosed are the same number, or its neighbour."""
+    problem = reach(scalar_agent("a"), scalar_agent("b"))
+    for scale in ("raw", "unit"):
+        env = cg.parallel_env(problem, scale=scale, dtype="float32")
+        policy = cg.as_policy(goal_seeker(problem), problem, env)
+        seen, infos = env.reset(seed=1)
+        for name, i in (("a", 0), ("b", 1)):
+            view = policy.agent_policy(i).view
+            state: NDArray[Any] = infos[name]["state"][:, None]
+            row = view.rows(problem.agents[i].workspace, state, np.array([infos[name]["automaton_state"]]), 0)[0]
+            assert np.allclose(row[: len(seen[name])][:1], seen[name][:1], rtol=2**-23, atol=0)
