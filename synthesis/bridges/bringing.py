@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...envs.problem import Problem
 from ...envs.suite import as_problem
 from ..certificates import any_certificate
@@ -23,7 +25,7 @@ READERS: tuple[Reader, ...] = (
 """Libraries in the order in which they are asked: modules of torch are last of those that are made of such modules."""
 
 FILES: dict[str, Any] = {
-    ".zip": stable_baselines3, ".onnx": onnx_files, ".pt": torch_modules, ".pth": torch_modules, ".ts": torch_modules,
+    ".zip": stable_baselines3, ".onnx": onnx_files, ".pt": torch_modules, ".pth": torch_modules,
 }  # fmt: skip
 """Who reads files, by their ends; folders are checkpoints of RLlib."""
 
@@ -104,11 +106,11 @@ def brought(model: Any, problem: Problem, env: Any = None, facts: Mapping[str, A
             return getattr(model, attribute)
     if hasattr(model, "batch") or hasattr(model, "inputs"):
         return model
-    if isinstance(model, Mapping) and any(isinstance(each, str | Path) for each in model.values()):
-        return _made_of_files(model, problem, env, known)
     reader = _reader(model)
     if reader is not None:
         return _made(problem, [reader.read(model, known)], env)
+    if isinstance(model, Mapping) and any(isinstance(each, str | Path) for each in model.values()):
+        return _made_of_files(model, problem, env, known)
     if isinstance(model, Mapping) and set(model) == set(problem.agent_names):
         readers = {name: _reader(each) for name, each in model.items()}
         if all(readers.values()):
@@ -191,15 +193,18 @@ def _mixed(model: Mapping[str, Any], problem: Problem, env: Any, facts: dict[str
 
 def _alone(problem: Problem, name: str, found: Found, env: Any) -> Any:
     """Return a model of one agent as a function of many of its states."""
-    i, policy = problem.agent_names.index(name), _made(problem, [found], env)
+    i = problem.agent_names.index(name)
+    policy = policy_of(problem, (Model(found, matched(problem, found, env, range(i, i + 1))),))
     if isinstance(policy, TeamModels):
         raise ValueError(f"`policy`: expected models of own states beside functions, got {found.name} for {name!r}")
-    return vectorized(lambda x, q, time: policy.inputs(i, x, q + 0 * x[0].astype(int), time))
+    return vectorized(lambda x, q, time: policy.inputs(i, x, np.full(x.shape[1], q), time))
 
 
 def _made(problem: Problem, found: list[Found], env: Any) -> OwnModels | TeamModels:
     """Return models as a policy: matched with what they see."""
-    models = tuple(Model(each, matched(problem, each, env)) for each in found)
+    everyone = range(problem.n_agents)
+    moved = [everyone] if len(found) == 1 else [range(i, i + 1) for i in everyone]
+    models = tuple(Model(each, matched(problem, each, env, agents)) for each, agents in zip(found, moved, strict=True))
     if len(found) > 1 and any(model.sight.central for model in models):
         raise ValueError("`policy`: expected models of one agent each, got one that moves all of them")
     return policy_of(problem, models)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -142,8 +142,8 @@ def known_sights() -> Iterator[Sight]:
         yield _made("team_env", {"observation": "joint", **shared})
 
 
-def matched(problem: Problem, found: Found, env: Any) -> Sight:
-    """Return what a model was trained to see.
+def matched(problem: Problem, found: Found, env: Any, agents: Sequence[int]) -> Sight:
+    """Return what a model was trained to see that moves these agents.
 
     Raises
     ------
@@ -152,12 +152,12 @@ def matched(problem: Problem, found: Found, env: Any) -> Sight:
     """
     if env is not None:
         sight = sight_of(env)
-        if not _fits(problem, found, sight, spaces=False):
-            raise ValueError(_no_fit(problem, found, [sight]))
+        if not _fits(problem, found, sight, agents, spaces=False):
+            raise ValueError(_no_fit(problem, found, [sight], agents))
         return sight
-    fitting = [sight for sight in known_sights() if _fits(problem, found, sight, spaces=True)]
+    fitting = [sight for sight in known_sights() if _fits(problem, found, sight, agents, spaces=True)]
     if not fitting:
-        raise ValueError(_no_fit(problem, found, list(known_sights())))
+        raise ValueError(_no_fit(problem, found, list(known_sights()), agents))
     told = list({_meaning(problem, sight): sight for sight in reversed(fitting)}.values())[::-1]
     if len(told) > 1:
         shown = ", ".join(sight.maker for sight in told[:6]) + (", ..." if len(told) > 6 else "")
@@ -179,23 +179,22 @@ def _meaning(problem: Problem, sight: Sight) -> tuple[Any, ...]:
     return scope, sight.scale, automaton, sight.told, sight.central and problem.n_agents > 1, unit or sight.actions
 
 
-def _fits(problem: Problem, found: Found, sight: Sight, spaces: bool) -> bool:
+def _fits(problem: Problem, found: Found, sight: Sight, agents: Sequence[int], spaces: bool) -> bool:
     """Whether a model observes and answers with as many numbers as an environment has, in its ranges if asked."""
-    agents = range(1) if sight.central else range(problem.n_agents)
-    sizes = {sight.size(problem, i) for i in agents}, {sight.n_actions(problem, i) for i in agents}
+    asked = agents[:1] if sight.central else agents
     # Agents with fewer numbers may have been filled up to the largest one.
-    if found.observed is not None and found.observed != max(sizes[0]):
+    if found.observed not in (None, max(sight.size(problem, i) for i in asked)):
         return False
-    if found.answered is not None and found.answered != max(sizes[1]):
+    if found.answered not in (None, max(sight.n_actions(problem, i) for i in asked)):
         return False
-    return _actions_fit(problem, found, sight) and (not spaces or _spaces_fit(problem, found, sight))
+    return _actions_fit(problem, found, sight, asked) and (not spaces or _spaces_fit(problem, found, sight, asked))
 
 
-def _spaces_fit(problem: Problem, found: Found, sight: Sight) -> bool:
+def _spaces_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[int]) -> bool:
     """Whether the space of observations, where the library keeps it, is that of an environment."""
     if found.space is None:
         return True
-    for i in range(1 if sight.central else problem.n_agents):
+    for i in agents:
         low, high = sight.space(problem, i)
         n = len(low)
         if not (np.array_equal(found.space[0][:n], low.astype(found.space[0].dtype)) and
@@ -204,17 +203,18 @@ def _spaces_fit(problem: Problem, found: Found, sight: Sight) -> bool:
     return True
 
 
-def _actions_fit(problem: Problem, found: Found, sight: Sight) -> bool:
+def _actions_fit(problem: Problem, found: Found, sight: Sight, agents: Sequence[int]) -> bool:
     """Whether the space of actions, where the library keeps it, is that of an environment."""
     if found.action_space is None:
         return True
     low, high = (np.asarray(end, dtype=float) for end in found.action_space)
     if sight.actions == "unit":
         return bool(np.all(low == -1.0) and np.all(high == 1.0))
-    agents = problem.agents
-    own = [(a.input_low, a.input_high) for a in agents]
+    moved = [problem.agents[i] for i in agents]
+    own = [(a.input_low, a.input_high) for a in moved]
     if sight.central:
-        own = [(np.concatenate([a.input_low for a in agents]), np.concatenate([a.input_high for a in agents]))]
+        team = problem.agents
+        own = [(np.concatenate([a.input_low for a in team]), np.concatenate([a.input_high for a in team]))]
     return all(np.allclose(low[: len(a)], a) and np.allclose(high[: len(b)], b) for a, b in own)
 
 
@@ -225,16 +225,16 @@ def _sizes(found: Found) -> str:
     return f"{seen} observed numbers and {answered} actions"
 
 
-def _no_fit(problem: Problem, found: Found, sights: list[Sight]) -> str:
+def _no_fit(problem: Problem, found: Found, sights: list[Sight], agents: Sequence[int]) -> str:
     """Return the message about a model that fits no environment of the problem: the sizes that are known."""
     sizes: dict[tuple[int, int], str] = {}
     for sight in sights:
-        agents = range(1) if sight.central else range(problem.n_agents)
-        key = max(sight.size(problem, i) for i in agents), max(sight.n_actions(problem, i) for i in agents)
+        asked = agents[:1] if sight.central else agents
+        key = max(sight.size(problem, i) for i in asked), max(sight.n_actions(problem, i) for i in asked)
         sizes.setdefault(key, sight.maker)
     listed = ", ".join(f"{seen} and {done} ({maker})" for (seen, done), maker in sorted(sizes.items()))
     hint = ""
-    if any(_fits(problem, found, sight, spaces=False) for sight in sights):
+    if any(_fits(problem, found, sight, agents, spaces=False) for sight in sights):
         hint = "; the sizes are known, but the ranges of its observations are not: give `env=` if they were changed"
     return (
         f"`model`: expected the observed numbers and actions of an environment of {problem.name!r}, got {found.name} "

@@ -138,11 +138,11 @@ class Sight:
             spare = max(other.n_states for other in problem.agents) - agent.n_states
             return np.concatenate([low, np.full(spare, -1.0)]), np.concatenate([high, np.ones(spare)])
         more = {
-            "full": lambda: joint_bounds(self._others(problem, agent)),
-            "relative": lambda: relative_bounds(problem, agent),
-            "neighbours": lambda: nearest_bounds(problem, agent, self._count(problem)),
-        }.get(self.scope, lambda: (np.zeros(0), np.zeros(0)))()
-        return np.concatenate([low, more[0]]), np.concatenate([high, more[1]])
+            "full": lambda: joint_bounds([agent, *self._others(problem, agent)]),
+            "relative": lambda: _beside(low, high, relative_bounds(problem, agent)),
+            "neighbours": lambda: _beside(low, high, nearest_bounds(problem, agent, self._count(problem))),
+        }
+        return more[self.scope]() if self.scope in more else (low, high)
 
     def _seen(self, problem: Problem, i: int, states: Sequence[Array]) -> Array:
         """Return the states (k, N) that agent i sees, in their units."""
@@ -167,6 +167,11 @@ class Sight:
 
     def _count(self, problem: Problem) -> int:
         return checked_neighbours(problem, self.scope, self.neighbours)
+
+
+def _beside(low: Array, high: Array, more: Bounds) -> Bounds:
+    """Return bounds followed by more of them."""
+    return np.concatenate([low, more[0]]), np.concatenate([high, more[1]])
 
 
 def _to_unit(numbers: Array, bounds: Bounds) -> Array:

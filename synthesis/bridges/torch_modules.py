@@ -16,7 +16,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "modules of torch (also with `actor_mean` or `fc_mean` as in CleanRL), and files of torch.save or TorchScript"
+SAYS = "modules of torch (also with `actor_mean` or `fc_mean` as in CleanRL), and files of torch.save(module) (.pt)"
 
 ACTORS = ("actor_mean", "actor", "mean_net", "mu", "pi")
 """Members that are the deterministic actor of a module."""
@@ -56,17 +56,14 @@ def read(model: Any, facts: dict[str, Any]) -> Found:
 
 
 def read_file(path: Path, facts: dict[str, Any]) -> Found:
-    """Return what a file of ``torch.save(module)`` or of TorchScript holds. The first kind is unpickled: trust it."""
+    """Return what a file of ``torch.save(module)`` holds. Such files are unpickled: read only those that you trust."""
     import torch
 
-    try:
-        model = torch.jit.load(str(path), map_location="cpu")
-    except RuntimeError:
-        model = torch.load(path, map_location="cpu", weights_only=False)
+    model = torch.load(path, map_location="cpu", weights_only=False)
     if not recognises(model):
         raise ValueError(
             f"`{path}`: expected a whole module of torch, got {type(model).__name__}; load the numbers into their "
-            "module, and save that (torch.jit.script(module).save), or give the module itself"
+            "module, and give that, or save it whole: torch.save(module, path)"
         )
     return read(model, facts)
 

@@ -1,0 +1,547 @@
+"""A model trained elsewhere acts here as it acted there: the same rows, the same inputs; what is refused says why."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.baselines import central_vec_env, load_actor, shared_vec_env
+from certigym.cli.main import main
+from certigym.envs.dynamics import Dynamics, Worlds
+from certigym.synthesis.relations import Network
+from certigym.validation.policies.actors import SharedActor, save_actor
+from certigym.validation.policies.entrants import given
+from network_problems import proportional, reach
+from problems import cart, scalar_agent
+
+sb3 = pytest.importorskip("stable_baselines3")
+torch = pytest.importorskip("torch")
+
+RNG = np.random.default_rng(0)
+PARALLEL = [
+    {"observation": observation, "scale": scale, "automaton": automaton, "actions": actions}
+    for observation, scale, automaton, actions in [
+        ("local", "raw", "one-hot", "input"),
+        ("local", "unit", "one-hot", "unit"),
+        ("local", "raw", "number", "unit"),
+        ("local", "unit", "hidden", "input"),
+        ("full", "raw", "one-hot", "unit"),
+        ("relative", "unit", "one-hot", "input"),
+        ("neighbours", "raw", "number", "unit"),
+    ]
+]
+
+
+@pytest.fixture(scope="module")
+def problem() -> cg.Problem:
+    """Two agents of the same kind, with input boxes that are not [-1, 1]."""
+    return reach(scalar_agent("a"), scalar_agent("b"))
+
+
+@pytest.fixture(scope="module")
+def uneven() -> cg.Problem:
+    """Two agents that differ in their numbers of states and inputs."""
+    return reach(scalar_agent("a"), cart())
+
+
+def chain(observed: int, answered: int, *more: Any) -> Any:
+    torch.manual_seed(0)
+    layers = [torch.nn.Linear(observed, 8), torch.nn.Tanh(), torch.nn.Linear(8, answered), *more]
+    module = torch.nn.Sequential(*layers)
+    with torch.no_grad():
+        module[2].weight *= 3.0
+    return module
+
+
+def inputs_at(policy: Any, problem: cg.Problem, states: Any, q: int, time: int) -> list[Any]:
+    """Inputs (m,) of all agents at states of theirs, as rollouts ask for them."""
+    dynamics = Dynamics.of(problem)
+    blocks = tuple(np.stack([np.asarray(states[i])[:, None] for i in b.agents], axis=1) for b in dynamics.blocks)
+    no = np.zeros(1, dtype=bool)
+    worlds = Worlds(blocks, np.array([q], dtype=np.int32), time, no, no)
+    batch = policy.batch(dynamics)
+    answers, _ = batch.act(worlds, batch.begin(worlds, np.random.default_rng(0)))
+    return [answers[block][:, place, 0] for block, place in dynamics.position]
+
+
+def test_rows_are_those_that_environments_show(problem: cg.Problem, uneven: cg.Problem) -> None:
+    """Every environment and option: the model is asked by its own observations there, and by ours here."""
+    for task in (problem, uneven):
+        for options in PARALLEL:
+            env = cg.parallel_env(task, **options)
+            models = {}
+            for name in env.possible_agents:
+                observed = env.observation_space(name).shape[0]
+                models[name] = chain(observed, env.action_space(name).shape[0])
+            policy = cg.as_policy(models, task, env)
+            seen, infos = env.reset(seed=3)
+            for time in range(3):
+                actions = {n: models[n](torch.as_tensor(seen[n]).float()).detach().numpy() for n in env.agents}
+                states = [infos[name]["state"] for name in env.possible_agents]
+                q = infos[env.possible_agents[0]]["automaton_state"]
+                ours = inputs_at(policy, task, states, q, time)
+                for agent, name, mine in zip(task.agents, env.possible_agents, ours, strict=True):
+                    theirs = np.clip(actions[name].astype(float), -1.0, 1.0)
+                    if options["actions"] == "unit":
+                        theirs = 0.5 * (agent.input_low + agent.input_high) + theirs * agent.input_box.half_width
+                    theirs = np.clip(actions[name] if options["actions"] == "input" else theirs,
+                                     agent.input_low, agent.input_high)  # fmt: skip
+                    assert np.allclose(mine, theirs, atol=2e-5), (options, name)
+                seen, *_, infos = env.step(actions)
+                if not env.agents:
+                    break
+
+
+@pytest.mark.parametrize("observation", ["own", "joint", "neighbours"])
+@pytest.mark.parametrize("scale", ["unit", "raw"])
+def test_rows_of_teams(problem: cg.Problem, observation: str, scale: str) -> None:
+    env = cg.team_env(problem, 4, observation=observation, scale=scale)
+    step = env.reset(seed=0)
+    models = {name: chain(step.observations[name].shape[1], 1) for name in env.agents}
+    policy = cg.as_policy(models, problem, env)
+    start = [np.array(agent.initial_low) for agent in problem.agents]
+    ours = inputs_at(policy, problem, start, int(step.automaton_state[0]), 0)
+    for agent, name, mine in zip(problem.agents, env.agents, ours, strict=True):
+        action = np.clip(models[name](torch.as_tensor(step.observations[name]))[0].detach().numpy(), -1.0, 1.0)
+        middle = 0.5 * (agent.input_low + agent.input_high)
+        assert np.allclose(mine, middle + action * agent.input_box.half_width, atol=2e-5)
+
+
+ALGORITHMS = [
+    ("PPO", {"n_steps": 8, "batch_size": 16}),
+    ("A2C", {}),
+    ("SAC", {}),
+    ("TD3", {}),
+    ("PPO", {"n_steps": 8, "batch_size": 16, "use_sde": True, "policy_kwargs": {"activation_fn": torch.nn.ReLU}}),
+]
+
+
+@pytest.mark.parametrize("name, options", ALGORITHMS)
+@pytest.mark.parametrize("worlds", [shared_vec_env, central_vec_env])
+def test_models_of_stable_baselines(
+    problem: cg.Problem, name: str, options: dict[str, Any], worlds: Any, tmp_path: Path
+) -> None:
+    """Actions in the rows of the worlds for Stable-Baselines3 are the inputs of the policy; files are the models."""
+    env = worlds(problem, 4)
+    env.seed(0)
+    model = getattr(sb3, name)("MlpPolicy", env, seed=0, device="cpu", **options)
+    model.learn(32)
+    policy = cg.as_policy(model, problem)
+    rows = env.reset()
+    actions, _ = model.predict(rows, deterministic=True)
+    joint = env.view.joint_actions(actions)[0]
+    start = [np.array(agent.initial_low) for agent in problem.agents]
+    q = problem.automaton.initial
+    theirs = [0.5 * (a.input_low + a.input_high) + joint[c] * a.input_box.half_width
+              for a, c in zip(problem.agents, problem.input_columns, strict=True)]  # fmt: skip
+    model.save(tmp_path / "model.zip")
+    for each in (policy, cg.as_policy(model.policy, problem), cg.as_policy(tmp_path / "model.zip", problem)):
+        ours = inputs_at(each, problem, start, _state_of(problem, q, start), 0)
+        assert np.allclose(np.concatenate(ours), np.concatenate(theirs), atol=2e-5)
+        if worlds is shared_vec_env:
+            assert each.why_not_as_it_is == ""
+            assert each.information == "own state, automaton state, time"
+        else:
+            assert "sees states of all agents" in each.why_not_certified
+
+
+def _state_of(problem: cg.Problem, q: int, start: list[Any]) -> int:
+    """Automaton state in which episodes begin: after the letter of the start."""
+    env = cg.parallel_env(problem)
+    _, infos = env.reset(seed=0)
+    return int(infos[env.possible_agents[0]]["automaton_state"])
+
+
+def test_models_of_other_environments(problem: cg.Problem) -> None:
+    """Gymnasium environments say by their spaces what they show: raw or unit, one-hot or number."""
+    one = reach(scalar_agent("a"))
+    for scale in ("raw", "unit"):
+        for automaton in ("one-hot", "number"):
+            for actions in ("unit", "input"):
+                env = cg.central_env(one, scale=scale, automaton=automaton, actions=actions)
+                policy = cg.as_policy(sb3.PPO("MlpPolicy", env, device="cpu"), one)
+                sight = policy.models[0].sight
+                assert (sight.scale, sight.automaton) == (scale, automaton)
+                assert policy.why_not_as_it_is == "" or automaton == "number"
+    for observation in ("local", "full", "neighbours"):
+        env = cg.parallel_env(reach(scalar_agent("a"), cart(), scalar_agent("c")), observation=observation)
+    central = cg.central_env(problem)
+    assert "all agents" in cg.as_policy(sb3.PPO("MlpPolicy", central, device="cpu"), problem).information
+
+
+def test_observations_that_are_normalised_are_normalised_here(problem: cg.Problem) -> None:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    env = VecNormalize(shared_vec_env(problem, 4))
+    model = sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=16, seed=0, device="cpu")
+    model.learn(64)
+    policy = cg.as_policy(model, problem)
+    assert "VecNormalize" in policy.why_not_as_it_is
+    rows = shared_vec_env(problem, 1)
+    rows.seed(0)
+    seen = rows.reset()
+    wanted, _ = model.predict(env.normalize_obs(seen), deterministic=True)
+    start = [np.array(agent.initial_low) for agent in problem.agents]
+    ours = inputs_at(policy, problem, start, _state_of(problem, 0, start), 0)
+    theirs = [0.5 * (a.input_low + a.input_high) + w * a.input_box.half_width
+              for a, w in zip(problem.agents, wanted, strict=True)]  # fmt: skip
+    assert np.allclose(np.concatenate(ours), np.concatenate(theirs), atol=1e-5)
+
+
+def seeker(network: Network) -> Any:
+    """A network as a module of torch."""
+    layers: list[Any] = []
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        linear = torch.nn.Linear(weight.shape[1], weight.shape[0])
+        linear.load_state_dict({"weight": torch.as_tensor(weight), "bias": torch.as_tensor(bias)})
+        layers += [linear, torch.nn.Tanh()]
+    return torch.nn.Sequential(*layers[:-1])
+
+
+def test_every_verb_takes_a_model(problem: cg.Problem, tmp_path: Path) -> None:
+    """One module: compared, certified wrapped and as it is, improved, bounded above, repaired, shielded, recorded."""
+    from certigym.synthesis.upper_ends import bound_network_above
+
+    actor = seeker(proportional(problem).network)
+    policy = cg.as_policy(actor, problem, "shared_vec_env")
+    raw = cg.certify(problem, policy, 100, raw=True)
+    assert cg.check(raw) and raw.certificate.lower_bound > 0.3
+    wrapped, improved = cg.certify(problem, policy, 40), cg.improve(problem, policy, 40)
+    assert improved.certificate.lower_bound >= wrapped.certificate.lower_bound > 0.3
+    assert bound_network_above(problem, policy, 100).upper_bound >= raw.certificate.lower_bound
+    repaired, _ = cg.repair_network(problem, policy, 60)
+    assert repaired.certificate.lower_bound > 0.3
+    result = cg.compare(problem, {"model": policy, "raw": raw, "wrapped": wrapped}, 2000)
+    assert result.entry("model").successes == result.entry("raw").successes
+    assert result.entry("model").information == "own state, automaton state, time"
+    kept = cg.shielded(policy, improved, probability=0.3)
+    assert cg.rollout(problem, kept, 500).successes > 0.25 * 500
+    assert cg.record(problem, policy, 50).satisfied.shape == (50,)
+    assert given(problem, "mine", policy)[0].contestant.information == policy.information
+    assert cg.as_controller(problem, policy) is policy
+
+
+def test_models_that_say_what_they_see_need_no_bridge(problem: cg.Problem, tmp_path: Path) -> None:
+    """A model of Stable-Baselines3 goes into every verb as it is, and so does its file."""
+    model = sb3.PPO("MlpPolicy", shared_vec_env(problem, 2), n_steps=8, batch_size=16, seed=0, device="cpu")
+    model.save(tmp_path / "m.zip")
+    file = str(tmp_path / "m.zip")
+    result = cg.compare(problem, {"model": model, "file": file, "seeds": [model, model]}, 200)
+    assert len({entry.successes for entry in result.entries}) == 1 and len(result.entries) == 4
+    assert cg.rollout(problem, model, 200).successes == result.entries[0].successes
+    bounds = {cg.certify(problem, each, 30, raw=True).certificate.lower_bound for each in (model, file)}
+    assert len(bounds) == 1
+    assert cg.certify(problem, model, 20).certificate.lower_bound >= 0.0
+    assert cg.improve(problem, model, 20, max_sweeps=1).certificate.lower_bound >= 0.0
+    certificate = cg.synthesize(problem, 30).certificate
+    assert cg.rollout(problem, cg.shielded(model, certificate, probability=0.2), 100).episodes == 100
+
+
+def test_arrays_modules_and_files_are_the_same_policy(problem: cg.Problem, tmp_path: Path) -> None:
+    network = proportional(problem).network
+    pairs = [(w.T, b) for w, b in zip(network.weights, network.biases, strict=True)]
+    flax = {"params": {f"Dense_{k}": {"kernel": w, "bias": b} for k, (w, b) in enumerate(pairs)}}
+    named = {"weights": network.weights, "biases": network.biases, "activation": "tanh"}
+    torch.save(seeker(network), tmp_path / "a.pt")
+    save_actor(SharedActor(problem, network), tmp_path / "a.npz")
+    forms = [network, pairs, flax, named, seeker(network), tmp_path / "a.pt"]
+    policies = [cg.as_policy(form, problem, "shared_vec_env") for form in forms]
+    policies += [cg.as_policy(tmp_path / "a.npz", problem), load_actor(tmp_path / "a.npz", problem)]
+    policies.append(cg.as_policy(f"{tmp_path / 'a.pt'}@shared_vec_env", problem))
+    states, q = RNG.uniform(-4.0, 4.0, (1, 50)), np.zeros(50, dtype=int)
+    expected = policies[-2].inputs(1, states, q, 2)
+    for policy in policies:
+        assert np.allclose(policy.inputs(1, states, q, 2), expected, atol=1e-6)
+    assert {type(policy).__name__ for policy in policies[:-2]} == {"OwnModels"}
+
+
+class Agent(torch.nn.Module):
+    """The agent of CleanRL's ppo_continuous_action.py."""
+
+    def __init__(self, observed: int, answered: int) -> None:
+        super().__init__()
+        self.critic = chain(observed, 1)
+        self.actor_mean = chain(observed, answered)
+        self.actor_logstd = torch.nn.Parameter(torch.zeros(1, answered))
+
+
+class Actor(torch.nn.Module):
+    """The actor of CleanRL's sac_continuous_action.py."""
+
+    def __init__(self, observed: int, answered: int, half: float) -> None:
+        super().__init__()
+        self.fc1, self.fc2 = torch.nn.Linear(observed, 8), torch.nn.Linear(8, 8)
+        self.fc_mean, self.fc_logstd = torch.nn.Linear(8, answered), torch.nn.Linear(8, answered)
+        self.register_buffer("action_scale", torch.full((1, answered), half))
+        self.register_buffer("action_bias", torch.zeros((1, answered)))
+
+    def forward(self, rows: Any) -> Any:
+        hidden = torch.relu(self.fc2(torch.relu(self.fc1(rows))))
+        return self.fc_mean(hidden), self.fc_logstd(hidden)
+
+
+def test_scripts_like_cleanrl(problem: cg.Problem) -> None:
+    n = 1 + problem.automaton.n_states + 1
+    env = cg.team_env(problem, 1)
+    ppo = cg.as_policy(Agent(n, 1), problem, env)
+    mean = Agent(n, 1).actor_mean
+    assert ppo.why_not_as_it_is == ""
+    half = float(problem.agents[0].input_high[0])
+    in_units = cg.as_policy(Actor(n, 1, half), problem, "parallel_env")
+    assert in_units.why_not_as_it_is == ""
+    with pytest.raises(ValueError, match="actions"):  # its scale is that of another space of actions
+        cg.as_policy(Actor(n, 1, half), problem, env)
+    # Tanh at the end of a plain module is an input in its unit, so it is no share of the box.
+    tanh = cg.as_policy(chain(n, 1, torch.nn.Tanh()), problem, "parallel_env")
+    assert "tanh" in tanh.why_not_as_it_is
+    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
+    assert np.abs(tanh.inputs(0, states, q, 0)).max() <= 1.0 < half
+    rows = np.concatenate([states / 4.0, np.eye(n - 2)[q].T, np.ones((1, 20))]).T.astype(np.float32)
+    wanted = half * np.clip(mean(torch.as_tensor(rows)).detach().numpy(), -1.0, 1.0).T
+    assert np.allclose(ppo.inputs(0, states, q, 0), wanted, atol=1e-5)
+
+
+def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None:
+    n = 1 + problem.automaton.n_states + 1
+    strange = torch.nn.Sequential(torch.nn.Linear(n, 4), torch.nn.ELU(), torch.nn.Linear(4, 1))
+    mixed = torch.nn.Sequential(*chain(n, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1))
+    double = chain(n, 1).double()
+    for module, words in ((strange, "ELU"), (mixed, "one kind of activation"), (double, "float64")):
+        policy = cg.as_policy(module, problem, "team_env")
+        assert words in policy.why_not_as_it_is and words in repr(policy)
+        with pytest.raises(ValueError, match=words):
+            cg.certify(problem, policy, 20, raw=True)
+        assert cg.certify(problem, policy, 20).certificate.lower_bound >= 0.0  # wrapped
+    central = sb3.PPO("MlpPolicy", central_vec_env(problem, 2), device="cpu")
+    for verb in (cg.certify, cg.improve):
+        with pytest.raises(ValueError, match=r"sees states of all agents.*rollouts"):
+            verb(problem, central, 20)
+    with pytest.raises(ValueError, match="sees states of all agents"):
+        cg.certify(problem, central, 20, raw=True)
+
+
+class Wrong(torch.nn.Module):
+    """Layers in the order of a chain that are used otherwise."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__()
+        self.actor = Shifted(chain(n, 1))
+
+
+class Shifted(torch.nn.Sequential):
+    def __init__(self, inner: Any) -> None:
+        super().__init__(*inner)
+
+    def forward(self, rows: Any) -> Any:
+        return super().forward(rows) + 0.5
+
+
+def test_layers_that_do_not_compute_the_answer_are_not_certified(problem: cg.Problem) -> None:
+    """The layers look like a chain, and their module adds something: found by comparing both."""
+    policy = cg.as_policy(Wrong(1 + problem.automaton.n_states + 1), problem, "team_env")
+    assert "do not compute what it answers" in policy.why_not_as_it_is
+
+
+def remembers(problem: cg.Problem) -> Any:
+    """A stand-in for RecurrentPPO of sb3-contrib, which is not installed here: a policy with `lstm_actor`."""
+    from stable_baselines3.common.policies import ActorCriticPolicy
+
+    class Recurrent(ActorCriticPolicy):
+        lstm_actor = None
+
+        def predict(self, rows: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> Any:
+            total = rows[:, :1] if state is None or episode_start[0] else state + rows[:, :1]
+            return np.clip(-total, -1.0, 1.0), total
+
+    env = shared_vec_env(problem, 1)
+    return Recurrent(env.observation_space, env.action_space, lambda _: 0.0)
+
+
+def test_models_that_remember_are_judged_by_rollouts(problem: cg.Problem) -> None:
+    policy = cg.as_policy(remembers(problem), problem)
+    assert "remembers" in policy.why_not_certified and "what it remembers" in policy.information
+    assert cg.rollout(problem, policy, 50).episodes == 50
+    with pytest.raises(ValueError, match="remembers earlier observations"):
+        cg.certify(problem, policy, 20)
+    # Two steps of two worlds: what is remembered of one does not enter the other, and adds up.
+    dynamics = Dynamics.of(problem)
+    no = np.zeros(2, dtype=bool)
+    worlds = Worlds((np.array([[[1.0, -2.0], [0.4, 0.0]]]),), np.zeros(2, dtype=np.int32), 0, no, no)
+    batch = policy.batch(dynamics)
+    first, memory = batch.act(worlds, batch.begin(worlds, np.random.default_rng(0)))
+    second, _ = batch.act(worlds, memory)
+    assert np.allclose(second[0][0, 1], np.maximum(2.0 * first[0][0, 1], -problem.agents[1].input_high))
+
+
+def test_messages_name_what_is_known(problem: cg.Problem) -> None:
+    n = 1 + problem.automaton.n_states + 1
+    with pytest.raises(ValueError, match=r"expected the environment in which.*may be of.*team_env|parallel_env"):
+        cg.as_policy(chain(n, 1), problem)
+    with pytest.raises(ValueError, match=r"got the torch module.*41 observed numbers.*known are.*\(shared_vec_env\)"):
+        cg.as_policy(chain(41, 1), problem)
+    with pytest.raises(ValueError, match="known are"):
+        cg.as_policy(chain(n, 1), problem, "central_env")
+    with pytest.raises(ValueError, match=r"understood are.*Stable-Baselines3.*ONNX.*arrays"):
+        cg.as_policy(3.0, problem)
+    with pytest.raises(ValueError, match="central_vec_env with options"):
+        cg.as_policy(chain(n, 1), problem, "box_env")
+    with pytest.raises(ValueError, match="expected scale"):
+        cg.as_policy(chain(n, 1), problem, "team_env(scale=metric)")
+    with pytest.raises(ValueError, match="options"):
+        cg.as_policy(chain(n, 1), problem, "team_env(size=3)")
+    with pytest.raises(ValueError, match="exists"):
+        cg.as_policy("nothing.zip", problem)
+    with pytest.raises(ValueError, match="fact"):
+        cg.as_policy(chain(n, 1), problem, "team_env", colour="red")
+    with pytest.raises(ValueError, match="environment of certigym"):
+        cg.as_policy(chain(n, 1), problem, object())
+
+
+def test_functions_and_models_stand_beside_each_other(problem: cg.Problem) -> None:
+    n = 1 + problem.automaton.n_states + 1
+    module = chain(n, 1)
+    both = {"a": module, "b": lambda x, q, time: -0.5 * x}
+    policy = cg.as_policy(both, problem, "team_env")
+    alone = cg.as_policy(module, problem, "team_env")
+    states, q = RNG.uniform(-4.0, 4.0, (1, 9)), np.zeros(9, dtype=int)
+    assert np.array_equal(policy.inputs(0, states, q, 1), alone.inputs(0, states, q, 1))
+    assert np.array_equal(policy.inputs(1, states, q, 1), -0.5 * states)
+
+
+def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    task = cg.make_problem("reach-avoid-v0", horizon=5)
+    model = sb3.PPO("MlpPolicy", shared_vec_env(task, 2), n_steps=8, batch_size=16, seed=0, device="cpu")
+    model.save(tmp_path / "m.zip")
+    torch.save(seeker(proportional(task).network), tmp_path / "m.pt")
+    names = f"{tmp_path / 'm.zip'},{tmp_path / 'm.pt'}@shared_vec_env,random"
+    given = ["compare", "reach-avoid-v0", "--horizon", "5", "--policies", names, "--episodes", "200"]
+    assert main([*given, "--json", str(tmp_path / "c.json")]) == 0
+    sees = {entry["information"] for entry in json.loads((tmp_path / "c.json").read_text())["entries"]}
+    assert "own state, automaton state, time" in sees
+    for more in ([], ["--raw"]):
+        command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more]
+        assert main([*command, "--cells", "30", "--episodes", "200"]) == 0
+    assert main(["compare", "reach-avoid-v0", "--policies", str(tmp_path / "none.zip")]) == 2
+    assert "existing file" in capsys.readouterr().err
+
+
+CC = shutil.which("cc")
+
+MAIN = """
+#include <stdio.h>
+#include <string.h>
+#include "ctl.h"
+int main(void) {
+    double x[8], u[8]; int agent, q, time, d, m, i; unsigned long long bits;
+    while (scanf("%d %d %d %d %d", &agent, &q, &time, &d, &m) == 5) {
+        for (i = 0; i < d; i++) { if (scanf("%llx", &bits) != 1) return 1; memcpy(&x[i], &bits, 8); }
+        CALLS
+        for (i = 0; i < m; i++) { memcpy(&bits, &u[i], 8); printf("%llx ", bits); }
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(CC is None, reason="no C compiler")
+@pytest.mark.parametrize("relation", ["exact", "linear"])
+@pytest.mark.parametrize("make", [scalar_agent, cart, "turned"])
+def test_c_gives_the_same_inputs_to_the_last_bit(relation: str, make: Any, tmp_path: Path) -> None:
+    """Certified tables as a C header, at points inside and outside, on edges of cells, and at what is no number."""
+    if make == "turned":
+        agents = [cart(B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0],
+                       noise_covariance=[[0.04, 0.02], [0.02, 0.05]], initial_state=[-1.0, 0.0])]  # fmt: skip
+    elif make is cart and relation == "exact":
+        agents = [cart(B=[[0.5, 0.0], [0.0, 0.5]], input_low=[-2.0, -1.0], input_high=[2.0, 1.0])]
+    else:
+        agents = [scalar_agent("a"), scalar_agent("b")] if make is scalar_agent else [cart()]
+    problem = reach(*agents, horizon=3)
+    found = cg.synthesize(problem, 12, relation=relation)
+    cg.save_policy(found, tmp_path / "ctl.h")
+    names = problem.agent_names
+    calls = "\n".join(f"if (agent == {i}) ctl_{name}_act(x, q, time, u);" for i, name in enumerate(names))
+    (tmp_path / "main.c").write_text(MAIN.replace("CALLS", calls))
+    command = [str(CC), "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-o", "run", "main.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    lines, wanted = [], []
+    for i, (agent, controller) in enumerate(zip(problem.agents, found.controller.agents, strict=True)):
+        d, m = agent.n_states, agent.n_inputs
+        low, high = agent.workspace.low, agent.workspace.high
+        on_edges = np.stack([axis[RNG.integers(0, len(axis), 50)] for axis in controller.grid.edges], axis=1)
+        anywhere = RNG.uniform(low - 1.0, high + 1.0, (300, d))
+        points = np.concatenate([anywhere, [low, high, np.full(d, np.nan)], on_edges])
+        for point in points:
+            q, time = int(RNG.integers(problem.automaton.n_states)), int(RNG.integers(5))
+            u, _ = controller.act(point[:, None, None], np.array([q]), time, None)
+            lines.append(f"{i} {q} {time} {d} {m} " + " ".join(format(int(b), "x") for b in point.view(np.uint64)))
+            wanted.append([format(int(b), "x") for b in np.ascontiguousarray(u[:, 0, 0]).view(np.uint64)])
+    answer = subprocess.run(["./run"], cwd=tmp_path, input="\n".join(lines), text=True, capture_output=True, check=True)
+    assert [line.split() for line in answer.stdout.splitlines()] == wanted
+
+
+def test_writing_refuses_what_it_cannot_write(problem: cg.Problem, tmp_path: Path) -> None:
+    found = cg.synthesize(problem, 12)
+    with pytest.raises(ValueError, match=r"\.onnx or \.h"):
+        cg.save_policy(found, tmp_path / "c.txt")
+    with pytest.raises(ValueError, match="C header"):
+        cg.save_policy(found, tmp_path / "c.onnx")
+    with pytest.raises(ValueError, match="controllers of a certificate"):
+        cg.save_policy(proportional(problem), tmp_path / "c.h")
+    with pytest.raises(ValueError, match="agent of the problem"):
+        cg.save_policy(found, tmp_path / "c.h", agent="z")
+
+
+def test_without_onnx_the_message_names_the_extra(problem: cg.Problem, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "onnx", None)
+    (tmp_path / "m.onnx").write_bytes(b"")
+    for act in (lambda: cg.save_policy(proportional(problem), tmp_path / "a.onnx"),
+                lambda: cg.as_policy(tmp_path / "m.onnx", problem)):  # fmt: skip
+        with pytest.raises(ValueError, match=r"certigym\[onnx\]"):
+            act()
+
+
+def test_networks_go_out_and_come_back_as_onnx(problem: cg.Problem, tmp_path: Path) -> None:
+    """What is written is read back as the same network, so that it can be certified again."""
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    n = 1 + problem.automaton.n_states + 1
+    states, q = RNG.uniform(-4.0, 4.0, (1, 30)), np.zeros(30, dtype=int)
+    sources = [
+        proportional(problem),
+        cg.as_policy(chain(n, 1), problem, "parallel_env"),
+        cg.as_policy(chain(n, 1), problem, "team_env"),
+        cg.certify(problem, cg.as_policy(chain(n, 1), problem, "parallel_env"), 20, raw=True),
+    ]
+    for source in sources:
+        agent = "a" if source is sources[3] else None
+        cg.save_policy(source, tmp_path / "p.onnx", agent=agent)
+        back = cg.as_policy(tmp_path / "p.onnx", problem)
+        assert back.why_not_as_it_is == ""
+        policy = getattr(source, "controller", source)
+        if hasattr(policy, "inputs"):
+            assert np.allclose(back.inputs(0, states, q, 1), policy.inputs(0, states, q, 1), atol=1e-6)
+    # A graph of another origin, which nobody has named.
+    module = torch.nn.Sequential(*chain(n, 1), torch.nn.Tanh())
+    network = Network(
+        tuple(module[k].weight.detach().numpy() for k in (0, 2)),
+        tuple(module[k].bias.detach().numpy() for k in (0, 2)), "tanh", True,
+    )  # fmt: skip
+    from certigym.synthesis.bridges.onnx_files import written
+
+    (tmp_path / "o.onnx").write_bytes(written(network, {}))
+    graph = __import__("onnx").load(tmp_path / "o.onnx")
+    del graph.metadata_props[:]
+    (tmp_path / "o.onnx").write_bytes(graph.SerializeToString())
+    with pytest.raises(ValueError, match=r"expected the environment"):
+        cg.as_policy(tmp_path / "o.onnx", problem)
+    again = cg.as_policy(f"{tmp_path / 'o.onnx'}@team_env", problem)
+    same = cg.as_policy(module, problem, "team_env")
+    assert np.allclose(again.inputs(0, states, q, 1), same.inputs(0, states, q, 1), atol=1e-6)
