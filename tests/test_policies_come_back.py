@@ -114,6 +114,30 @@ def test_rows_of_teams(problem: cg.Problem, observation: str, scale: str) -> Non
         assert np.allclose(mine, middle + action * agent.input_box.half_width, atol=2e-5)
 
 
+@pytest.mark.parametrize("scale", ["unit", "raw"])
+@pytest.mark.parametrize("actions", ["unit", "input"])
+def test_rows_of_one_learner_for_all(uneven: cg.Problem, scale: str, actions: str) -> None:
+    """The centralised environment steps as rollouts do: the same inputs at the states of an episode."""
+    env = cg.central_env(uneven, scale=scale, actions=actions)
+    model = sb3.PPO("MlpPolicy", env, device="cpu", seed=1)
+    with torch.no_grad():
+        model.policy.action_net.weight *= 100.0
+    policy = cg.as_policy(model, uneven)
+    assert policy.models[0].sight.maker.startswith("central_env")
+    seen, info = env.reset(seed=5)
+    for time in range(3):
+        action = model.predict(seen, deterministic=True)[0].astype(float)
+        states = [info["state"][columns] for columns in uneven.columns]
+        ours = inputs_at(policy, uneven, states, info["automaton_state"], time)
+        for agent, columns, mine in zip(uneven.agents, uneven.input_columns, ours, strict=True):
+            middle = 0.5 * (agent.input_low + agent.input_high)
+            theirs = middle + action[columns] * agent.input_box.half_width if actions == "unit" else action[columns]
+            assert np.allclose(mine, theirs, atol=1e-4)
+        seen, _, ended, cut, info = env.step(action)
+        if ended or cut:
+            break
+
+
 ALGORITHMS = [
     ("PPO", {"n_steps": 8, "batch_size": 16}),
     ("A2C", {}),
@@ -545,3 +569,76 @@ def test_networks_go_out_and_come_back_as_onnx(problem: cg.Problem, tmp_path: Pa
     again = cg.as_policy(f"{tmp_path / 'o.onnx'}@team_env", problem)
     same = cg.as_policy(module, problem, "team_env")
     assert np.allclose(again.inputs(0, states, q, 1), same.inputs(0, states, q, 1), atol=1e-6)
+
+
+def test_policies_of_torchrl(problem: cg.Problem) -> None:
+    pytest.importorskip("torchrl")
+    from tensordict.nn import NormalParamExtractor, TensorDictModule
+    from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
+
+    n, key = 1 + problem.automaton.n_states + 1, ("robot", "observation")
+    net = torch.nn.Sequential(MLP(n, 2, num_cells=[8], activation_class=torch.nn.Tanh), NormalParamExtractor())
+    inner = TensorDictModule(net, in_keys=[key], out_keys=["loc", "scale"])
+    actor = ProbabilisticActor(inner, ["loc", "scale"], ["action"], distribution_class=TanhNormal)
+    policy = cg.as_policy(actor, problem, cg.parallel_env(problem, actions="unit"))
+    assert policy.why_not_as_it_is == "" and policy.models[0].found.answered == 1
+    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
+    rows = np.concatenate([states, np.eye(n - 2)[q].T, np.ones((1, 20))]).T.astype(np.float32)
+    half = float(problem.agents[0].input_high[0])
+    wanted = half * np.tanh(net(torch.as_tensor(rows))[0].detach().numpy()).T
+    assert np.allclose(policy.inputs(0, states, q, 0), wanted, atol=1e-5)
+    assert cg.certify(problem, policy, 30, raw=True).certificate.lower_bound >= 0.0
+
+
+def test_policies_of_tianshou(problem: cg.Problem) -> None:
+    pytest.importorskip("tianshou")
+    from tianshou.algorithm.modelfree.sac import SACPolicy
+    from tianshou.utils.net.common import Net
+    from tianshou.utils.net.continuous import ContinuousActorProbabilistic
+
+    env = cg.parallel_env(problem, actions="unit", dtype="float32")
+    space, n = env.action_space("a"), env.observation_space("a").shape[0]
+    net = Net(state_shape=n, hidden_sizes=[8, 8])
+    actor = ContinuousActorProbabilistic(
+        preprocess_net=net, action_shape=1, unbounded=True, conditioned_sigma=True
+    )  # fmt: skip
+    found = cg.as_policy(SACPolicy(actor=actor, action_space=space), problem, env)
+    assert found.why_not_as_it_is == ""
+    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
+    rows = np.concatenate([states, np.eye(n - 2)[q].T, np.ones((1, 20))]).T.astype(np.float32)
+    half = float(problem.agents[0].input_high[0])
+    wanted = half * np.tanh(actor(torch.as_tensor(rows))[0][0].detach().numpy()).T
+    assert np.allclose(found.inputs(0, states, q, 0), wanted, atol=1e-5)
+
+
+def test_modules_of_rllib(problem: cg.Problem, tmp_path: Path) -> None:
+    pytest.importorskip("ray.rllib", exc_type=ImportError)
+    from ray.rllib.algorithms.ppo.ppo_catalog import PPOCatalog
+    from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
+
+    env = cg.parallel_env(problem, actions="unit", dtype="float32")
+    space, n = env.action_space("a"), env.observation_space("a").shape[0]
+    module = DefaultPPOTorchRLModule(
+        observation_space=env.observation_space("a"), action_space=space, catalog_class=PPOCatalog,
+        model_config={"fcnet_hiddens": [8], "fcnet_activation": "tanh", "vf_share_layers": False},
+    )  # fmt: skip
+    module.save_to_path(tmp_path / "module")
+    states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
+    rows = np.concatenate([states, np.eye(n - 2)[q].T, np.ones((1, 20))]).T.astype(np.float32)
+    means = module.forward_inference({"obs": torch.as_tensor(rows)})["action_dist_inputs"][:, :1].detach().numpy()
+    half = float(problem.agents[0].input_high[0])
+    for model in (module, tmp_path / "module"):
+        found = cg.as_policy(model, problem, env)
+        assert found.why_not_as_it_is == ""
+        assert np.allclose(found.inputs(0, states, q, 0), half * np.clip(means, -1.0, 1.0).T, atol=1e-5)
+
+
+def test_what_sb3_contrib_adds(problem: cg.Problem) -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    for name, policy, words in (("TRPO", "MlpPolicy", ""), ("TQC", "MlpPolicy", ""), ("CrossQ", "MlpPolicy", "Renorm")):
+        model = getattr(contrib, name)(policy, shared_vec_env(problem, 2), device="cpu")
+        found = cg.as_policy(model, problem)
+        assert words in found.why_not_as_it_is and bool(words) == bool(found.why_not_as_it_is)
+    model = contrib.RecurrentPPO("MlpLstmPolicy", shared_vec_env(problem, 2), device="cpu")
+    assert "remembers" in cg.as_policy(model, problem).why_not_certified
+    assert cg.rollout(problem, model, 20).episodes == 20

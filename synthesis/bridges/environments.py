@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -93,7 +94,7 @@ def _named(text: str) -> Sight:
     """Return the sight of a text such as ``team_env(scale='raw')``."""
     name, _, rest = text.strip().partition("(")
     name, options = name.strip(), {}
-    for pair in rest.rstrip(") ").split(","):
+    for pair in re.split("[,;]", rest.rstrip(") ")):  # commas separate policies on the command line
         if pair.strip():
             key, _, value = (part.strip() for part in pair.partition("="))
             options[key] = value.strip("'\"")

@@ -55,7 +55,8 @@ KINDS = {
 """The figures that ``plot`` draws."""
 
 POLICIES = (
-    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, an actor or certificate (.npz), or FILE.py:NAME"
+    "certified, ppo, ippo, mappo, central-ppo, sac, random, idle, a file (.npz, .zip, .onnx, .pt; @ENV behind it says "
+    "where it was trained), or FILE.py:NAME"
 )
 """The words for policies on the command line."""
 
@@ -238,7 +239,11 @@ def _add_leaderboard(commands: Any) -> None:
     board.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of learners (0)")
     board.add_argument("--certificates", metavar="DIR", help="folder with ID.npz: read if there, else written")
     board.add_argument("--learners", metavar="DIR", help="folder with ID/POLICY/seed-S: read if there, else written")
-    board.add_argument("--add", metavar="NAME=POLICY", help="judge an own policy: actor, certificate or FILE.py:NAME")
+    board.add_argument(
+        "--add",
+        metavar="NAME=POLICY",
+        help="judge an own policy: a file (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME",
+    )
     add_trials(board, 20_000, " per policy")
 
 
@@ -272,7 +277,9 @@ def _add_comparing(commands: Any) -> None:
     certify = commands.add_parser("certify", help="certify a decentralised policy, wrapped on a grid or as it is")
     add_problem(certify)
     certify.add_argument(
-        "--policy", metavar="POLICY", help="actor (.npz) or FILE.py:NAME (default: the actor in place of the problem)"
+        "--policy",
+        metavar="POLICY",
+        help="actor (.npz, .zip, .onnx, .pt[@ENV]) or FILE.py:NAME (default: the actor in place of the problem)",
     )
     certify.add_argument("--raw", action="store_true", help="certify the network itself as it is deployed")
     certify.add_argument(

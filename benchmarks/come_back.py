@@ -1,0 +1,350 @@
+"""Train with other libraries, bring the policy back, judge it: ``python benchmarks/come_back.py NAME``.
+
+Each learner has a minute of wall time on one thread (``--seconds``) on reach-avoid-v0, with the reward "progress"; what
+it made goes through ``cg.as_policy``, and is simulated; if it sees its own state alone it is certified, wrapped
+on a grid and as it is. Prints a row of the table in docs/how-to/clients.md for each name; libraries that are not
+installed are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import certigym as cg
+
+ID = "reach-avoid-v0"
+EPISODES, CELLS = 20_000, 500
+
+Trained = tuple[Any, Any, int]
+"""Model, environment for ``as_policy`` (or None), and world steps taken."""
+
+
+def _stopper(seconds: float) -> Any:
+    """A callback of Stable-Baselines3 that stops after some seconds."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Stop(BaseCallback):
+        def _on_training_start(self) -> None:
+            self.until = time.perf_counter() + seconds
+
+        def _on_step(self) -> bool:
+            return time.perf_counter() < self.until
+
+    return Stop()
+
+
+def _of_sb3(learner: Any, policy: str, env: Any, seconds: float, per: int, **options: Any) -> Trained:
+    model = learner(policy, env, device="cpu", **options)
+    model.learn(10**9, callback=_stopper(seconds))
+    with tempfile.TemporaryDirectory() as folder:  # by file, as somebody else would get it
+        model.save(Path(folder) / "model.zip")
+        policy = cg.as_policy(Path(folder) / "model.zip", ID)
+    return policy, None, int(model.num_timesteps) // per
+
+
+def _worlds(central: bool = False) -> Any:
+    from certigym.baselines import central_vec_env, shared_vec_env
+
+    make = central_vec_env if central else shared_vec_env
+    return make(cg.make_problem(ID), worlds=16, reward="progress", horizon_ends="terminated")
+
+
+def sb3_ppo(seconds: float) -> Trained:
+    """PPO of Stable-Baselines3, one network for all agents."""
+    from stable_baselines3 import PPO
+
+    return _of_sb3(PPO, "MlpPolicy", _worlds(), seconds, 2, seed=0, n_steps=64, batch_size=256, gamma=1.0)
+
+
+def sb3_td3(seconds: float) -> Trained:
+    """TD3 of Stable-Baselines3, one network for all agents."""
+    from stable_baselines3 import TD3
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    noise = NormalActionNoise(np.zeros(1), np.full(1, 0.2))
+    return _of_sb3(TD3, "MlpPolicy", _worlds(), seconds, 2, seed=0, action_noise=noise, gamma=1.0)
+
+
+def sb3_sac(seconds: float) -> Trained:
+    """SAC of Stable-Baselines3 on the centralised Gymnasium environment."""
+    from stable_baselines3 import SAC
+
+    return _of_sb3(SAC, "MlpPolicy", cg.central_env(ID, reward="progress"), seconds, 1, seed=0, gamma=1.0)
+
+
+def contrib_trpo(seconds: float) -> Trained:
+    """TRPO of sb3-contrib, one network for all agents."""
+    from sb3_contrib import TRPO
+
+    return _of_sb3(TRPO, "MlpPolicy", _worlds(), seconds, 2, seed=0, n_steps=64, gamma=1.0)
+
+
+def contrib_crossq(seconds: float) -> Trained:
+    """CrossQ of sb3-contrib (batch normalisation), one network for all agents."""
+    from sb3_contrib import CrossQ
+
+    return _of_sb3(CrossQ, "MlpPolicy", _worlds(), seconds, 2, seed=0, gamma=1.0)
+
+
+def contrib_recurrent(seconds: float) -> Trained:
+    """RecurrentPPO of sb3-contrib, one network for all agents."""
+    from sb3_contrib import RecurrentPPO
+
+    return _of_sb3(RecurrentPPO, "MlpLstmPolicy", _worlds(), seconds, 2, seed=0, n_steps=64, gamma=1.0)
+
+
+def supersuit_ppo(seconds: float) -> Trained:
+    """PPO of Stable-Baselines3 on SuperSuit's rows of the PettingZoo environment."""
+    import supersuit as wrappers
+    from stable_baselines3 import PPO
+
+    env = wrappers.pad_action_space_v0(cg.parallel_env(ID, actions="unit", reward="progress"))
+    rows = wrappers.pettingzoo_env_to_vec_env_v1(wrappers.pad_observations_v0(env))
+    worlds = wrappers.concat_vec_envs_v1(rows, 8, base_class="stable_baselines3")
+    return _of_sb3(PPO, "MlpPolicy", worlds, seconds, 2, n_steps=64, batch_size=256, gamma=1.0)
+
+
+def single_file(seconds: float) -> Trained:
+    """PPO in one file in the manner of CleanRL: a module with `actor_mean`, on 256 worlds of `team_env`."""
+    import torch
+    from torch import nn
+
+    torch.manual_seed(0)
+    env = cg.team_env(ID, 256, reward="progress")
+    first = env.reset(seed=0)
+    observed, answered = first.observations[env.agents[0]].shape[1] + len(env.agents), 1
+
+    class Agent(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            sizes = (observed, 64), (64, 64)
+            hidden = [[part for size in sizes for part in (nn.Linear(*size), nn.Tanh())] for _ in range(2)]
+            self.actor_mean = nn.Sequential(*hidden[0], nn.Linear(64, answered))
+            self.critic = nn.Sequential(*hidden[1], nn.Linear(64, 1))
+            self.actor_logstd = nn.Parameter(torch.full((1, answered), -0.5))
+
+    agent = Agent()
+    adam, steps, told = torch.optim.Adam(agent.parameters(), lr=1e-3, eps=1e-5), 0, first
+    until = time.perf_counter() + seconds
+
+    def rows_of(step: Any) -> Any:
+        marks = np.eye(len(env.agents), dtype=np.float32)
+        parts = [
+            np.concatenate([step.observations[n], np.tile(marks[i], (256, 1))], 1) for i, n in enumerate(env.agents)
+        ]
+        return torch.as_tensor(np.stack(parts, 1))  # (worlds, agents, observed)
+
+    while time.perf_counter() < until:
+        seen, acted, chances, gained, ended, worth = [], [], [], [], [], []
+        for _ in range(32):
+            rows = rows_of(told)
+            with torch.no_grad():
+                law = torch.distributions.Normal(agent.actor_mean(rows), agent.actor_logstd.exp())
+                action = law.sample()
+                chances.append(law.log_prob(action).sum(-1))
+                worth.append(agent.critic(rows)[..., 0])
+            told = env.step({name: action[:, i].numpy() for i, name in enumerate(env.agents)})
+            seen.append(rows)
+            acted.append(action)
+            gained.append(torch.as_tensor(told.rewards, dtype=torch.float32)[:, None])
+            ended.append(torch.as_tensor(told.ended, dtype=torch.float32)[:, None])
+            steps += 256
+        with torch.no_grad():
+            after, advantage, found = agent.critic(rows_of(told))[..., 0], torch.zeros_like(worth[0]), []
+            for reward, done, value in zip(gained[::-1], ended[::-1], worth[::-1], strict=True):
+                advantage = reward + (1 - done) * after - value + 0.95 * (1 - done) * advantage
+                found.append(advantage)
+                after = value
+        better = torch.stack(found[::-1]).flatten()
+        data = [torch.stack(x).flatten(0, 2) for x in (seen, acted, chances, worth)]
+        for _ in range(4):
+            for pick in torch.randperm(len(better)).split(4096):
+                rows, action, before, value = (x[pick] for x in data)
+                law = torch.distributions.Normal(agent.actor_mean(rows), agent.actor_logstd.exp())
+                ratio = (law.log_prob(action).sum(-1) - before).exp()
+                gain = (better[pick] - better[pick].mean()) / (better[pick].std() + 1e-8)
+                loss = -torch.minimum(ratio * gain, ratio.clip(0.8, 1.2) * gain).mean()
+                loss = loss + 0.5 * (agent.critic(rows)[:, 0] - value - better[pick]).square().mean()
+                adam.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+                adam.step()
+    # Own state in [-1, 1], automaton state, time left, which agent: the rows of shared worlds.
+    return agent, "shared_vec_env", steps
+
+
+def torchrl_ppo(seconds: float) -> Trained:
+    """PPO of TorchRL on the group of agents that its PettingZooWrapper makes."""
+    import torch
+    from tensordict.nn import NormalParamExtractor, TensorDictModule
+    from torchrl.collectors import Collector
+    from torchrl.envs import PettingZooWrapper
+    from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
+    from torchrl.objectives import ClipPPOLoss, ValueEstimators
+
+    torch.manual_seed(0)
+    options = {"actions": "unit", "dtype": "float32", "reward": "progress"}
+    zoo = cg.parallel_env(ID, **options)
+    env = PettingZooWrapper(zoo, use_mask=False)
+    group = next(iter(env.group_map))
+    seen, action = (group, "observation"), (group, "action")
+    size = env.observation_spec[seen].shape[-1]
+    net = torch.nn.Sequential(MLP(size, 2, num_cells=[64, 64], activation_class=torch.nn.Tanh), NormalParamExtractor())
+    outs = [(group, "loc"), (group, "scale")]
+    actor = ProbabilisticActor(
+        TensorDictModule(net, in_keys=[seen], out_keys=outs),
+        in_keys=outs,
+        out_keys=[action],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+        log_prob_key=(group, "log_prob"),
+    )
+    critic = TensorDictModule(MLP(size, 1, num_cells=[64, 64]), in_keys=[seen], out_keys=[(group, "state_value")])
+    collector = Collector(env, actor, frames_per_batch=500, total_frames=-1)
+    loss = ClipPPOLoss(actor, critic, entropy_coeff=1e-3)
+    loss.set_keys(
+        reward=(group, "reward"), action=action, sample_log_prob=(group, "log_prob"), value=(group, "state_value"),
+        done=(group, "done"), terminated=(group, "terminated"),
+    )  # fmt: skip
+    loss.make_value_estimator(ValueEstimators.GAE, gamma=1.0, lmbda=0.95)
+    adam, until, steps = torch.optim.Adam(loss.parameters(), 1e-3), time.perf_counter() + seconds, 0
+    for data in collector:
+        steps += 500
+        with torch.no_grad():
+            loss.value_estimator(
+                data, params=loss.critic_network_params, target_params=loss.target_critic_network_params
+            )
+        for _ in range(6):
+            found = loss(data)
+            adam.zero_grad()
+            sum(found[k].mean() for k in list(found.keys()) if k.startswith("loss_")).backward()
+            adam.step()
+        if time.perf_counter() > until:
+            break
+    collector.shutdown()
+    return actor, "parallel_env(actions=unit)", steps
+
+
+def tianshou_sac(seconds: float) -> Trained:
+    """SAC of Tianshou on the centralised environment, by its high-level interface."""
+    from tianshou.highlevel.config import OffPolicyTrainingConfig
+    from tianshou.highlevel.env import EnvFactoryRegistered, VectorEnvType
+    from tianshou.highlevel.experiment import ExperimentConfig, SACExperimentBuilder
+
+    envs = EnvFactoryRegistered(task=f"certigym/{ID}", venv_type=VectorEnvType.DUMMY, reward="progress")
+    taken = int(60 * seconds)
+    training = OffPolicyTrainingConfig(
+        max_epochs=1, epoch_num_steps=taken, collection_step_num_env_steps=40, num_training_envs=4, num_test_envs=1,
+        batch_size=128, start_timesteps=500, update_step_num_gradient_steps_per_sample=0.5,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        config = ExperimentConfig(persistence_enabled=False, watch=False, persistence_base_dir=folder)
+        experiment = SACExperimentBuilder(envs, config, training).build()
+        result = experiment.run(run_name="certigym")
+    return result.world.algorithm, "central_env", taken
+
+
+def rllib_ppo(seconds: float) -> Trained:
+    """PPO of RLlib with one policy for all agents; its checkpoint comes back."""
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+    from ray.tune.registry import register_env
+
+    options = {"actions": "unit", "dtype": "float32", "reward": "progress"}
+    register_env("certigym", lambda config: ParallelPettingZooEnv(cg.parallel_env(ID, **options)))
+    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+    config = (
+        PPOConfig()
+        .environment("certigym")
+        .env_runners(num_env_runners=0)
+        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, episode, **rest: "shared")
+        .rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="tanh"))
+        .training(train_batch_size=1000, minibatch_size=250, num_epochs=6, gamma=1.0, lr=1e-3)
+    )
+    try:
+        algorithm, until, steps = config.build_algo(), time.perf_counter() + seconds, 0
+        while time.perf_counter() < until:
+            algorithm.train()
+            steps += 1000
+        folder = tempfile.mkdtemp()
+        algorithm.save_to_path(folder)
+        policy = cg.as_policy(folder, ID, "parallel_env(actions=unit)", module="shared")
+    finally:
+        ray.shutdown()
+    return policy, None, steps
+
+
+CLIENTS: dict[str, tuple[str, Callable[[float], Trained]]] = {
+    "sb3-ppo": ("stable-baselines3", sb3_ppo),
+    "sb3-td3": ("stable-baselines3", sb3_td3),
+    "sb3-sac": ("stable-baselines3", sb3_sac),
+    "contrib-trpo": ("sb3-contrib", contrib_trpo),
+    "contrib-crossq": ("sb3-contrib", contrib_crossq),
+    "contrib-recurrent": ("sb3-contrib", contrib_recurrent),
+    "supersuit-ppo": ("SuperSuit", supersuit_ppo),
+    "single-file": ("torch", single_file),
+    "torchrl": ("torchrl", torchrl_ppo),
+    "tianshou": ("tianshou", tianshou_sac),
+    "rllib": ("ray", rllib_ppo),
+}
+
+
+def judged(name: str, package: str, train: Callable[[float], Trained], seconds: float) -> str:
+    """Train, bring back, judge: a row of the table."""
+    began = time.perf_counter()
+    model, env, steps = train(seconds)
+    spent = time.perf_counter() - began
+    problem = cg.make_problem(ID)
+    policy = cg.as_policy(model, problem, env)
+    runs = cg.rollout(problem, policy, EPISODES)
+    rate = f"{runs.successes / runs.episodes:.5f}"
+    wrapped = raw = "-"
+    why = getattr(policy, "why_not_certified", "")
+    if not why:
+        wrapped = f"{cg.certify(problem, policy, CELLS).certificate.lower_bound:.5f}"
+        why = policy.why_not_as_it_is
+        if not why:
+            found = cg.certify(problem, policy, CELLS, raw=True)
+            assert cg.check(found)
+            raw = f"{found.certificate.lower_bound:.5f}"
+    text = (train.__doc__ or "").strip().rstrip(".")
+    return (
+        f"| {text} ({package} {version(package)}) | {steps:,} in {spent:.0f} s | {policy.information} | {rate} | "
+        f"{wrapped} | {raw} | {why or '-'} |"
+    )
+
+
+def main() -> int:
+    """Try the libraries that are named, or all that are installed; return 1 if one failed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=list(CLIENTS))
+    parser.add_argument("--seconds", type=float, default=60.0)
+    options, failed = parser.parse_args(), 0
+    for name in options.names:
+        package, train = CLIENTS[name]
+        try:
+            version(package)
+        except PackageNotFoundError:
+            print(f"{name}: {package} is not installed", flush=True)
+            continue
+        try:
+            print(judged(name, package, train, options.seconds), flush=True)
+        except Exception as error:  # noqa: BLE001 (whatever a foreign library raises is a finding)
+            failed += 1
+            print(f"{name}: {type(error).__name__}: {error}", flush=True)
+    return min(failed, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
