@@ -59,7 +59,7 @@ INSIDE = 0.999
 
 def certify(
     problem: Any,
-    policy: Policy,
+    policy: Any,
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",
@@ -164,7 +164,7 @@ def _by_subtraction(problem: Problem, policy: Decentralised, cells: CellCounts, 
 
 def improve(
     problem: Any,
-    policy: Policy,
+    policy: Any,
     cells: CellCounts = None,
     *,
     relation: Relations = "auto",

@@ -137,7 +137,7 @@ MISTAKES: list[tuple[Callable[[], Any], str, str]] = [
     (lambda: cg.validate_field(PROBLEM, [[0, 0]]), "certificate", "make one with `synthesize`"),
     (lambda: cg.save_certificate(PROBLEM, "c.npz"), "certificate", "make one with `synthesize`"),  # type: ignore[arg-type]
     (lambda: cg.load_certificate("nowhere.npz"), "nowhere.npz", "write one with `save_certificate`"),
-    (lambda: cg.rollout(PROBLEM, 3, 10), "controller", "`as_controller(problem, policy)`"),
+    (lambda: cg.rollout(PROBLEM, 3, 10), "controller", "`as_policy`"),
     (lambda: cg.rollout(PROBLEM, RESULT, 0), "episodes", "at least 1"),
     (lambda: cg.validate(RESULT, executor="tcp://here:8786"), "executor", "open one with `executor_for`"),  # type: ignore[arg-type]
     (lambda: RESULT.controller.act({"x": np.zeros(3)}), "observations", "act in its own environment"),

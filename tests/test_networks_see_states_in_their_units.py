@@ -34,8 +34,8 @@ def network_of(problem: cg.Problem, form: tuple[str, str], hidden: list[int], ki
     if form[1] == "input" and not squashed:
         half, centre = 0.5 * (agent.input_high - agent.input_low), 0.5 * (agent.input_high + agent.input_low)
         weights[-1], biases[-1] = weights[-1] * half[:, None], biases[-1] * half + centre
-    singles = [tuple(x.astype(np.float32) for x in arrays) for arrays in (weights, biases)]
-    return Network(*singles, kind, squashed)
+    first, second = (tuple(x.astype(np.float32) for x in arrays) for arrays in (weights, biases))
+    return Network(first, second, kind, squashed)
 
 
 def policy_of(problem: cg.Problem, form: tuple[str, str], shape: tuple[list[int], str, bool]) -> Any:
@@ -104,7 +104,7 @@ def certified() -> tuple[cg.Problem, Any, cg.Synthesis]:
 def test_the_bound_is_that_of_the_network_itself(certified: tuple[cg.Problem, Any, cg.Synthesis]) -> None:
     problem, policy, found = certified
     assert cg.check(found)
-    assert differences(found.certificate, policy) == []  # type: ignore[arg-type]
+    assert differences(found.certificate, policy) == []
     runs = cg.rollout(problem, policy, 20_000)
     assert 0.3 < found.certificate.lower_bound <= runs.successes / runs.episodes + 0.02
     # The controller of the certificate does what the network does, in every episode.
@@ -115,11 +115,11 @@ def test_files_keep_the_form_and_refuse_another(certified: tuple[cg.Problem, Any
     _, policy, found = certified
     cg.save_certificate(found.certificate, tmp_path / "c.npz")
     read = cg.load_certificate(tmp_path / "c.npz")
-    assert cg.check(read) and differences(read, policy) == []  # type: ignore[arg-type]
-    assert read.agents[0].relation["network"]["scale"] == "raw"  # type: ignore[union-attr]
-    assert read.agents[0].relation["network"]["outputs"] == "box"  # type: ignore[union-attr]
+    assert cg.check(read) and differences(read, policy) == []
+    assert read.agents[0].relation["network"]["scale"] == "raw"
+    assert read.agents[0].relation["network"]["outputs"] == "box"
     for facts in ({"scale": "unit"}, {"outputs": "unit"}, {"scale": "metric"}, {"outputs": "metric"}):
-        other = changed(found.certificate, **facts)  # type: ignore[arg-type]
+        other = changed(found.certificate, **facts)
         assert not _passes(other), facts
         assert differences(other, policy) != []
 

@@ -23,6 +23,8 @@ from problems import cart, scalar_agent
 
 sb3 = pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
+Module: Any = torch.nn.Module
+Sequential: Any = torch.nn.Sequential
 
 RNG = np.random.default_rng(0)
 PARALLEL = [
@@ -60,6 +62,10 @@ def chain(observed: int, answered: int, *more: Any) -> Any:
     return module
 
 
+def space_size(space: Any) -> int:
+    return int(space.shape[0])
+
+
 def inputs_at(policy: Any, problem: cg.Problem, states: Any, q: int, time: int) -> list[Any]:
     """Inputs (m,) of all agents at states of theirs, as rollouts ask for them."""
     dynamics = Dynamics.of(problem)
@@ -78,8 +84,8 @@ def test_rows_are_those_that_environments_show(problem: cg.Problem, uneven: cg.P
             env = cg.parallel_env(task, **options)
             models = {}
             for name in env.possible_agents:
-                observed = env.observation_space(name).shape[0]
-                models[name] = chain(observed, env.action_space(name).shape[0])
+                observed = space_size(env.observation_space(name))
+                models[name] = chain(observed, space_size(env.action_space(name)))
             policy = cg.as_policy(models, task, env)
             seen, infos = env.reset(seed=3)
             for time in range(3):
@@ -286,7 +292,7 @@ def test_arrays_modules_and_files_are_the_same_policy(problem: cg.Problem, tmp_p
     assert {type(policy).__name__ for policy in policies[:-2]} == {"OwnModels"}
 
 
-class Agent(torch.nn.Module):
+class Agent(Module):
     """The agent of CleanRL's ppo_continuous_action.py."""
 
     def __init__(self, observed: int, answered: int) -> None:
@@ -296,7 +302,7 @@ class Agent(torch.nn.Module):
         self.actor_logstd = torch.nn.Parameter(torch.zeros(1, answered))
 
 
-class Actor(torch.nn.Module):
+class Actor(Module):
     """The actor of CleanRL's sac_continuous_action.py."""
 
     def __init__(self, observed: int, answered: int, half: float) -> None:
@@ -351,7 +357,7 @@ def test_what_cannot_be_certified_as_it_is_says_why(problem: cg.Problem) -> None
         cg.certify(problem, central, 20, raw=True)
 
 
-class Wrong(torch.nn.Module):
+class Wrong(Module):
     """Layers in the order of a chain that are used otherwise."""
 
     def __init__(self, n: int) -> None:
@@ -359,7 +365,7 @@ class Wrong(torch.nn.Module):
         self.actor = Shifted(chain(n, 1))
 
 
-class Shifted(torch.nn.Sequential):
+class Shifted(Sequential):
     def __init__(self, inner: Any) -> None:
         super().__init__(*inner)
 
@@ -597,7 +603,7 @@ def test_policies_of_tianshou(problem: cg.Problem) -> None:
     from tianshou.utils.net.continuous import ContinuousActorProbabilistic
 
     env = cg.parallel_env(problem, actions="unit", dtype="float32")
-    space, n = env.action_space("a"), env.observation_space("a").shape[0]
+    space, n = env.action_space("a"), space_size(env.observation_space("a"))
     net = Net(state_shape=n, hidden_sizes=[8, 8])
     actor = ContinuousActorProbabilistic(
         preprocess_net=net, action_shape=1, unbounded=True, conditioned_sigma=True
@@ -617,7 +623,7 @@ def test_modules_of_rllib(problem: cg.Problem, tmp_path: Path) -> None:
     from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
 
     env = cg.parallel_env(problem, actions="unit", dtype="float32")
-    space, n = env.action_space("a"), env.observation_space("a").shape[0]
+    space, n = env.action_space("a"), space_size(env.observation_space("a"))
     module = DefaultPPOTorchRLModule(
         observation_space=env.observation_space("a"), action_space=space, catalog_class=PPOCatalog,
         model_config={"fcnet_hiddens": [8], "fcnet_activation": "tanh", "vf_share_layers": False},

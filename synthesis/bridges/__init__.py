@@ -1,7 +1,7 @@
 """Models of other libraries brought into the forms that verbs take: what they are, what they see, and written files."""
 
 from .actor_files import NotAnActor, stored
-from .bringing import as_policy, brought, certifiable, is_model
+from .bringing import as_policy, batchable, brought, certifiable, is_model
 from .environments import sight_of
 from .found import Found, Reader
 from .local_policies import LocalBatch, LocalController
@@ -19,6 +19,7 @@ __all__ = [
     "Sight",
     "TeamModels",
     "as_policy",
+    "batchable",
     "brought",
     "certifiable",
     "is_model",

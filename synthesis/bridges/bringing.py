@@ -82,12 +82,20 @@ def as_policy(model: Any, problem: Any, env: Any = None, **facts: Any) -> Any:
     unknown = sorted(set(facts) - set(FACTS))
     if unknown:
         raise ValueError(f"`{unknown[0]}`: expected {', '.join(FACTS)}, got another fact about a model")
-    problem = as_problem(problem)
-    policy = brought(model, problem, env, facts)
-    return LocalController(decentralised(problem, policy)) if not hasattr(policy, "batch") else policy
+    return batchable(model, as_problem(problem), env, facts)
 
 
-def brought(model: Any, problem: Problem, env: Any = None, facts: Mapping[str, Any] | None = None) -> Any:
+def batchable(
+    model: Any, problem: Problem, env: Any = None, facts: Mapping[str, Any] | None = None, argument: str = "policy"
+) -> Any:
+    """Return what ``as_policy`` returns; messages speak of an argument of this name."""
+    policy = brought(model, problem, env, facts, argument)
+    return policy if hasattr(policy, "batch") else LocalController(decentralised(problem, policy))
+
+
+def brought(
+    model: Any, problem: Problem, env: Any = None, facts: Mapping[str, Any] | None = None, argument: str = "policy"
+) -> Any:
     """Return models of other libraries as policies, and everything else as the policy that it is or carries.
 
     A function, a table or a mapping of these comes back as it is: ``decentralised`` takes it.
@@ -123,9 +131,9 @@ def brought(model: Any, problem: Problem, env: Any = None, facts: Mapping[str, A
         return model
     understood = "; ".join(reader.SAYS for reader in READERS)
     raise ValueError(
-        f"`policy`: expected a function or a table, or a model that is known, got {type(model).__name__}; understood "
-        f"are functions `u = f(x, q, time)`, controllers, certificates; {understood}; and a mapping from agent names "
-        "to these"
+        f"`{argument}`: expected a function or a table, or a model that is known, got {type(model).__name__}; "
+        f"understood are functions `u = f(x, q, time)`, controllers, certificates; {understood}; and a mapping from "
+        "agent names to these (see `as_policy`)"
     )
 
 
@@ -156,7 +164,10 @@ def _of_file(path: Path, problem: Problem, env: Any, facts: dict[str, Any]) -> A
     if at and not path.exists():
         path, env = Path(name), told if env is None else env
     if not path.exists():
-        raise ValueError(f"`policy`: expected a file or folder that exists, got {str(path)!r}")
+        raise ValueError(
+            f"`policy`: expected a function or a table, a model, or the path of a file or folder that exists, got "
+            f"{str(path)!r}"
+        )
     reader = rllib if path.is_dir() else FILES.get(path.suffix)
     if reader is None:
         try:

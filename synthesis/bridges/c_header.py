@@ -119,9 +119,9 @@ def _aims_and_menu(agent: AgentController) -> tuple[ExactRelation | None, NDArra
     relation = agent.relation
     if isinstance(relation, ExactRelation):
         return relation, np.zeros((0, 0))
-    is_table = isinstance(relation, MapRelation) and network_of(relation) is None
-    if is_table and isinstance(relation.aims, ExactRelation | None):
-        return relation.aims, np.asarray(relation.menu, dtype=float)
+    aims = relation.aims if isinstance(relation, MapRelation) else None
+    if isinstance(relation, MapRelation) and network_of(relation) is None and isinstance(aims, ExactRelation | None):
+        return aims, np.asarray(relation.menu, dtype=float)
     raise ValueError(
         f"`policy`: expected controllers of the relations exact or linear, whose dynamics are linear, got the relation "
         f"{relation.kind} of agent `{agent.name}`; networks are written as .onnx"

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.suite import as_problem
-from ...synthesis.bridges import LocalController, brought
-from ...synthesis.controllers import decentralised
+from ...synthesis.bridges import batchable
 
 Array = NDArray[Any]
 
@@ -86,6 +85,4 @@ def as_controller(problem: Any, policy: Any) -> Any:
     policy : mapping, function, InputTable, controller, actor or model
         As for ``certify`` and ``as_policy``: one policy for all agents, or one per agent by name.
     """
-    problem = as_problem(problem)
-    found = brought(policy, problem)
-    return found if hasattr(found, "batch") else LocalController(decentralised(problem, found))
+    return batchable(policy, as_problem(problem))

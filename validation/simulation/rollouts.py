@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...envs.agents import counted, tree_text
 from ...envs.dynamics import Behaviour, checked_behaviour
 from ...envs.suite import as_problem
-from ...synthesis.bridges import as_policy
+from ...synthesis.bridges import batchable
 from .chunks import ChunkResult, chunk_results, chunks_of
 from .loop import Loop
 from .mismatch import Mismatch
@@ -108,7 +108,7 @@ def rollout(
     problem = as_problem(problem)
     controller = getattr(controller, "controller", controller)  # syntheses and certificates have one
     if not hasattr(controller, "batch"):
-        controller = as_policy(controller, problem)
+        controller = batchable(controller, problem, argument="controller")
     if initial_state is not None:
         problem = problem.replace(initial_state=initial_state)
     settled = planned(plan, trial, 10_000)
