@@ -112,7 +112,7 @@ def brought(
     for attribute in ("controller", "actor"):
         if hasattr(getattr(model, attribute, None), "batch"):
             return getattr(model, attribute)
-    if hasattr(model, "batch") or hasattr(model, "inputs"):
+    if hasattr(model, "batch") or callable(getattr(model, "inputs", None)):
         return model
     reader = _reader(model)
     if reader is not None:
@@ -129,11 +129,11 @@ def brought(
         return _mixed(model, problem, env, known)
     if callable(model) or isinstance(model, Mapping | InputTable | Vectorized):
         return model
-    understood = "; ".join(reader.SAYS for reader in READERS)
+    understood = ", ".join(reader.SAYS for reader in READERS)
     raise ValueError(
         f"`{argument}`: expected a function or a table, or a model that is known, got {type(model).__name__}; "
-        f"understood are functions `u = f(x, q, time)`, controllers, certificates; {understood}; and a mapping from "
-        "agent names to these (see `as_policy`)"
+        f"understood are functions `u = f(x, q, time)`, controllers, {understood}, and one of these for each agent by "
+        "name (see `as_policy`)"
     )
 
 

@@ -59,6 +59,10 @@ class Found:
     action_space: tuple[Array, Array] | None = None
     shares: bool = False
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Send networks to workers without the model itself, which they do not need and which may not be pickled."""
+        return {**vars(self), "act": None} if self.networks else vars(self)
+
 
 class Reader(Protocol):
     """What is known of one library: a module of this room with these names."""

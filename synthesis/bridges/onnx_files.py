@@ -15,7 +15,7 @@ import numpy as np
 from ..relations import Network
 from .found import Found, agreed, origins
 
-SAYS = "files of ONNX (.onnx, the extra `onnx`) and sessions of onnxruntime"
+SAYS = "ONNX (.onnx)"
 
 EXTRA = 'ONNX needs onnx and onnxruntime: install "certigym[onnx]"'
 KEY = "certigym"

@@ -14,7 +14,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "modules, algorithms and checkpoints of RLlib"
+SAYS = "of RLlib (folders)"
 
 
 def recognises(model: Any) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "models and policies of Stable-Baselines3 and sb3-contrib, and their files (.zip)"
+SAYS = "models of Stable-Baselines3 and sb3-contrib (.zip)"
 
 
 def recognises(model: Any) -> bool:

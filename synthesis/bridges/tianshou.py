@@ -9,7 +9,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "policies and algorithms of Tianshou"
+SAYS = "of Tianshou"
 
 
 def recognises(model: Any) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "modules of torch (also with `actor_mean` or `fc_mean` as in CleanRL), and files of torch.save(module) (.pt)"
+SAYS = "modules of torch (.pt)"
 
 ACTORS = ("actor_mean", "actor", "mean_net", "mu", "pi")
 """Members that are the deterministic actor of a module."""
@@ -90,11 +90,12 @@ def _asked(module: Any, rows: Any) -> Any:
     """Return the answer of a module in evaluation, the first one if there are several."""
     import torch
 
-    was, dtype = module.training, next((p.dtype for p in module.parameters()), torch.float32)
+    first = next(module.parameters(), torch.zeros(0))
+    was, place = module.training, {"dtype": first.dtype, "device": first.device}
     module.eval()
     try:
         with torch.no_grad():
-            answer = module(torch.as_tensor(np.asarray(rows)).to(dtype))
+            answer = module(torch.as_tensor(np.asarray(rows)).to(**place))
     finally:
         module.train(was)
     answer = answer[0] if isinstance(answer, tuple) else answer

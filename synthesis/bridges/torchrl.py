@@ -12,7 +12,7 @@ import numpy as np
 from .found import Found, agreed, origins
 from .layers import NotFeedForward, network_of
 
-SAYS = "policies of TorchRL (TensorDictModule, ProbabilisticActor)"
+SAYS = "of TorchRL"
 
 
 def recognises(model: Any) -> bool:
@@ -67,9 +67,10 @@ def _asked(model: Any, key: Any, answer: Any) -> Any:
         from tensordict import TensorDict
         from tensordict.nn import InteractionType, set_interaction_type
 
-        kind = next((p.dtype for p in model.parameters()), torch.float32)
-        told = TensorDict({}, batch_size=[len(rows)])
-        told.set(key, torch.as_tensor(np.asarray(rows)).to(kind))
+        first = next(model.parameters(), torch.zeros(0))
+        place = {"dtype": first.dtype, "device": first.device}
+        told = TensorDict({}, batch_size=[len(rows)], device=first.device)
+        told.set(key, torch.as_tensor(np.asarray(rows)).to(**place))
         was = model.training
         model.eval()
         with torch.no_grad(), set_interaction_type(InteractionType.DETERMINISTIC):

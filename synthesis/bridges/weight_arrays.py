@@ -21,7 +21,7 @@ import numpy as np
 from ..relations import ACTIVATIONS, Network
 from .found import Found
 
-SAYS = "weights and biases as arrays: [(W, b), ...], parameters of flax, or {'weights': ..., 'biases': ...}"
+SAYS = "layers as arrays [(W, b), ...]"
 
 
 def recognises(model: Any) -> bool:
