@@ -148,5 +148,5 @@ def test_what_does_not_fit_is_refused_in_words(problem: cg.Problem, shield: Shie
         cg.shield(problem, shield).reset(seed=0, options={"initial_state": [-19.0, -4.0]})
     with pytest.raises(ValueError, match=r"`starts`: expected starts from which 0[.]75"):
         cg.rollout(problem, cg.shielded(RandomController(), shield), 10, initial_state=[-19.0, -4.0])
-    with pytest.raises(ValueError, match="`policy`: expected an object with"):
-        cg.shielded(lambda x: x, shield)
+    with pytest.raises(ValueError, match="`policy`: expected a function or a table, or a model"):
+        cg.shielded(3, shield)

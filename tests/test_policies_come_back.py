@@ -453,6 +453,16 @@ def test_messages_name_what_is_known(problem: cg.Problem) -> None:
         cg.as_policy(chain(n, 1), problem, object())
 
 
+def test_files_that_cannot_be_read_say_so(problem: cg.Problem, tmp_path: Path) -> None:
+    for name in ("a.zip", "a.pt", "a.npz"):
+        (tmp_path / name).write_bytes(b"nothing of the kind")
+        with pytest.raises(ValueError, match=r"expected|not? a zip|wasn't"):
+            cg.as_policy(tmp_path / name, problem)
+    torch.save(chain(4, 1).state_dict(), tmp_path / "numbers.pt")
+    with pytest.raises(ValueError, match="whole module"):
+        cg.as_policy(tmp_path / "numbers.pt", problem)
+
+
 def test_functions_and_models_stand_beside_each_other(problem: cg.Problem) -> None:
     n = 1 + problem.automaton.n_states + 1
     module = chain(n, 1)
@@ -477,6 +487,10 @@ def test_the_command_line_takes_files(problem: cg.Problem, tmp_path: Path, capsy
     for more in ([], ["--raw"]):
         command = ["certify", "reach-avoid-v0", "--horizon", "5", "--policy", str(tmp_path / "m.zip"), *more]
         assert main([*command, "--cells", "30", "--episodes", "200"]) == 0
+    header = str(tmp_path / "policy.h")
+    saving = ["save-policy", "reach-avoid-v0", "--horizon", "3", "--cells", "20", "--relation", "exact"]
+    assert main([*saving, "--policy", "certified", "--out", header]) == 0
+    assert "static void policy_agent_0_act" in (tmp_path / "policy.h").read_text()
     assert main(["compare", "reach-avoid-v0", "--policies", str(tmp_path / "none.zip")]) == 2
     assert "existing file" in capsys.readouterr().err
 

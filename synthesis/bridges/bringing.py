@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,9 @@ FILES: dict[str, Any] = {
     ".zip": stable_baselines3, ".onnx": onnx_files, ".pt": torch_modules, ".pth": torch_modules,
 }  # fmt: skip
 """Who reads files, by their ends; folders are checkpoints of RLlib."""
+
+UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, EOFError, KeyError)
+"""What libraries raise at files that are not theirs."""
 
 FACTS = ("activation", "squashed", "key", "answer", "module")
 """What may be said of a model that it does not say itself."""
@@ -176,11 +181,19 @@ def _of_file(path: Path, problem: Problem, env: Any, facts: dict[str, Any]) -> A
             return any_certificate(str(path)).controller
         return _made(problem, [found], own if env is None else env)
     try:
+        found = reader.read_file(path, facts)
         if env is None and reader is onnx_files:
             env = onnx_files.env_of(path)
-        return _made(problem, [reader.read_file(path, facts)], env)
+        return _made(problem, [found], env)
     except ImportError as error:
         raise ValueError(f"`{path}`: expected the library that reads it, found none: {error}") from error
+    except AttributeError as error:  # a class of the script that has saved it
+        raise ValueError(
+            f"`{path}`: expected classes that can be imported, got {error}; load it in a Python file that has "
+            "them, and give FILE.py:NAME or the object"
+        ) from error
+    except UNREADABLE as error:
+        raise ValueError(f"`{path}`: expected a file that its library has saved: {error}") from error
 
 
 def _made_of_files(model: Mapping[str, Any], problem: Problem, env: Any, facts: dict[str, Any]) -> Any:

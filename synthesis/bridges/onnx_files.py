@@ -42,9 +42,9 @@ def read_file(path: Path, facts: dict[str, Any]) -> Found:
 
 def env_of(path: Path) -> str | None:
     """Return the environment that a file of this package names; None for other files."""
-    _, onnxruntime = needed()
-    metadata = onnxruntime.InferenceSession(str(path)).get_modelmeta().custom_metadata_map
-    return str(json.loads(metadata[KEY])["env"]) if KEY in metadata else None
+    onnx, _ = needed()
+    facts = {entry.key: entry.value for entry in onnx.load(str(path)).metadata_props}
+    return str(json.loads(facts[KEY])["env"]) if KEY in facts else None
 
 
 def needed() -> tuple[Any, Any]:
@@ -90,8 +90,14 @@ def written(network: Network, metadata: dict[str, Any]) -> bytes:
 def _read(content: bytes, name: str) -> Found:
     """Return what the bytes of a file are."""
     onnx, onnxruntime = needed()
+    from google.protobuf.message import DecodeError
+
+    try:
+        graph = onnx.load_from_string(content).graph
+    except DecodeError as error:
+        raise ValueError(f"`policy`: expected {name} to be of ONNX: {error}") from error
     session = onnxruntime.InferenceSession(content)
-    chain = _chain(onnx, onnx.load_from_string(content).graph)
+    chain = _chain(onnx, graph)
     network, why = (chain, "") if isinstance(chain, Network) else (None, chain)
     return _of_session(session, name, network, why)
 

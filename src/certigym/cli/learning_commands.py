@@ -1,4 +1,5 @@
-"""The commands about policies: ``train``, ``probe``, ``leaderboard``, ``record``, ``compare``, ``certify``."""
+"""The commands about policies: ``train``, ``probe``, ``leaderboard``, ``record``, ``compare``, ``certify``,
+``save-policy``."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from tqdm import tqdm
 
 from ..envs.agents import counted, write_json, write_text
 from ..envs.suite import as_problem
+from ..synthesis.bridges import save_policy as save_for_others
 from ..synthesis.certificates import save_certificate
 from ..synthesis.certify import certify as certify_policy
 from ..synthesis.certify import improve as improve_policy
@@ -163,6 +165,16 @@ def record(options: Namespace) -> int:
         "steps": int(found.lengths.sum()),
     }
     show(options, found, {**facts, **counts, "information": found.information})
+    return 0
+
+
+def save_policy(options: Namespace) -> int:
+    """Write a policy as a file that other programs run."""
+    problem = problem_of(options)
+    policy = policy_of_word(problem, options.policy, options)
+    path = save_for_others(policy[0] if isinstance(policy, list) else policy, options.out, options.agent)
+    size = path.stat().st_size
+    show(options, f"{path}: {size:,} bytes", {"path": str(path), "bytes": size, "agent": options.agent})
     return 0
 
 

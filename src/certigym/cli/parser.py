@@ -37,6 +37,7 @@ MODULES = {
     "leaderboard": "learning_commands",
     "record": "learning_commands",
     "compare": "learning_commands",
+    "save-policy": "learning_commands",
     "plot": "picture_commands",
     "reproduce": "validation_commands",
 }
@@ -259,6 +260,15 @@ def _add_comparing(commands: Any) -> None:
     add_models(record)
     record.add_argument("--out", metavar="DATA", required=True, help="file to write (.npz)")
     record.add_argument("--minari", metavar="NAME", help="also write this Minari dataset (needs certigym[data])")
+
+    save = commands.add_parser("save-policy", help="write a policy for other programs: networks as ONNX, tables as C")
+    add_problem(save)
+    save.add_argument("--policy", required=True, metavar="POLICY", help=POLICIES)
+    save.add_argument("--agent", metavar="NAME", help="whose policy (default: that of all agents)")
+    save.add_argument("--steps", type=int, metavar="N", help="world steps of a learner (default: by algorithm)")
+    save.add_argument("--train-seeds", nargs="+", type=int, default=[0], metavar="S", help="of a learner (0)")
+    add_models(save)
+    save.add_argument("--out", metavar="FILE", required=True, help="file to write: .onnx or .h")
 
     compare = commands.add_parser("compare", help="compare policies on common random numbers")
     add_problem(compare)
