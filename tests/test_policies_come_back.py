@@ -212,9 +212,10 @@ def test_learners_of_this_package_are_read_like_others(problem: cg.Problem, algo
     """Networks of their own for each agent, and actors that see less than their critics."""
     training = cg.train(problem, algorithm, steps=64, worlds=4, seed=0)
     policy = cg.as_policy(training.model, problem)
+    actor: Any = training.actor
     states, q = RNG.uniform(-4.0, 4.0, (1, 20)), np.zeros(20, dtype=int)
     for i in (0, 1):
-        assert np.array_equal(policy.inputs(i, states, q, 2), training.actor.inputs(i, states, q, 2))
+        assert np.array_equal(policy.inputs(i, states, q, 2), actor.inputs(i, states, q, 2))
     assert cg.as_policy(training, problem) is training.actor
 
 

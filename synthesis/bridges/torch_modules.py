@@ -91,11 +91,11 @@ def _asked(module: Any, rows: Any) -> Any:
     import torch
 
     first = next(module.parameters(), torch.zeros(0))
-    was, place = module.training, {"dtype": first.dtype, "device": first.device}
+    was = module.training
     module.eval()
     try:
         with torch.no_grad():
-            answer = module(torch.as_tensor(np.asarray(rows)).to(**place))
+            answer = module(torch.as_tensor(np.asarray(rows)).to(first))
     finally:
         module.train(was)
     answer = answer[0] if isinstance(answer, tuple) else answer

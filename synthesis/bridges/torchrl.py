@@ -68,9 +68,8 @@ def _asked(model: Any, key: Any, answer: Any) -> Any:
         from tensordict.nn import InteractionType, set_interaction_type
 
         first = next(model.parameters(), torch.zeros(0))
-        place = {"dtype": first.dtype, "device": first.device}
         told = TensorDict({}, batch_size=[len(rows)], device=first.device)
-        told.set(key, torch.as_tensor(np.asarray(rows)).to(**place))
+        told.set(key, torch.as_tensor(np.asarray(rows)).to(first))
         was = model.training
         model.eval()
         with torch.no_grad(), set_interaction_type(InteractionType.DETERMINISTIC):
