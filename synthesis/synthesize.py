@@ -10,7 +10,7 @@ from ..envs.problem import Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts
 from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
-from .choosing import Budget, Effort, best_of, settings_of
+from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
 from .models import (
     RELATIONS,
     Relations,
@@ -171,6 +171,29 @@ def _of_task(
     if cells is not None:
         raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
     return best_of(ways_within(problem, kinds, plan), plan.effort)
+
+
+def ways_ahead(problem: Problem) -> list[tuple[Problem, list[Way]]]:
+    """Return the ways that ``synthesize`` tries for a problem without options, in order, for each independent task.
+
+    A way with a ``refusal`` does not apply; the others are tried while effort is left and something is to gain.
+    """
+    if problem.groups and not problem.labeling.pairs:
+        return [row for task in problem.tasks for row in ways_ahead(task)]
+    plan = Plan(Settings(), Search(), None, Effort())
+
+    def nothing(*arguments: object) -> Synthesis:
+        raise AssertionError("a way that is looked at was taken")
+
+    if problem.labeling.pairs:
+        ways = ways_together(problem, None, "auto", plan, nothing)
+    elif problem.names_time:
+        ways = ways_in_time(problem, nothing)
+    elif names_inputs(problem):
+        ways = ways_of_named_inputs(problem, plan, nothing)
+    else:
+        ways = ways_of(problem, None, ["auto"] * problem.n_agents, plan)
+    return [(problem, in_order(ways))]
 
 
 def _in_time(

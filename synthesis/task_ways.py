@@ -30,11 +30,12 @@ from .choosing import (
     linear_levels,
     linear_work,
     refine,
+    refused,
     with_settings,
     work_of,
 )
 from .models import Abstraction, Policies, Settings, abstraction_of, join, reaches_every_mean
-from .nominal_paths import path_certificate
+from .nominal_paths import path_certificate, refuse_without_path
 from .on_cells import Plan, compared, plain, searched
 from .search import Limits
 from .values import HOST
@@ -194,6 +195,10 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
 
 def _path(problem: Problem) -> Way:
     """Return the way along a path: no grid, any number of states."""
+    try:
+        refuse_without_path(problem)
+    except RelationRefused as error:
+        return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon**2 * sizes
     return Way("path", lambda results: path_certificate(problem), work, enough=GOOD, ends=PATH_ENDS)
@@ -214,7 +219,7 @@ def _exact(problem: Problem, plan: Plan) -> Way:
     try:
         abstraction = abstraction_of(problem, halves or None, kinds, plan.settings)
     except RelationRefused as error:
-        return _refused("exact", error)
+        return refused("exact", error)
     return Way("exact", lambda results: _of_models(problem, abstraction, plan), work_of(abstraction, problem))
 
 
@@ -235,7 +240,11 @@ def _linear(problem: Problem, plan: Plan, few: bool) -> Way:
         return None
 
     enough = SOLVED if few or any(isinstance(agent, Agent) for agent in problem.agents) else GOOD
-    return Way("linear", levels, linear_work(problem, plan.settings, run), enough=enough, why_not=why_not)
+    try:
+        work = linear_work(problem, plan.settings, run)
+    except RelationRefused as error:
+        return refused("linear", error)
+    return Way("linear", levels, work, enough=enough, why_not=why_not)
 
 
 def _linear_on(problem: Problem, cells: CellCounts, plan: Plan, every: bool) -> Way:
@@ -243,7 +252,7 @@ def _linear_on(problem: Problem, cells: CellCounts, plan: Plan, every: bool) -> 
     try:
         abstraction = abstraction_of(problem, cells, ["linear"] * problem.n_agents, plan.settings)
     except RelationRefused as error:
-        return _refused("linear", error)
+        return refused("linear", error)
 
     def why_not(results: Results) -> str | None:
         return "" if any("linear" in result.stats.get("tried", {}) for result in results.values()) else None  # type: ignore[operator]
@@ -309,15 +318,6 @@ def _doubled(problem: Problem, kinds: Sequence[str], plan: Plan) -> Way:
         return None if many else ""
 
     return Way("finer cells", run, DOUBLED, enough=GOOD, why_not=why_not, after="others")
-
-
-def _refused(name: str, error: RelationRefused) -> Way:
-    """Return a way that is known to be refused."""
-
-    def run(results: Results) -> Synthesis:
-        raise error
-
-    return Way(name, run)
 
 
 def _of_models(problem: Problem, abstraction: Abstraction, plan: Plan) -> Synthesis:

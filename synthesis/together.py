@@ -20,9 +20,9 @@ from ..envs.problem import Problem
 from .cells import CellCounts, RelationRefused
 from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
-from .choosing import Results, Way
+from .choosing import Results, Way, refused
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
-from .nominal_paths import path_certificate
+from .nominal_paths import path_certificate, refuse_without_path
 from .on_cells import Plan
 from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, Sweep, find_policies, sweep
@@ -88,11 +88,12 @@ def ways_together(
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
         return path_certificate(problem)
 
-    ways = [
-        Way("exact", subtraction, 0.0, ENOUGH, ENOUGH),
-        Way("joint", joint, 1.0, ENOUGH, ENOUGH),
-        Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH),
-    ]
+    along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
+    try:
+        refuse_without_path(problem)
+    except RelationRefused as error:
+        along = replace(refused("path", error), work=along.work)
+    ways = [Way("exact", subtraction, 0.0, ENOUGH, ENOUGH), Way("joint", joint, 1.0, ENOUGH, ENOUGH), along]
     return [way for way in ways if relation in ("auto", way.name)]
 
 

@@ -15,6 +15,14 @@ class RelationRefused(ValueError):
     """
 
 
+class TooFine(RelationRefused):
+    """Cells that take more than there is room for. ``text`` leaves out the advice, for those who asked for no cells."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(f"{text}; ask for fewer `cells` or `targets_per_cell`")
+        self.text = text
+
+
 def refuse_uneven_noise(agent: AnyAgent, relation: str) -> None:
     """Refuse a relation that needs noise in every state, of one size everywhere."""
     if not agent.has_plain_noise:

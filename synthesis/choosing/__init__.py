@@ -5,7 +5,7 @@ from .effort import Effort
 from .given_start import policies_from, settings_of
 from .levels import Run, finer_levels, first_cells, linear_levels, linear_work, work_of
 from .relation_choice import Tries, groups_of, has_linear_cells
-from .ways import GOOD, SOLVED, Results, Way, best_of, leading, with_settings
+from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refused, with_settings
 
 __all__ = [
     "Budget",
@@ -21,11 +21,13 @@ __all__ = [
     "first_cells",
     "groups_of",
     "has_linear_cells",
+    "in_order",
     "leading",
     "linear_levels",
     "linear_work",
     "policies_from",
     "refine",
+    "refused",
     "settings_of",
     "with_settings",
     "work_of",

@@ -124,12 +124,15 @@ def linear_levels(problem: Problem, settings: Settings, run: Run, effort: Effort
 
 
 def linear_work(problem: Problem, settings: Settings, run: Run) -> float:
-    """Return the work of the first level of linear cells; 0 where there are none, which is refused at once."""
+    """Return the work of the first level of linear cells.
+
+    Raises
+    ------
+    RelationRefused
+        If an agent has no linear cells.
+    """
     levels = _linear(problem, settings, run, Effort())
-    try:
-        return levels.work(levels.models(FIRST_WIDTH))
-    except RelationRefused:
-        return 0.0
+    return levels.work(levels.models(FIRST_WIDTH))
 
 
 def _linear(problem: Problem, settings: Settings, run: Run, effort: Effort) -> _Levels:

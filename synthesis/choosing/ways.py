@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from ..cells import RelationRefused
+from ..cells import RelationRefused, TooFine
 from ..certificates import Synthesis
 from .effort import Effort, OutOfTime
 
@@ -48,6 +48,8 @@ class Way:
         Name of a way whose result it needs, and after which it is tried.
     prefix : bool
         Whether the ways that it compares are recorded with its name.
+    refusal : str
+        Why it does not apply, where that is known before anything is computed.
     """
 
     name: str
@@ -58,6 +60,27 @@ class Way:
     why_not: Callable[[Results], str | None] = lambda results: None
     after: str = ""
     prefix: bool = False
+    refusal: str = ""
+
+
+def refused(name: str, error: RelationRefused) -> Way:
+    """Return a way of which it is known that it does not apply."""
+
+    def run(results: Results) -> Synthesis:
+        raise error
+
+    return Way(name, run, refusal=told(error))
+
+
+def told(error: RelationRefused) -> str:
+    """Return why a way does not apply, to someone who asked for no cells."""
+    return " ".join((error.text if isinstance(error, TooFine) else str(error)).split())
+
+
+def in_order(ways: Sequence[Way]) -> list[Way]:
+    """Return ways in the order in which they are tried: cheapest first; of equal ones the first of the table."""
+    work = {way.name: way.work for way in ways}
+    return sorted(ways, key=lambda way: (max(way.work, work.get(way.after, way.work)), way.after in work))
 
 
 def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
@@ -71,9 +94,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     began, results = time.perf_counter(), dict[str, Synthesis]()
     tried, refusals = dict[str, Any](), dict[str, str]()
     ended_by: str | None = None
-    work = {way.name: way.work for way in ways}
-    # Where two ways take the same, the first of the table comes first.
-    for way in sorted(ways, key=lambda way: (max(way.work, work.get(way.after, way.work)), way.after in work)):
+    for way in in_order(ways):
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
@@ -82,7 +103,8 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         try:
             result = way.run(results)
         except RelationRefused as refusal:
-            refusals[way.name] = tried[way.name] = " ".join(str(refusal).split())
+            tried[way.name] = told(refusal) if way.refusal else " ".join(str(refusal).split())
+            refusals[way.name] = tried[way.name]
             continue
         except OutOfTime:
             if not effort.has_result:

@@ -12,7 +12,16 @@ import numpy as np
 from scipy.linalg import qr
 
 from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
-from ..cells import FloatArray, Grid, RelationRefused, cell_points, grid_laws, in_grid_coordinates, lattice_axes
+from ..cells import (
+    FloatArray,
+    Grid,
+    RelationRefused,
+    TooFine,
+    cell_points,
+    grid_laws,
+    in_grid_coordinates,
+    lattice_axes,
+)
 from ..relations import BoxRelation, CommonMeans, WrittenMeans, box_relation
 from .box_choices import BoxChoices, box_choices
 from .box_kernel import MOST_LEVELS, MOST_SCALED, BoxKernel, box_kernel, box_lattice, points_per_cell, scale_levels
@@ -76,9 +85,9 @@ def box_model(
     low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if grid.n_cells * len(menu) > MOST_BOXES or count > MOST_LATTICE:
-        raise RelationRefused(
+        raise TooFine(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
-            f"{grid.n_cells * len(menu)} and {count}; ask for fewer `cells` or `targets_per_cell`"
+            f"{grid.n_cells * len(menu)} and {count}"
         )
     means = box_lattice(grid, deviations, points, low, high)
     by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}

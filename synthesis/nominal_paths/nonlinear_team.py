@@ -181,10 +181,6 @@ def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: It
         If no normal law is above the noise of an agent, or no nonlinear path was found.
     """
     began = time.perf_counter()
-    for agent in problem.agents:
-        refuse_other_noise(agent)
-    if problem.initial_q is None:
-        raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem) if pairs else _Apart(problem)
     for some in (plans, segmented):

@@ -18,7 +18,7 @@ from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
-from .nonlinear_team import nonlinear_certificate
+from .nonlinear_team import nonlinear_certificate, refuse_other_noise
 from .path_limits import corners_along
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
@@ -52,10 +52,7 @@ def path_certificate(problem: Problem) -> Synthesis:
         If no normal law is above the noise of an agent, a start is outside its workspace, or no path was found.
     """
     began = time.perf_counter()
-    for name in problem.starts_outside:
-        raise RelationRefused(
-            f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
-        )
+    refuse_without_path(problem)
     linear = all(
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )
@@ -80,6 +77,18 @@ def path_certificate(problem: Problem) -> Synthesis:
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def refuse_without_path(problem: Problem) -> None:
+    """Raise RelationRefused where it is known before any search that there is no certificate along a path."""
+    for name in problem.starts_outside:
+        raise RelationRefused(
+            f"agent `{name}`: its start is outside its workspace, and no task is satisfied from there"
+        )
+    for agent in problem.agents:
+        refuse_other_noise(agent)
+    if problem.initial_q is None:
+        raise RelationRefused("paths are for starts that have one first letter, or several that lead to one state")
 
 
 def _plans(problem: Problem) -> Iterator[Plan]:

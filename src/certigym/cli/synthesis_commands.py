@@ -15,6 +15,7 @@ from ..synthesis.certificates import load_certificate, save_certificate, shown_b
 from ..synthesis.checking import check as check_certificate
 from ..synthesis.checking import safety_rate
 from ..synthesis.nominal_paths import certified_starts as starts_around
+from ..synthesis.synthesize import ways_ahead
 from ..validation.simulation import LABEL_WIDTH
 from .given import named_problem, problem_of, show, write_json
 from .validation_commands import print_horizons, validate_result
@@ -49,8 +50,39 @@ def describe(options: Namespace) -> int:
         lines.append(f"... and {counted(len(regions) - MOST_REGIONS_SHOWN, 'more proposition')}")
     lines.append(_automaton_line(problem))
     lines.append(f"fingerprint: {problem.fingerprint}")
-    show(options, "\n".join(lines), {**problem.to_dict(), "fingerprint": problem.fingerprint})
+    ways = _ways(problem)
+    lines += ways[:MOST_WAYS_SHOWN]
+    show(options, "\n".join(lines), {**problem.to_dict(), "fingerprint": problem.fingerprint, "ways": ways})
     return 0
+
+
+WAY_WORDS = {
+    "others": "other relations, compared on coarse cells",
+    "finer cells": "finer cells of the best of these",
+    "exact": "`exact`",
+    "linear": "`linear`, level by level",
+    "path": "along a path",
+    "joint": "one joint agent",
+}
+"""What ways are called in ``describe``, where the name alone says too little."""
+
+MOST_WAYS_SHOWN = 16
+"""Lines about ways: those of some independent tasks."""
+
+
+def _ways(problem: Problem) -> list[str]:
+    """Return a line for each way that ``run`` tries without options, in order, and for each that does not apply."""
+    if problem.initial_q is None and problem.starts_outside:
+        return ["ways: none, the start is outside the workspace"]
+    lines, tasks = list[str](), ways_ahead(problem)
+    for task, ways in tasks:
+        of = f" of task {task.name}" if len(tasks) > 1 else ""
+        open_ways = [way for way in ways if not way.refusal]
+        for number, way in enumerate(open_ways, start=1):
+            work = f", about {way.work:.2g} of work at first" if way.work >= 0.1 else ""
+            lines.append(f"way {number}{of}: {WAY_WORDS.get(way.name, way.name)}{work}")
+        lines += [f"not{of} {WAY_WORDS.get(way.name, way.name)}: {way.refusal}" for way in ways if way.refusal]
+    return lines
 
 
 def run(options: Namespace) -> int:

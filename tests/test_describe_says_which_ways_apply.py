@@ -1,0 +1,63 @@
+"""``describe`` says which ways a problem will be certified in, and which do not apply and why, before any search."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.synthesis.synthesize import ways_ahead
+
+OWN = Path(__file__).parent.parent / "examples" / "own"
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
+    assert main(["describe", *arguments]) == 0
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith(("way", "not"))]
+
+
+def test_ways_stand_in_the_order_in_which_they_are_tried(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = said(capsys, str(OWN / "unicycle.toml"))
+    assert lines[0].startswith("way 1: along a path, about ")
+    assert lines[1].startswith("way 2: other relations")
+    assert lines[-1].startswith("not `linear`, level by level: agent `robot`: ")
+
+
+def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFixture[str]) -> None:
+    for file in sorted(OWN.glob("*.toml")):
+        for line in said(capsys, str(file)):
+            assert "fewer `cells`" not in line, (file.name, line)
+
+
+def test_who_asks_for_cells_is_told_to_ask_for_fewer() -> None:
+    with pytest.raises(ValueError, match="ask for fewer `cells`"):
+        cg.synthesize(cg.load_problem(OWN / "unicycle.toml"), (60, 60, 60), relation="linear")
+
+
+def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = (
+        (OWN / "heat_pump.toml")
+        .read_text()
+        .replace('law = "uniform", low = -0.4, high = 0.4', 'law = "laplace", scale = 0.2')
+    )
+    file = tmp_path / "laplace.toml"
+    file.write_text(text)
+    (line,) = [line for line in said(capsys, str(file)) if line.startswith("not along a path")]
+    assert "tails are below those of a normal law, got laplace" in line
+
+
+def test_what_is_said_is_what_is_tried() -> None:
+    problem = cg.load_problem(OWN / "response.toml")
+    ((task, ways),) = ways_ahead(problem)
+    assert task is problem
+    tried = cg.synthesize(problem).stats["tried"]
+    assert isinstance(tried, dict)
+    assert {way.name for way in ways} - {"others", "finer cells"} <= {*tried}
+    assert ways[0].name in tried and isinstance(tried[ways[0].name], float)
+
+
+def test_independent_tasks_and_pairs_have_ways_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert any("one joint agent" in line for line in said(capsys, str(OWN / "crane_cart_drone.toml")))
+    assert said(capsys, "invariance-v0")
