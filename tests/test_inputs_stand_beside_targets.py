@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import certigym as cg
+from certigym.synthesis.checking.written_linear import MatrixMaps
 from certigym.synthesis.models import CornerChoices, corner_model
 from certigym.synthesis.relations import ExactRelation
 
@@ -154,3 +155,21 @@ def test_targets_that_inputs_do_not_reach_are_refused(monkeypatch: pytest.Monkey
     report = cg.check(wrong)
     assert wrong.lower_bound > certified(False).lower_bound
     assert not report and "inputs beyond its input box" in report.failures[0]
+
+
+def test_the_first_number_beyond_the_menu_is_a_target() -> None:
+    """The lattice point 0, and not once more the last input."""
+    part, states, q = certified(False).agents[0], np.zeros((2, 1)), np.zeros(1, dtype=np.int64)
+    n, inputs = len(part.relation["menu"]), []
+    for number in (n - 1, n):
+        controller = forged(certified(False), lambda policy, _, number=number: np.full_like(policy, number)).controller
+        inputs.append(controller.agents[0].act(states, q, 0, None)[0][:, 0])
+    np.testing.assert_allclose(inputs[0], np.array(part.relation["menu"])[-1])
+    assert not np.allclose(inputs[0], inputs[1])
+
+
+def test_the_check_charges_what_means_of_matrices_are_off_by() -> None:
+    """Twice: once for the controller's input, once for what the check computes itself."""
+    certificate = certified(False)
+    maps = MatrixMaps(certificate.problem.agents[0], certificate.agents[0], np.array([1e-3, 2e-3]))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(maps.at(np.arange(3))[2], np.tile([2e-3, 4e-3], (3, 1)))

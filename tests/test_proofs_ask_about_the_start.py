@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.certificates import AgentPath, PathCertificate, TeamCertificate
+from certigym.synthesis.checking.team_check import _wrong_first_letter as wrong_first_letter
 from certigym.synthesis.nominal_paths import path_search
 from certigym.synthesis.pairs import joint_problem
 from certigym.synthesis.path_checking.start_check import wrong_start
@@ -148,3 +150,13 @@ def test_a_joint_agent_may_start_on_a_face() -> None:
     assert certificate.lower_bound > 0.99
     report = cg.check(certificate)
     assert report and report.recomputed > 0.99
+
+
+@pytest.mark.parametrize(
+    ("is_point", "base", "team", "is_wrong"), [(True, 1, 2, True), (True, 2, 2, False), (False, 1, 2, False)]
+)
+def test_the_base_of_a_team_begins_with_its_first_letter(is_point: bool, base: int, team: int, is_wrong: bool) -> None:
+    """Rounding may put the outputs of the one agent on the other side of a face."""
+    agent = SimpleNamespace(initial=SimpleNamespace(is_point=is_point))
+    found = wrong_first_letter(SimpleNamespace(initial_q=team), SimpleNamespace(agents=[agent], initial_q=base))  # type: ignore[arg-type]
+    assert bool(found) is is_wrong
