@@ -116,7 +116,7 @@ def synthesize(
     """
     pruning = Limits() if limits is None else limits
     told = sweep_bar() if progress is True else progress or None
-    spending = Effort(effort, seconds)
+    spending = Effort(effort, seconds, progress=told)
     search = Search(max_sweeps, pruning, value, restarts, told, stationary, device)
     check_settings(settings)
     device_put(device)  # refuses a device that does not exist before any work is done
@@ -156,7 +156,7 @@ def _of_task(
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
-        return path_certificate(problem)
+        return path_certificate(problem, lambda: plan.effort.is_over)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):
@@ -188,7 +188,7 @@ def ways_ahead(problem: Problem) -> list[tuple[Problem, list[Way]]]:
     if problem.labeling.pairs:
         ways = ways_together(problem, None, "auto", plan, nothing)
     elif problem.names_time:
-        ways = ways_in_time(problem, nothing)
+        ways = ways_in_time(problem, plan, nothing)
     elif names_inputs(problem):
         ways = ways_of_named_inputs(problem, plan, nothing)
     else:
@@ -216,7 +216,7 @@ def _in_time(
 
     if relation not in ("auto", "best") or cells is not None or plan.budget is not None:
         return on_grids(cells, plan)
-    return best_of(ways_in_time(problem, lambda: on_grids(None, plan)), plan.effort)
+    return best_of(ways_in_time(problem, plan, lambda: on_grids(None, plan)), plan.effort)
 
 
 def _refuse_outside(problem: Problem) -> None:

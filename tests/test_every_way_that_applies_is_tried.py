@@ -11,6 +11,7 @@ import certigym as cg
 from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
 from certigym.synthesis.models import Settings
+from certigym.synthesis.nominal_paths import path_certificate
 from certigym.synthesis.on_cells import Plan
 from certigym.synthesis.search import Search
 from certigym.synthesis.task_ways import ways_of
@@ -122,3 +123,47 @@ def test_teams_of_three_get_linear_cells_on_cells_that_are_given() -> None:
     assert [part.relation["kind"] for part in found.certificate.agents] == ["linear"] * 3
     assert tried["linear"] == found.certificate.lower_bound > 2 * tried["exact"] > 0.0
     assert cg.check(found.certificate)
+
+
+def broken_off(results: Results) -> cg.Synthesis:
+    """A way during which the user presses Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_keeps_the_best_so_far(table: Table) -> None:
+    ways = [table.way("first", 0.4), Way("second", broken_off, 1.0), table.way("third", 0.9, 2.0)]
+    found = best_of(ways, Effort())
+    assert found.certificate.lower_bound == 0.4 and table.run == ["first"]
+    assert tried_of(found)["second"] == "given up: broken off by Ctrl-C"
+    assert tried_of(found)["third"] == "not computed: broken off by Ctrl-C"
+    with pytest.raises(KeyboardInterrupt):
+        best_of([Way("first", broken_off)], Effort())
+
+
+def test_ctrl_c_keeps_the_best_level() -> None:
+    """The second level is broken off: the first one is what there is, and nothing else is begun."""
+    seen: list[str] = []
+
+    def told(text: str, value: float) -> None:
+        seen.append(text)
+        if sum(text.startswith("way: linear, ") for text in seen) == 2:
+            raise KeyboardInterrupt
+
+    found = cg.synthesize("car-park-v0", progress=told)
+    assert found.certificate.lower_bound > 0.0 and cg.check(found.certificate)
+    assert "broken off by Ctrl-C" in str(tried_of(found))
+
+
+def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
+    told: list[tuple[str, float]] = []
+    found = cg.synthesize("car-park-v0", progress=lambda text, value: told.append((text, value)))
+    ways = [(text, value) for text, value in told if text.startswith("way: ")]
+    assert ways[0][1] == 0.0 and any("cells" in text for text, _ in ways)
+    assert max(value for _, value in ways) <= found.certificate.lower_bound
+
+
+def test_a_path_that_has_no_time_is_a_path() -> None:
+    """What was found until the seconds are over is finished and certified."""
+    problem = cg.make_problem("car-slalom-v0")
+    hurried = path_certificate(problem, lambda: True)
+    assert 0.0 < hurried.certificate.lower_bound < 1.0 and cg.check(hurried.certificate, problem)

@@ -8,14 +8,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+
+from ..search import BEGINS
 
 EFFORT = 80.0
 """Work that a task may take by default: about a minute on one core, of what pays; the rest is for comparisons."""
 
 SHARE_OF_LEVELS = 0.75
 """Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
+
+
+BROKEN_OFF = "broken off by Ctrl-C"
+"""What is said of what the user had no time for."""
 
 
 class OutOfTime(Exception):
@@ -33,6 +40,8 @@ class Effort:
     seconds : float, optional
         Seconds of the clock, from now on. Ways that would take longer are left out, and those that are under way are
         given up, as soon as there is a certificate.
+    progress : callable, optional
+        Told which way or level begins, as ``"way: ..."``, with the largest bound so far.
 
     Raises
     ------
@@ -44,6 +53,9 @@ class Effort:
     seconds: float | None = None
     spent: float = 0.0
     has_result: bool = False
+    is_interrupted: bool = False
+    """Whether the user broke off (Ctrl-C) after there was a certificate: nothing further is begun."""
+    progress: Callable[[str, float], None] | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     """What was not begun for want of effort, by name, and why."""
 
@@ -57,9 +69,34 @@ class Effort:
 
     def anew(self) -> Effort:
         """Return the effort of another task: as much work, and the seconds that are left."""
-        if self.seconds is None:
-            return Effort(self.work)
-        return Effort(self.work, max(1e-9, self.seconds - self.elapsed))
+        seconds = None if self.seconds is None else max(1e-9, self.seconds - self.elapsed)
+        return Effort(self.work, seconds, progress=self.progress)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the seconds are over; never where none were given."""
+        return self.seconds is not None and self.elapsed > self.seconds
+
+    @property
+    def given_up(self) -> str:
+        """Why what was under way was given up, in words."""
+        return f"given up: {BROKEN_OFF if self.is_interrupted else 'the `seconds` were over'}"
+
+    def tell(self, what: str, bound: float) -> None:
+        """Say which way or level begins, beside the largest bound so far."""
+        if self.progress is not None:
+            self.progress(f"{BEGINS}{what}", bound)
+
+    @contextmanager
+    def until_broken_off(self) -> Iterator[None]:
+        """Turn what breaks work off, after there is a certificate, into ``OutOfTime``."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not self.has_result:
+                raise
+            self.is_interrupted = True
+            raise OutOfTime from None
 
     @property
     def elapsed(self) -> float:
@@ -96,12 +133,11 @@ class Effort:
         """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""
         if self.seconds is None:
             return progress
-        seconds = self.seconds
 
         def told(text: str, value: float) -> None:
             if progress is not None:
                 progress(text, value)
-            if self.has_result and self.elapsed > seconds:
+            if self.has_result and self.is_over:
                 raise OutOfTime
 
         return told

@@ -247,10 +247,13 @@ class _Levels:
             most -= work
             self.effort.spent += work
             try:
-                result = self.run(abstraction, carried)
+                with self.effort.until_broken_off():
+                    self.effort.tell(f"{'/'.join(dict.fromkeys(self.kinds))}, {_cells_text(abstraction)}", self.bound)
+                    result = self.run(abstraction, carried)
             except OutOfTime:
                 if self.best is None:
                     raise
+                self.effort.left_out[self.rest] = self.effort.given_up
                 return
             self.begin(abstraction, result)
             # Where a level gained little, further ones are made only if they cost next to nothing.
@@ -258,6 +261,11 @@ class _Levels:
             if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
                 return
             width /= finer
+
+    @property
+    def rest(self) -> str:
+        """What further levels are called in the record."""
+        return f"{'/'.join(dict.fromkeys(self.kinds))}, finer cells"
 
     @property
     def is_linear(self) -> bool:
@@ -309,8 +317,7 @@ class _Levels:
             work = self.work(abstraction)
             if work <= most:
                 return abstraction, finer, work
-        kinds = "/".join(dict.fromkeys(self.kinds))
-        self.effort.left_out[f"{kinds}, finer cells"] = self.effort.too_much(work, most)
+        self.effort.left_out[self.rest] = self.effort.too_much(work, most)
         return None
 
     def models(self, width: float) -> Abstraction:
@@ -320,6 +327,16 @@ class _Levels:
     def work(self, abstraction: Abstraction) -> float:
         """Return an estimate of the work of a level."""
         return work_of(abstraction, self.problem, self.rank)
+
+
+def _cells_text(abstraction: Abstraction) -> str:
+    """Return the cells of the agents, in words."""
+    shapes = dict.fromkeys(" x ".join(map(str, model.grid.shape)) for model in abstraction.models)
+    return f"{', '.join([*shapes][:MOST_SHAPES])}{', ...' if len(shapes) > MOST_SHAPES else ''} cells"
+
+
+MOST_SHAPES = 3
+"""Shapes of cells that are told."""
 
 
 def _widest(problem: Problem, shapes: dict[str, tuple[int, ...]]) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..cells import RelationRefused, TooFine
 from ..certificates import Synthesis
-from .effort import Effort, OutOfTime
+from .effort import BROKEN_OFF, Effort, OutOfTime
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
@@ -95,13 +95,17 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     tried, refusals = dict[str, Any](), dict[str, str]()
     ended_by: str | None = None
     for way in in_order(ways):
+        ended_by = BROKEN_OFF if effort.is_interrupted else ended_by
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
             tried |= {way.name: reason} if reason else {}
             continue
-        before = effort.spent
+        before, best = effort.spent, leading(results)
+        work = f" (about {way.work:.2g} of work)" if way.work >= 1.0 else ""
+        effort.tell(f"{way.name}{work}", 0.0 if best is None else _bound(best))
         try:
-            result = way.run(results)
+            with effort.until_broken_off():
+                result = way.run(results)
         except RelationRefused as refusal:
             tried[way.name] = told(refusal) if way.refusal else " ".join(str(refusal).split())
             refusals[way.name] = tried[way.name]
@@ -109,7 +113,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         except OutOfTime:
             if not effort.has_result:
                 raise  # what gave a certificate is whoever called this
-            tried[way.name] = "given up: the `seconds` were over"
+            tried[way.name] = effort.given_up
             continue
         finally:
             effort.spent = max(effort.spent, before + way.work)

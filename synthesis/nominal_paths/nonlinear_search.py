@@ -7,7 +7,7 @@ and work is counted, never time: the same problem gives the same nominal path ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,11 +103,13 @@ class NonlinearSearch:
                 break
         return best
 
-    def full(self, letters: NDArray[np.int8], found: Found) -> Found:
+    def full(self, letters: NDArray[np.int8], found: Found, is_over: Callable[[], bool] = lambda: False) -> Found:
         """Return a nominal path that is better than one that was found, if there is time for one."""
+        if is_over():
+            return found
         found = self.searched(found, GENERATIONS)
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH:
+            if found.failure <= ENOUGH or is_over():
                 break
             again = self._planned_anew(letters, found)
             if again is None:

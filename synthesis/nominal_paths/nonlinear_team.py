@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -109,11 +109,11 @@ class _Apart:
         if self.best is None or score < self.best[0]:
             self.best = score, plan, letters, found
 
-    def refined(self) -> Refined:
+    def refined(self, is_over: Callable[[], bool]) -> Refined:
         """Return the best plan after more work."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
-        found = [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
+        found = [search.full(letters, one, is_over) for search, one in zip(self.searches, found, strict=True)]
         # Agents are independent.
         failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
         return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)
@@ -146,11 +146,11 @@ class _Together:
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
             self.best = found.score, plan, letters, found
 
-    def refined(self) -> Refined:
+    def refined(self, is_over: Callable[[], bool]) -> Refined:
         """Return the best plan after more work."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
-        found = self.search.full(letters, found)
+        found = self.search.full(letters, found, is_over)
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
 
@@ -164,7 +164,9 @@ def _first_outside(problem: Problem, found: Sequence[Found]) -> str:
     return ""
 
 
-def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: Iterable[Plan]) -> Synthesis:
+def nonlinear_certificate(
+    problem: Problem, plans: Iterable[Plan], segmented: Iterable[Plan], is_over: Callable[[], bool]
+) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
     Parameters
@@ -174,6 +176,8 @@ def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: It
         Ways through the automaton with the times of their jumps, in order of promise.
     segmented : iterable of Plan
         Further ones, for which there is time where those give nothing.
+    is_over : callable
+        Whether what was found so far has to do.
 
     Raises
     ------
@@ -187,20 +191,20 @@ def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: It
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for plan in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
             team.of_plan(plan)
-            if team.best is not None and team.best[0] < PROMISING:
+            if team.best is not None and (team.best[0] < PROMISING or is_over()):
                 break
-        if team.best is not None and team.best[0] < HARDLY:
+        if team.best is not None and (team.best[0] < HARDLY or is_over()):
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise RelationRefused(f"no nominal path along which the task is satisfied was found{more}")
-    best = team.refined()
-    if best.failure > GOOD and pairs <= FEW_PAIRS:
+    best = team.refined(is_over)
+    if best.failure > GOOD and pairs <= FEW_PAIRS and not is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
-        _with_better_times(team)
+        _with_better_times(team, is_over)
         if team.best[0] < before:
-            again = team.refined()
+            again = team.refined(is_over)
             best = again if again.failure < best.failure else best
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     outside = _first_outside(problem, best.found)
@@ -222,7 +226,7 @@ def nonlinear_certificate(problem: Problem, plans: Iterable[Plan], segmented: It
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
-def _with_better_times(team: _Apart | _Together) -> None:
+def _with_better_times(team: _Apart | _Together, is_over: Callable[[], bool]) -> None:
     """Move single jumps, as long as that helps."""
     problem, tried = team.problem, 0
     step = max(1, problem.horizon // 6)
@@ -233,7 +237,7 @@ def _with_better_times(team: _Apart | _Together) -> None:
             for move in (-step, step):
                 moved = [*times[:k], times[k] + move, *times[k + 1 :]]
                 fits = 1 <= moved[0] and moved[-1] <= problem.horizon and all(a < b for a, b in zip(moved, moved[1:]))
-                if not fits or tried >= MOST_MOVES:
+                if not fits or tried >= MOST_MOVES or is_over():
                     continue
                 tried += 1
                 is_last = k == len(times) - 1 and problem.automaton.is_co_safe

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any
 
@@ -43,8 +43,10 @@ HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
 
 
-def path_certificate(problem: Problem) -> Synthesis:
+def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: False) -> Synthesis:
     """Return a certificate along a path; along nonlinear ones where an agent is not linear from a point.
+
+    ``is_over`` says whether what was found so far has to do: nothing is improved after that.
 
     Raises
     ------
@@ -57,17 +59,17 @@ def path_certificate(problem: Problem) -> Synthesis:
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )
     if problem.labeling.pairs or not linear:
-        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem))
+        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem), is_over)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
     for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
         for plan in islice(plans, MOST_PLANS):
-            if best is not None and best[0] <= enough:
+            if best is not None and (best[0] <= enough or is_over()):
                 break
             found = finder.of_plan(plan)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found[0], plan, found[1]
-        best = None if best is None else _with_better_times(finder, best)
+        best = best if best is None or is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         raise RelationRefused("no nominal path along which the task is satisfied was found; ask for another relation")
     failure, plan, (paths, letters, faces) = best

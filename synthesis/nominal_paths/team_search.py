@@ -7,7 +7,7 @@ what the others add to the rows of pairs held as it is, and the plan is made ane
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -96,12 +96,16 @@ class TeamSearch:
         again = self._planned_anew(letters, limits, first)
         return again if again is not None and again.score < first.score else first
 
-    def full(self, letters: NDArray[np.int8], found: TeamFound) -> TeamFound:
-        """Return better nominal paths, if that is worth anything."""
+    def full(
+        self, letters: NDArray[np.int8], found: TeamFound, is_over: Callable[[], bool] = lambda: False
+    ) -> TeamFound:
+        """Return better nominal paths, if that is worth anything, and there is time."""
+        if is_over():
+            return found
         limits = pair_limits(self.problem, letters)
         found = self._improved(found, limits)
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH:
+            if found.failure <= ENOUGH or is_over():
                 break
             again = self._planned_anew(letters, limits, found)
             if again is None:

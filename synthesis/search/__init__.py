@@ -6,7 +6,7 @@ from .limits import Limits
 from .occupancy import forward
 from .policy_search import FINAL, MANY_TERMS, Found, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
-from .search_settings import Search, sweep_bar
+from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
 from .stationary import stationary_best
 from .train_ascent import TrainSweep
 from .train_backward import backward
@@ -36,6 +36,9 @@ __all__ = [
     "relaxed_policies",
     "start_value",
     "stationary_best",
+    "BAR",
+    "BEGINS",
+    "shown_on",
     "sweep_bar",
     "sweep",
     "terminal_terms",

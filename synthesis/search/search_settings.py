@@ -24,13 +24,32 @@ Progress = Callable[[str, float], None]
 """Called with the name of a start and the best value so far."""
 
 
+BEGINS = "way: "
+"""What begins texts of progress that name a way or a level; others name a start of a search."""
+
+BAR = "{desc} [{elapsed}]{postfix}"
+"""What a bar shows: the way that is tried, the bound so far, how long all took, and the value of this search."""
+
+
 def sweep_bar() -> Progress:
     """Return a progress bar of sweeps, for terminals and notebooks; it closes when nobody holds it any more."""
-    bar = tqdm(desc="synthesize", unit=" sweeps", leave=False)
+    return shown_on(tqdm(bar_format=BAR, leave=False))
+
+
+def shown_on(bar: tqdm) -> Progress:
+    """Return what shows on a bar which way is tried, and the largest bound so far."""
+    bound = 0.0
 
     def report(text: str, value: float) -> None:
-        bar.set_postfix_str(f"value {value:.6f}")
-        bar.update()
+        nonlocal bound
+        if text.startswith(BEGINS):
+            bound = max(bound, value)
+            so_far = f"P >= {bound:.6f} so far" if bound > 0.0 else "nothing certified yet"
+            bar.set_description_str(f"{text.removeprefix(BEGINS)}; {so_far}", refresh=False)
+            bar.set_postfix_str("")
+        else:
+            bar.set_postfix_str(f"this search: {value:.6f}", refresh=False)
+            bar.update()
 
     return report
 

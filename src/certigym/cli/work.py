@@ -13,6 +13,7 @@ from ..envs.agents import counted
 from ..envs.problem import Problem
 from ..synthesis.certificates import Synthesis
 from ..synthesis.horizons import without_deadline
+from ..synthesis.search import BAR, shown_on
 from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
@@ -23,12 +24,8 @@ from .given import budget_of, cells_of, problem_of, relation_of, search_of
 def synthesized(options: Namespace) -> Synthesis:
     """Return the synthesis that the options for problem, models and search ask for."""
     problem, cells = problem_of(options), cells_of(options)
-    with tqdm(desc="synthesize", unit=" sweeps", disable=None, leave=False) as bar:
-
-        def report(text: str, value: float) -> None:
-            bar.set_postfix_str(f"value {value:.6f}")
-            bar.update()
-
+    with tqdm(bar_format=BAR, disable=None, leave=False) as bar:
+        report = shown_on(bar)
         if getattr(options, "no_deadline", False):
             # --accuracy is about the horizon here
             asked = search_of(options)
