@@ -76,7 +76,7 @@ def test_paths_from_outside_are_refused_by_the_search() -> None:
 def test_joint_agents_and_products_from_outside_are_refused_by_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search is made to forget the start, and claims nearly 1; the check of what it made is not fooled."""
     monkeypatch.setattr("certigym.synthesis.synthesize._refuse_outside", lambda problem: None)
-    monkeypatch.setattr(path_search, "_check", lambda problem: None)
+    monkeypatch.setattr(path_search, "refuse_without_path", lambda problem: None)
     monkeypatch.setattr("certigym.envs.problem.Problem.starts_outside", ())
     agents = robot("left", OUTSIDE), robot("right", [-1.0, 1.0, 0.0, 0.0])
     forged = [

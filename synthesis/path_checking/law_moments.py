@@ -2,7 +2,7 @@
 
 A law of mean m is *sub-Gaussian* with deviation s if ``E exp(a (e - m)) <= exp(a^2 s^2 / 2)`` for every a. Sums of
 independent multiples of such noise are, with the variance of the sum, so that they exceed d with a probability of at
-most ``exp(-d^2 / (2 V))`` (docs/theory/paths.md, "Agents of any dynamics"). Nothing of ``Law`` but its numbers is used.
+most ``exp(-d^2 / (2 V))`` (docs/theory/paths.md, "Noise of other laws"). Nothing of ``Law`` but its numbers is used.
 """
 
 from __future__ import annotations
