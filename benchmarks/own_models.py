@@ -23,7 +23,7 @@ EPISODES, SEED = 100_000, 0
 
 HEAD = """# Models as strangers bring them
 
-Files of [`examples/own`](https://github.com/certigym/certigym/tree/main/examples/own), written as a newcomer would:
+Files of `examples/own`, written as a newcomer would:
 from textbooks, and without an eye on what the package is good at. Each was certified **without any option**, checked,
 and met by 100,000 rollouts: `python benchmarks/own_models.py`. Seconds are processor seconds of search and check on one
 core. "Failure at most" is one less the certified bound; rollouts say how often the certified controller succeeded.
