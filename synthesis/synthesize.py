@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -173,13 +173,15 @@ def _of_task(
     return best_of(ways_within(problem, kinds, plan), plan.effort)
 
 
-def ways_ahead(problem: Problem) -> list[tuple[Problem, list[Way]]]:
-    """Return the ways that ``synthesize`` tries for a problem without options, in order, for each independent task.
+def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
+    """Yield the ways that ``synthesize`` tries for a problem without options, in order, for each independent task.
 
     A way with a ``refusal`` does not apply; the others are tried while effort is left and something is to gain.
     """
     if problem.groups and not problem.labeling.pairs:
-        return [row for task in problem.tasks for row in ways_ahead(task)]
+        for task in problem.tasks:
+            yield from ways_ahead(task)
+        return
     plan = Plan(Settings(), Search(), None, Effort())
 
     def nothing(*arguments: object) -> Synthesis:
@@ -193,7 +195,7 @@ def ways_ahead(problem: Problem) -> list[tuple[Problem, list[Way]]]:
         ways = ways_of_named_inputs(problem, plan, nothing)
     else:
         ways = ways_of(problem, None, ["auto"] * problem.n_agents, plan)
-    return [(problem, in_order(ways))]
+    yield problem, in_order(ways)
 
 
 def _in_time(

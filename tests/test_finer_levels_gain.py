@@ -70,7 +70,7 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
 def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
 
-    def refused(problem: cg.Problem) -> cg.Synthesis:
+    def refused(problem: cg.Problem, *others: object) -> cg.Synthesis:
         raise RelationRefused("no path for this test")
 
     monkeypatch.setattr(task_ways, "path_certificate", refused)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -66,17 +67,17 @@ WAY_WORDS = {
 }
 """What ways are called in ``describe``, where the name alone says too little."""
 
-MOST_WAYS_SHOWN = 16
-"""Lines about ways: those of some independent tasks."""
+MOST_WAYS_SHOWN, MOST_TASKS_SHOWN = 16, 2
+"""Lines about ways, and independent tasks whose ways are told: they are alike as a rule."""
 
 
 def _ways(problem: Problem) -> list[str]:
     """Return a line for each way that ``run`` tries without options, in order, and for each that does not apply."""
-    if problem.initial_q is None and problem.starts_outside:
-        return ["ways: none, the start is outside the workspace"]
-    lines, tasks = list[str](), ways_ahead(problem)
-    for task, ways in tasks:
-        of = f" of task {task.name}" if len(tasks) > 1 else ""
+    if problem.starts_outside:
+        return ["ways: none, a start is outside its workspace"]
+    lines = list[str]()
+    for task, ways in islice(ways_ahead(problem), MOST_TASKS_SHOWN):
+        of = "" if task is problem else f" of task {task.name}"
         open_ways = [way for way in ways if not way.refusal]
         for number, way in enumerate(open_ways, start=1):
             work = f", about {way.work:.2g} of work at first" if way.work >= 0.1 else ""
