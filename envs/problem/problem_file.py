@@ -6,14 +6,16 @@ Layout of a file:
     horizon = 12
     [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`, where
                                       # others may be named: `leader.position` (a state), `boiler.heat` (an input);
-                                      # `copies = 20` makes name_0 ... name_19
+                                      # `copies = 20` makes name_0 ... name_19; `[agents.left]` names the table itself;
+                                      # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
     near = { agents = ["left", "right"], low = [-1.0], high = [1.0] }   # of y_left - y_right; or agents = "drone_*"
                                       # for all pairs, with pairs = "neighbours" for those next to each other;
                                       # outputs = [[0], [1]] says which outputs are compared
     [specification]
-    formula = "F goal"                # with semantics = "co-safe" or "finite-trace"
+    formula = "F goal"                # with semantics = "co-safe" or "finite-trace"; left out: co-safe if it is that;
+                                      # or `specification = "F goal"` above all tables
     # or: hoa = "HOA text, or the path of a file that holds it"
     # or by hand: semantics, states, initial, accepting, transitions = [[source, guard, target], ...], otherwise
 """
@@ -27,8 +29,17 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Pair, Proposition, checked_count, shown
-from ..logic import Automaton, FormulaError, automaton_from_hoa, automaton_from_transitions
+import numpy as np
+
+from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Pair, Proposition, checked_count, float_array, shown
+from ..logic import (
+    Automaton,
+    FormulaError,
+    NormalForm,
+    automaton_from_hoa,
+    automaton_from_transitions,
+    parse_formula,
+)
 from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand
 from .record import Problem
 from .specification import Specification
@@ -117,6 +128,8 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
 
 def _agents(tables: Any) -> list[AnyAgent]:
     """Return the agents of the tables, those with `copies` repeated under numbered names."""
+    if isinstance(tables, Mapping):
+        tables = [_named(name, table) for name, table in tables.items()]
     if not isinstance(tables, list) or not tables:
         raise ValueError(f"[[agents]]: expected at least one table, got {shown(tables)}")
     agents: list[AnyAgent] = []
@@ -126,6 +139,7 @@ def _agents(tables: Any) -> list[AnyAgent]:
         if isinstance(table, Mapping) and isinstance(table.get("name"), str):
             where += f" ({shown(table['name'], 40)})"
         kind = _kind(table)
+        table = _prefixed(where, lambda table=table: _with_covariance(table))
         _check_keys(table, where, *_keys(kind))
         copies, most = table.get("copies"), MOST_AGENTS - len(agents)
         if copies is not None:
@@ -135,6 +149,29 @@ def _agents(tables: Any) -> list[AnyAgent]:
         )
         agents.extend([agent] if copies is None else agent.copies(copies))
     return agents
+
+
+def _named(name: str, table: Any) -> dict[str, Any]:
+    """Return the table of an agent whose name stands in its heading."""
+    if not isinstance(table, Mapping):
+        raise ValueError(f"[agents]: expected tables such as [agents.robot], got {shown(name)} = {shown(table)}")
+    if "name" in table:
+        raise ValueError(f"[agents.{shown(name, 40)}]: expected no `name` beside that of the table; leave it out")
+    return {"name": name, **table}
+
+
+def _with_covariance(table: Any) -> Any:
+    """Return the table of an agent with a covariance where it has standard deviations."""
+    if not isinstance(table, Mapping) or "noise_std" not in table:
+        return table
+    for other in ("noise_covariance", "noise"):
+        if other in table:
+            raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
+    deviations = float_array(table["noise_std"], "noise_std", (None,), "[0.1, 0.1]")
+    if np.any(deviations < 0.0):
+        raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(table['noise_std'])}")
+    rest = {key: value for key, value in table.items() if key != "noise_std"}
+    return {**rest, "noise_covariance": np.diag(deviations**2).tolist()}
 
 
 def _kind(table: Any) -> type[AnyAgent]:
@@ -171,6 +208,8 @@ def _specification(
 ) -> Specification:
     """Return the specification of the table: a formula, HOA text, an automaton as plain values, or one by hand."""
     where = "[specification]"
+    if isinstance(table, str):
+        table = {"formula": table}
     if not isinstance(table, Mapping):
         raise ValueError(f"{where}: expected a table, got {shown(table)}")
     written_as = [key for key in _ALTERNATIVES if key in table]
@@ -180,8 +219,9 @@ def _specification(
         got = ", ".join(written_as) or "none"
         raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
     if written_as == ["formula"]:
-        _check_keys(table, where, ("formula", "semantics"))
-        return _prefixed(where, lambda: Specification(table["formula"], table["semantics"]))
+        _check_keys(table, where, ("formula",), ("semantics",))
+        semantics = table.get("semantics") or _usual_semantics(table["formula"], propositions, agents)
+        return _prefixed(where, lambda: Specification(table["formula"], semantics))
     # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
     if written_as == ["hoa"]:
@@ -196,6 +236,16 @@ def _specification(
     else:
         automaton = _prefixed(where, lambda: _by_hand(table, list(names), families))
     return _prefixed(where, lambda: Specification(semantics=table.get("semantics"), automaton=automaton))
+
+
+def _usual_semantics(formula: Any, propositions: Mapping[str, AnyProposition], agents: Sequence[AnyAgent]) -> str:
+    """Return the semantics of a formula that says none: co-safe if a finite prefix can prove it."""
+    names, families = expand(propositions, [agent.name for agent in agents])
+    try:
+        NormalForm(list(names), families, co_safe=True).read(parse_formula(formula))
+    except (FormulaError, TypeError):
+        return "finite-trace"  # what is wrong in a formula is said where it is read
+    return "co-safe"
 
 
 def _hoa_text(value: Any, folder: Path | None) -> str:

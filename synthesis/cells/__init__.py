@@ -7,7 +7,7 @@ from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
-from .refusal import RelationRefused, TooFine, linear_agent, refuse_uneven_noise
+from .refusal import NoRunFound, RelationRefused, TooFine, linear_agent, refuse_uneven_noise
 from .sizes import alike_text, shape_text
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Grid",
     "GridDynamics",
     "LatticeAxis",
+    "NoRunFound",
     "RelationRefused",
     "TooFine",
     "agent_grid",

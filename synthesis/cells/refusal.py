@@ -23,6 +23,10 @@ class TooFine(RelationRefused):
         self.text = text
 
 
+class NoRunFound(RelationRefused):
+    """No run without noise satisfies the task, as far as a search of stated effort can tell; no proof of it."""
+
+
 def refuse_uneven_noise(agent: AnyAgent, relation: str) -> None:
     """Refuse a relation that needs noise in every state, of one size everywhere."""
     if not agent.has_plain_noise:

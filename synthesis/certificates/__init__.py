@@ -18,7 +18,7 @@ from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
 from .path_tube import KEPT, Tube, tube_along
-from .product import ProductCertificate, nameless, product_certificate, relations_tried
+from .product import ProductCertificate, nameless, product_certificate, relations_tried, why_nothing
 from .regrown_trains import BrokenTrainError, regrow_trains
 from .result import Synthesis
 from .start_hull import StartHull
@@ -67,6 +67,7 @@ __all__ = [
     "product_certificate",
     "regrow_trains",
     "relations_tried",
+    "why_nothing",
     "rounded_down",
     "rounded_up",
     "save_certificate",

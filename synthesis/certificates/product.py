@@ -217,3 +217,14 @@ def relations_tried(certificate: Certificate | ProductCertificate) -> dict[str, 
         name = part.problem.agent_names[0]
         tried |= {f"{relation}, task of {name}": outcome for relation, outcome in relations_tried(part).items()}
     return tried
+
+
+def why_nothing(certificate: Certificate | ProductCertificate) -> str:
+    """Return why nothing was certified, as the search said; "" where something was, or that is not known."""
+    if certificate.lower_bound > 0.0:
+        return ""
+    if not isinstance(certificate, ProductCertificate):
+        return str(certificate.settings.get("nothing", ""))
+    parts = [certificate.parts[same[0]] for same in certificate.alike]
+    told = {part.problem.agent_names[0]: why_nothing(part) for part in parts}
+    return "; ".join(f"task of {name}: {text}" for name, text in told.items() if text)

@@ -56,6 +56,8 @@ class Effort:
     is_interrupted: bool = False
     """Whether the user broke off (Ctrl-C) after there was a certificate: nothing further is begun."""
     progress: Callable[[str, float], None] | None = None
+    no_run: str = ""
+    """Why no run without noise satisfies the task, if that was looked for and none was found."""
     left_out: dict[str, str] = field(default_factory=dict)
     """What was not begun for want of effort, by name, and why."""
 

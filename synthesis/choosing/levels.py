@@ -53,6 +53,9 @@ LAST = (3.0, 2.5, 2.0, 1.5, 1.25)
 MOST_LEVELS = 7
 """Levels, at most: cells of the last are a twentieth of a standard deviation wide, and nothing is left to gain."""
 
+NO_HOPE = "not computed: finer cells gave nothing, either, and no run without noise was found"
+"""Why no further levels are made where all bounds are 0."""
+
 LEAST_GAIN = 2e-3
 """Gain of a level, as a share of the bound, from which the next one, which gains about a quarter of it, is worth its
 time. A share, because bounds of large teams are products: they are next to 0 on rough cells, and may end near 1."""
@@ -242,6 +245,9 @@ class _Levels:
                 continue
             if is_flat and work > CHEAP:
                 return
+            if self.is_hopeless:
+                self.effort.left_out[self.rest] = NO_HOPE
+                return
             is_first, bound = self.before is None, self.bound
             carried = None if self.before is None else carried_over(self.before[0], abstraction, self.before[1])
             most -= work
@@ -261,6 +267,11 @@ class _Levels:
             if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
                 return
             width /= finer
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether finer cells gave nothing, either, and no run is known that they could follow."""
+        return bool(self.effort.no_run) and len(self.record) > 1 and self.bound <= 0.0
 
     @property
     def rest(self) -> str:

@@ -12,15 +12,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from ..cells import RelationRefused, TooFine
-from ..certificates import Synthesis
+from ..cells import NoRunFound, RelationRefused, TooFine
+from ..certificates import Synthesis, rounded_up
 from .effort import BROKEN_OFF, Effort, OutOfTime
 
 SOLVED, GOOD = 0.9995, 0.9
 """Bounds from which nothing is worth its work, and from which ways that take long and rarely gain are left out."""
 
+HOPELESS = 1e-3
+"""Upper bound on what any controller does, below which the task is told to be too hard."""
+
 NEARLY = 1.05
 """How much more a grid may fail than a path and still be kept, as a factor: it has values at other states."""
+
+PATH = "path"
+"""Name of the way along a path: where nothing is certified so far it is asked first whether a run exists at all."""
 
 Results = Mapping[str, Synthesis]
 """What the ways so far gave, by name."""
@@ -94,7 +100,9 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
     began, results = time.perf_counter(), dict[str, Synthesis]()
     tried, refusals = dict[str, Any](), dict[str, str]()
     ended_by: str | None = None
-    for way in in_order(ways):
+    waiting = in_order(ways)
+    while waiting:
+        way = waiting.pop(_next(waiting, results))
         ended_by = BROKEN_OFF if effort.is_interrupted else ended_by
         reason = f"not computed: {ended_by}" if ended_by is not None else _left_out(way, results, effort)
         if reason is not None:
@@ -107,8 +115,9 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             with effort.until_broken_off():
                 result = way.run(results)
         except RelationRefused as refusal:
-            tried[way.name] = told(refusal) if way.refusal else " ".join(str(refusal).split())
+            tried[way.name] = told(refusal)
             refusals[way.name] = tried[way.name]
+            effort.no_run = tried[way.name] if isinstance(refusal, NoRunFound) else effort.no_run
             continue
         except OutOfTime:
             if not effort.has_result:
@@ -123,14 +132,26 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             ended_by = f"after `{way.name}` hardly anything is left to gain"
     if not results:
         raise _refused(ways, refusals)
-    return _recorded(results, tried | effort.left_out, began)
+    return _recorded(results, tried | effort.left_out, began, effort.no_run)
+
+
+def _next(waiting: Sequence[Way], results: Results) -> int:
+    """Return the position of the next way: the first, but for paths where all bounds so far are 0."""
+    if results and not any(_bound(result) > 0.0 for result in results.values()):
+        return next((k for k, way in enumerate(waiting) if way.name == PATH), 0)
+    return 0
 
 
 def leading(results: Results) -> Synthesis | None:
-    """Return the result with the largest bound; a grid, unless it fails ``NEARLY`` times as often as a path."""
+    """Return the result with the largest bound; a grid, unless it fails ``NEARLY`` times as often as a path.
+
+    Where all bounds are 0 it is the path, if there is one: its controllers follow a run that satisfies the task.
+    """
     if not results:
         return None
     best = max(results.values(), key=_bound)
+    if _bound(best) <= 0.0:
+        return next((one for one in results.values() if not one.certificate.has_cells), best)
     if best.certificate.has_cells:
         return best
     least = 1.0 - NEARLY * (1.0 - _bound(best))
@@ -180,7 +201,7 @@ def _refused(ways: Sequence[Way], refusals: Mapping[str, str]) -> RelationRefuse
     return RelationRefused("; ".join(f"{name}: {text}" for name, text in named.items()))
 
 
-def _recorded(results: Results, tried: dict[str, Any], began: float) -> Synthesis:
+def _recorded(results: Results, tried: dict[str, Any], began: float, no_run: str) -> Synthesis:
     """Return the best result, with what was tried, the least upper bound of all, and the seconds of all."""
     best = leading(results)
     assert best is not None
@@ -190,7 +211,28 @@ def _recorded(results: Results, tried: dict[str, Any], began: float) -> Synthesi
     if len(results) > 1:
         stats |= {"continuous_upper_bound": min(known, default=None)}
     stats["seconds"] = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    if _bound(best) <= 0.0:
+        stats["nothing"] = _why_nothing(best, results, stats, no_run)
+        best = with_settings(best, {"nothing": stats["nothing"]})
     if len(tried) > 1:
         stats["tried"] = tried
         best = with_settings(best, {"relations_tried": tried})
     return replace(best, stats=stats)
+
+
+def _why_nothing(best: Synthesis, results: Results, stats: Mapping[str, Any], no_run: str) -> str:
+    """Return why nothing was certified, in words: the task, or the models, as far as that is known."""
+    above = stats.get("continuous_upper_bound")
+    if above is not None and above <= HOPELESS:
+        too_hard = f"no controller satisfies the task more often than {rounded_up(above)}"
+        return f"{too_hard}; {no_run}" if no_run else too_hard
+    if no_run:
+        return f"{no_run}; the task may ask for too much"
+    if not best.certificate.has_cells:
+        weakest = best.certificate.settings.get("weakest", "")
+        lost = f", with noise most is lost at {weakest}" if weakest else ""
+        return f"the task can be done: a run without noise satisfies it{lost}; the controllers follow that run"
+    models = [result.stats.get("abstract_upper_bound") for result in results.values()]
+    known = [most for most in models if most is not None]
+    least = f": no policy of them does better than {rounded_up(max(known))}" if len(known) == len(models) else ""
+    return f"the finite models are too coarse, or the noise is too large{least}; ask for more `effort`"

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ...envs.agents import AnyAgent
 from ...envs.problem import Problem
-from ..cells import FloatArray, RelationRefused
+from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import PathCertificate, Synthesis
+from .calm_runs import most_missed, satisfies
 from .nonlinear_search import Found, NonlinearSearch
 from .team_search import TeamFound, TeamSearch
 from .words import Plan, letters_of
@@ -42,7 +43,7 @@ HOPELESS = 1.0 - 1e-12
 
 
 WORTHLESS = 0.999
-"""Probability of failing from which no certificate is made: so near to 1 the check rounds more than that is worth."""
+"""Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
 
 
 def refuse_other_noise(agent: AnyAgent) -> None:
@@ -154,20 +155,13 @@ class _Together:
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
 
-def _first_outside(problem: Problem, found: Sequence[Found]) -> str:
-    """Say which nominal state is outside its workspace, if there is one: nothing is certified along such a path."""
-    for agent, one in zip(problem.agents, found, strict=True):
-        states = one.nominal.states
-        outside = np.any((states < agent.state_low) | (states > agent.state_high), axis=1)
-        if np.any(outside):
-            return f"that of agent `{agent.name}` leaves it at step {int(np.argmax(outside))}"
-    return ""
-
-
 def nonlinear_certificate(
     problem: Problem, plans: Iterable[Plan], segmented: Iterable[Plan], is_over: Callable[[], bool]
 ) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
+
+    Where nothing is left of the bound, but a run without noise satisfies the task, it claims 0: its controllers follow
+    that run, so that rollouts show that the task can be done.
 
     Parameters
     ----------
@@ -181,8 +175,8 @@ def nonlinear_certificate(
 
     Raises
     ------
-    RelationRefused
-        If no normal law is above the noise of an agent, or no nonlinear path was found.
+    NoRunFound
+        If no run without noise was found that satisfies the task.
     """
     began = time.perf_counter()
     pairs = len(problem.labeling.pairs)
@@ -197,7 +191,7 @@ def nonlinear_certificate(
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
-        raise RelationRefused(f"no nominal path along which the task is satisfied was found{more}")
+        raise NoRunFound(f"no nominal path along which the task is satisfied was found{more}")
     best = team.refined(is_over)
     if best.failure > GOOD and pairs <= FEW_PAIRS and not is_over():
         # Other times of the jumps, each looked at after little work.
@@ -207,11 +201,11 @@ def nonlinear_certificate(
             again = team.refined(is_over)
             best = again if again.failure < best.failure else best
     failure = min(1.0, best.failure * (1.0 + 1e-9))
-    outside = _first_outside(problem, best.found)
-    if outside:
-        raise RelationRefused(f"no nominal path inside the workspaces was found: {outside}")
-    if failure >= WORTHLESS:
-        raise RelationRefused(f"no nominal path with a bound above 0 was found: most is lost at {best.weakest}")
+    calm = [one.nominal.states for one in best.found]
+    if not satisfies(problem, calm):
+        missed = most_missed(problem, best.letters, calm)
+        raise NoRunFound(f"no nominal path along which the task is satisfied was found: {missed or best.weakest}")
+    failure = 1.0 if failure >= WORTHLESS else failure
     faces = np.full(best.letters.shape, -1)
     for one in best.found:
         faces = np.where(one.faces >= 0, one.faces, faces)

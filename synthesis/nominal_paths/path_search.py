@@ -51,7 +51,8 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
     Raises
     ------
     RelationRefused
-        If no normal law is above the noise of an agent, a start is outside its workspace, or no path was found.
+        If no normal law is above the noise of an agent, or a start is outside its workspace; NoRunFound if no run
+        without noise was found that satisfies the task.
     """
     began = time.perf_counter()
     refuse_without_path(problem)
@@ -71,7 +72,8 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
                 best = found[0], plan, found[1]
         best = best if best is None or is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
-        raise RelationRefused("no nominal path along which the task is satisfied was found; ask for another relation")
+        # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
+        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem), is_over)
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
     certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)

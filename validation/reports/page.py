@@ -115,7 +115,10 @@ def _answer(content: ReportContent) -> str:
     shown = escape(shown_bound(v.lower_bound, v.gap))
     proved = f"<p>Under these controllers, {escape(start)}, {above}: proved for the model, not estimated.</p>"
     if v.verdict == VACUOUS:
-        proved = f"<p>{_verdict(VACUOUS)} {escape(MEANINGS[VACUOUS])}.</p>"
+        why = escape(v.details.get("nothing", ""))
+        proved = f"<p>{_verdict(VACUOUS)} {escape(MEANINGS[VACUOUS])}.</p>" + (
+            f"<p><b>Why:</b> {why}.</p>" if why else ""
+        )
     claim = f"<h2>Claim and verdict</h2><p class=big>{shown}</p>{proved}"
     if not content.checked:
         claim = (

@@ -23,6 +23,7 @@ from ...synthesis.certificates import (
     relations_tried,
     rounded_up,
     shown_bound,
+    why_nothing,
 )
 from ...synthesis.checking import CheckReport, greedy_disturbance
 from ..simulation import (
@@ -192,7 +193,8 @@ class ValidationReport:
         rows = [
             *([("invalid", f"{NOT_CERTIFIED}: {'; '.join(details['check']['failures'])}")] if self.is_invalid else []),
             ("method", f"{self.method} ({details['bound']} bound, rank {self.rank})"),
-            ("claimed" if self.is_invalid else "certified", shown_bound(self.lower_bound, self.gap)),
+            ("claimed" if self.is_invalid else "certified", self._claim()),
+            *([("why", why)] if (why := details.get("nothing")) else []),
             *self._limits_of_search(),
             ("simulated", simulated),
         ]
@@ -210,6 +212,11 @@ class ValidationReport:
         word = f"invalid; the rollouts alone: {self.verdict}" if self.is_invalid else self.verdict
         rows.append(("verdict", f"{word}{how}: {MEANINGS[self.verdict]}"))
         return [*rows, *self._advice(), ("times", times)]
+
+    def _claim(self) -> str:
+        """Return the bound in words; one of 0 is none."""
+        shown = shown_bound(self.lower_bound, self.gap)
+        return shown if self.lower_bound > 0.0 else f"nothing: {shown}"
 
     def _advice(self) -> Rows:
         """Return what to try where the rollouts lie far above the bound; nothing elsewhere."""
@@ -261,7 +268,7 @@ def _outcome_text(outcome: float | str) -> str:
     return shortened(outcome, MOST_WORDS)
 
 
-_ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain")
+_ABOUT_SEARCH = ("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain", "nothing")
 """Statistics of a synthesis that a report repeats."""
 
 
@@ -437,6 +444,7 @@ def _facts_of_search(result: Any, certificate: Certificate | ProductCertificate)
     """Return what a certificate, or a synthesis if there is one, tells about the search that made it."""
     tried = relations_tried(certificate)
     facts: dict[str, Any] = {"tried": tried} if tried else {}
+    facts |= {"nothing": why} if (why := why_nothing(certificate)) else {}
     if isinstance(result, Synthesis):
         facts |= {name: result.stats[name] for name in _ABOUT_SEARCH if name in result.stats}
     return facts

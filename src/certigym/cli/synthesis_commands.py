@@ -129,6 +129,8 @@ def synthesize(options: Namespace) -> int:
         "certificate": options.out,
     }
     claim = shown_bound(certificate.lower_bound, certificate.gap)
+    if why := result.stats.get("nothing"):
+        claim = f"nothing was certified ({claim}): {why}"
     text = f"{certificate.problem.name}, horizon {certificate.problem.horizon}: {claim}\nsaved to {options.out}"
     show(options, text, summary)
     return 0
