@@ -8,7 +8,7 @@ from typing import Any
 
 from ..envs.problem import Problem
 from ..envs.suite import as_problem
-from .cells import CellCounts
+from .cells import CellCounts, RelationRefused, to_who_asked_for_none
 from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
 from .models import (
@@ -126,6 +126,16 @@ def synthesize(
     if start is not None and not problem.groups and not problem.labeling.pairs:
         settings = {**_settings_of_start(problem, relation, start), **settings}
     plan = Plan(Settings(**settings), search, budget, spending)
+    try:
+        return _of_problem(problem, cells, relation, plan, start)
+    except RelationRefused as refusal:
+        raise RelationRefused(to_who_asked_for_none(refusal) if cells is None else str(refusal)) from None
+
+
+def _of_problem(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> Synthesis:
+    """Synthesize a problem: task by task, if its tasks are independent."""
     if problem.groups and not problem.labeling.pairs:
         _refuse_start(start, "independent tasks")
         check_names("relation", relation, problem)

@@ -7,20 +7,20 @@ from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
-from .refusal import NoRunFound, RelationRefused, TooFine, linear_agent, refuse_uneven_noise
+from .refusal import FEWER, NoRunFound, RelationRefused, linear_agent, refuse_uneven_noise, to_who_asked_for_none
 from .sizes import alike_text, shape_text
 
 __all__ = [
     "CellCounts",
     "CellLabels",
     "DEFAULT_TARGETS",
+    "FEWER",
     "FloatArray",
     "Grid",
     "GridDynamics",
     "LatticeAxis",
     "NoRunFound",
     "RelationRefused",
-    "TooFine",
     "agent_grid",
     "alike_text",
     "axis_finder",
@@ -47,4 +47,5 @@ __all__ = [
     "spread",
     "start_share",
     "to_places",
+    "to_who_asked_for_none",
 ]

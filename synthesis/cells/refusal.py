@@ -15,12 +15,13 @@ class RelationRefused(ValueError):
     """
 
 
-class TooFine(RelationRefused):
-    """Cells that take more than there is room for. ``text`` leaves out the advice, for those who asked for no cells."""
+FEWER = "; ask for fewer `cells` or `targets_per_cell`"
+"""What cells that take too much are refused with, for those who asked for them."""
 
-    def __init__(self, text: str) -> None:
-        super().__init__(f"{text}; ask for fewer `cells` or `targets_per_cell`")
-        self.text = text
+
+def to_who_asked_for_none(text: object) -> str:
+    """Return why cells take too much, in one line, without the advice to ask for fewer: nobody asked for any."""
+    return " ".join(str(text).split()).replace(FEWER, "")
 
 
 class NoRunFound(RelationRefused):

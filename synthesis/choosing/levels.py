@@ -418,9 +418,11 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
         if isinstance(model.choices, CornerChoices):
             # Agents that are alike have equal factors as a rule, which are smoothed once.
             lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
+            # Each further axis triples the neighbours of lattice points and cells; rates are those of two axes.
+            more = 3.0 ** max(0, len(points) - 2)
             # Where trees have a single term they are read once, too; that does not change what pairs get.
             if n_states > 1 or rank > 1 or seen[id(model)] < PAIR:
-                total += sweeps * rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
+                total += more * sweeps * rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)
             seen[id(model)] += 1
             continue
         if isinstance(model.choices, BoxChoices):

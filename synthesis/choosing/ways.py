@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from ..cells import NoRunFound, RelationRefused, TooFine
+from ..cells import NoRunFound, RelationRefused, to_who_asked_for_none
 from ..certificates import Synthesis, rounded_up
 from .effort import BROKEN_OFF, Effort, OutOfTime
 
@@ -75,12 +75,7 @@ def refused(name: str, error: RelationRefused) -> Way:
     def run(results: Results) -> Synthesis:
         raise error
 
-    return Way(name, run, refusal=told(error))
-
-
-def told(error: RelationRefused) -> str:
-    """Return why a way does not apply, to someone who asked for no cells."""
-    return " ".join((error.text if isinstance(error, TooFine) else str(error)).split())
+    return Way(name, run, refusal=to_who_asked_for_none(error))
 
 
 def in_order(ways: Sequence[Way]) -> list[Way]:
@@ -115,8 +110,8 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             with effort.until_broken_off():
                 result = way.run(results)
         except RelationRefused as refusal:
-            tried[way.name] = told(refusal)
-            refusals[way.name] = tried[way.name]
+            tried[way.name] = to_who_asked_for_none(refusal)
+            refusals[way.name] = tried[way.name] if way.refusal else " ".join(str(refusal).split())
             effort.no_run = tried[way.name] if isinstance(refusal, NoRunFound) else effort.no_run
             continue
         except OutOfTime:
@@ -233,6 +228,6 @@ def _why_nothing(best: Synthesis, results: Results, stats: Mapping[str, Any], no
         lost = f", with noise most is lost at {weakest}" if weakest else ""
         return f"the task can be done: a run without noise satisfies it{lost}; the controllers follow that run"
     models = [result.stats.get("abstract_upper_bound") for result in results.values()]
-    known = [most for most in models if most is not None]
+    known = [most for most in models if isinstance(most, float)]
     least = f": no policy of them does better than {rounded_up(max(known))}" if len(known) == len(models) else ""
     return f"the finite models are too coarse, or the noise is too large{least}; ask for more `effort`"

@@ -13,10 +13,10 @@ from scipy.linalg import qr
 
 from ...envs.agents import Agent, AnyAgent, Box, LinearAgent, shortened
 from ..cells import (
+    FEWER,
     FloatArray,
     Grid,
     RelationRefused,
-    TooFine,
     cell_points,
     grid_laws,
     in_grid_coordinates,
@@ -85,9 +85,9 @@ def box_model(
     low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if grid.n_cells * len(menu) > MOST_BOXES or count > MOST_LATTICE:
-        raise TooFine(
+        raise RelationRefused(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
-            f"{grid.n_cells * len(menu)} and {count}"
+            f"{grid.n_cells * len(menu)} and {count}{FEWER}"
         )
     means = box_lattice(grid, deviations, points, low, high)
     by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}

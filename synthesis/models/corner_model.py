@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...envs.agents import AnyAgent, Gaussian, Law, Uniform
-from ..cells import FloatArray, Grid, RelationRefused, TooFine, grid_laws
+from ..cells import FEWER, FloatArray, Grid, RelationRefused, grid_laws
 from ..relations import AffineBoxes, MapRelation, map_relation
 from .agent_models import reaches_every_mean
 from .bends import SECOND
@@ -117,9 +117,9 @@ def lattice_model(
     n_maps = grid.n_cells * len(relation.menu)
     count = math.prod(n * k for n, k in zip(grid.shape, points, strict=True))
     if n_maps > MOST_MAPS or count > MOST_LATTICE:
-        raise TooFine(
+        raise RelationRefused(
             f"agent `{agent.name}`: the relation `linear` needs at most {MOST_MAPS} maps and {MOST_LATTICE} lattice "
-            f"points, got {n_maps} and {count}"
+            f"points, got {n_maps} and {count}{FEWER}"
         )
     maps = _maps(relation, grid)
     half = np.einsum("sakj,sj->sak", np.abs(maps.gain), grid.half_widths)

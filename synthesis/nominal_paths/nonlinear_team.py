@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -46,6 +46,15 @@ WORTHLESS = 0.999
 """Probability of failing from which nothing is claimed: so near to 1 the check rounds more than that is worth."""
 
 
+CALM = 1e-2
+"""Share of the noise with which a run is looked for that satisfies the task without noise."""
+
+NO_PATH = "no nominal path along which the task is satisfied was found"
+
+PlansOf = Callable[[Problem], Iterable[Plan]]
+"""Plans of a problem."""
+
+
 def refuse_other_noise(agent: AnyAgent) -> None:
     """Raise RelationRefused where no normal law is above the noise of an agent."""
     for law in agent.laws or ():
@@ -69,6 +78,11 @@ class Refined:
     failure: float
     weakest: str
     normals: FloatArray | None = None
+
+    @property
+    def states(self) -> list[FloatArray]:
+        """Nominal states (S + 1, d) of each agent."""
+        return [one.nominal.states for one in self.found]
 
 
 class _Apart:
@@ -156,7 +170,7 @@ class _Together:
 
 
 def nonlinear_certificate(
-    problem: Problem, plans: Iterable[Plan], segmented: Iterable[Plan], is_over: Callable[[], bool]
+    problem: Problem, plans: PlansOf, segmented: PlansOf, is_over: Callable[[], bool]
 ) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
@@ -166,9 +180,9 @@ def nonlinear_certificate(
     Parameters
     ----------
     problem : Problem
-    plans : iterable of Plan
-        Ways through the automaton with the times of their jumps, in order of promise.
-    segmented : iterable of Plan
+    plans : callable
+        Ways through the automaton of a problem with the times of their jumps, in order of promise.
+    segmented : callable
         Further ones, for which there is time where those give nothing.
     is_over : callable
         Whether what was found so far has to do.
@@ -179,9 +193,31 @@ def nonlinear_certificate(
         If no run without noise was found that satisfies the task.
     """
     began = time.perf_counter()
+    tried, best = _searched(problem, (plans(problem), segmented(problem)), is_over)
+    failure = min(1.0, best.failure * (1.0 + 1e-9))
+    if failure >= WORTHLESS:
+        failure, weakest = 1.0, best.weakest
+        best = _calm_run(problem, best, plans, segmented)
+        best = replace(best, weakest=weakest)
+    faces = np.full(best.letters.shape, -1)
+    for one in best.found:
+        faces = np.where(one.faces >= 0, one.faces, faces)
+    settings = {
+        "relation": "path", "jumps": list(best.times), "candidates": tried, "weakest": best.weakest,
+    }  # fmt: skip
+    paths = tuple(one.path for one in best.found)
+    certificate = PathCertificate(problem, paths, best.letters, faces, failure, settings, best.normals)
+    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
+    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
+    stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
+    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], is_over: Callable[[], bool]) -> tuple[int, Refined]:
+    """Return how many candidates were tried, and the best plan; raise NoRunFound if none has paths at all."""
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem) if pairs else _Apart(problem)
-    for some in (plans, segmented):
+    for some in plans:
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for plan in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
             team.of_plan(plan)
@@ -191,7 +227,7 @@ def nonlinear_certificate(
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
-        raise NoRunFound(f"no nominal path along which the task is satisfied was found{more}")
+        raise NoRunFound(f"{NO_PATH}{more}")
     best = team.refined(is_over)
     if best.failure > GOOD and pairs <= FEW_PAIRS and not is_over():
         # Other times of the jumps, each looked at after little work.
@@ -200,24 +236,22 @@ def nonlinear_certificate(
         if team.best[0] < before:
             again = team.refined(is_over)
             best = again if again.failure < best.failure else best
-    failure = min(1.0, best.failure * (1.0 + 1e-9))
-    calm = [one.nominal.states for one in best.found]
-    if not satisfies(problem, calm):
-        missed = most_missed(problem, best.letters, calm)
-        raise NoRunFound(f"no nominal path along which the task is satisfied was found: {missed or best.weakest}")
-    failure = 1.0 if failure >= WORTHLESS else failure
-    faces = np.full(best.letters.shape, -1)
-    for one in best.found:
-        faces = np.where(one.faces >= 0, one.faces, faces)
-    settings = {
-        "relation": "path", "jumps": list(best.times), "candidates": team.tried, "weakest": best.weakest,
-    }  # fmt: skip
-    paths = tuple(one.path for one in best.found)
-    certificate = PathCertificate(problem, paths, best.letters, faces, failure, settings, best.normals)
-    seconds = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
-    unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
-    stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
-    return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+    return team.tried, best
+
+
+def _calm_run(problem: Problem, best: Refined, plans: PlansOf, segmented: PlansOf) -> Refined:
+    """Return a plan whose run without noise satisfies the task; raise NoRunFound if none was found.
+
+    Where nothing is left of the bound a plan keeps so far from all limits that it may miss the task itself. With hardly
+    any noise it is planned for nothing else.
+    """
+    if satisfies(problem, best.states):
+        return best
+    calm = problem.replace(disturbance_scale=CALM)
+    _, again = _searched(calm, (plans(calm), segmented(calm)), lambda: False)
+    if not satisfies(problem, again.states):
+        raise NoRunFound(f"{NO_PATH}: {most_missed(problem, again.letters, again.states) or again.weakest}")
+    return again
 
 
 def _with_better_times(team: _Apart | _Together, is_over: Callable[[], bool]) -> None:

@@ -60,7 +60,7 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )
     if problem.labeling.pairs or not linear:
-        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem), is_over)
+        return nonlinear_certificate(problem, _plans, _segmented_plans, is_over)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
     for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
@@ -73,7 +73,7 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
         best = best if best is None or is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
-        return nonlinear_certificate(problem, _plans(problem), _segmented_plans(problem), is_over)
+        return nonlinear_certificate(problem, _plans, _segmented_plans, is_over)
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
     certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)

@@ -1,0 +1,135 @@
+"""Where the bound is 0 the search goes on, and says whether the task or the models are to blame."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.cli.main import main
+from certigym.envs.problem.problem_file import problem_from_toml
+from certigym.synthesis.nominal_paths.calm_runs import most_missed, satisfies
+
+FILE = """
+name = "{name}"
+specification = "{formula}"
+horizon = {horizon}
+[agents.robot]
+states = ["x", "y"]
+inputs = ["ux", "uy"]
+dynamics = ["x + 0.5*ux", "y + 0.5*uy"]
+noise_std = [{std}, {std}]
+state_low = [0, 0]
+state_high = [10, 10]
+input_low = [-1, -1]
+input_high = [1, 1]
+initial_state = [1, 1]
+[propositions.goal]
+agent = "robot"
+low = [3, 1]
+high = [{high}, 9]
+[propositions.wall]
+agent = "robot"
+low = [2, 0]
+high = [{wall}, 10]
+"""
+
+
+def problem(
+    formula: str = "F goal", horizon: int = 6, std: float = 0.05, high: float = 9.0, wall: float = 2.75
+) -> cg.Problem:
+    return problem_from_toml(FILE.format(name="try", formula=formula, horizon=horizon, std=std, high=high, wall=wall))
+
+
+def test_files_may_be_written_as_they_are_spoken() -> None:
+    asked = problem()
+    assert asked.agent_names == ("robot",) and asked.specification.semantics == "co-safe"
+    np.testing.assert_array_equal(asked.agents[0].noise_covariance, 0.05**2 * np.eye(2))
+    assert problem("G !wall").specification.semantics == "finite-trace"
+    assert problem("G[0,3] !wall").specification.semantics == "co-safe"
+    for wrong, words in (
+        ("noise_std = [0.05, 0.05]", "noise_std = [0.05, -0.05]"),
+        ("noise_std = [0.05, 0.05]", "noise_std = [0.05]"),
+        ("noise_std = [0.05, 0.05]", "noise_std = [0.1, 0.1]\nnoise_covariance = [[0.1, 0.0], [0.0, 0.1]]"),
+        ("[agents.robot]", '[agents.robot]\nname = "other"'),
+        ("[agents.robot]", "[agents]"),
+    ):
+        text = FILE.format(name="try", formula="F goal", horizon=6, std=0.05, high=9.0, wall=2.75).replace(wrong, words)
+        with pytest.raises(ValueError, match=r"noise_std|noise_covariance|agents"):
+            problem_from_toml(text)
+
+
+def test_runs_without_noise_are_judged_as_the_simulator_does() -> None:
+    asked = problem("!wall U goal")
+    straight = np.linspace([1.0, 1.0], [3.5, 1.0], 6)
+    assert not satisfies(asked, [straight])  # at 2.0 and 2.5 it is in the wall
+    jumped = np.array([[1.0, 1.0], [1.9, 1.0], [2.8, 1.0], [3.2, 1.0]])
+    assert satisfies(asked, [jumped])
+    assert not satisfies(asked, [jumped[:3]])
+    letters = np.array([[0, 0], [0, -1], [0, -1], [0, -1], [0, -1], [1, 0]], dtype=np.int8)
+    names = asked.automaton.propositions
+    letters = letters if names == ("goal", "wall") else letters[:, ::-1]
+    assert most_missed(asked, letters, [straight]) == "agent `robot` is 0.25 deep in `wall` at step 3"
+    assert "0.5 short of `goal` at step 5" in most_missed(asked, letters, [straight - np.array([1.0, 0.0])])
+    away = straight.copy()
+    away[4] = [-12.0, 1.0]
+    assert most_missed(asked, letters, [away]) == "agent `robot` leaves its workspace at step 4 by 12"
+    # finite traces are judged at the horizon alone
+    assert satisfies(problem("G !wall", 3), [np.ones((4, 2))])
+    assert not satisfies(problem("G !wall", 4), [np.ones((4, 2))])
+
+
+@pytest.mark.parametrize(
+    ("formula", "horizon", "blamed"), [("F goal", 3, "short of `goal` at step 3"), ("!wall U goal", 8, "`wall`")]
+)
+def test_a_task_that_cannot_be_done_is_to_blame(formula: str, horizon: int, blamed: str) -> None:
+    found = cg.synthesize(problem(formula, horizon, 0.05), effort=2)
+    assert found.certificate.lower_bound == 0.0
+    why = found.stats["nothing"]
+    assert isinstance(why, str) and blamed in why
+    # The reason is in the file, too, and no verb calls a claim of nothing confirmed.
+    report = cg.validate(found.certificate, 200)
+    assert report.details["nothing"] == why and report.verdict == "vacuous"
+    assert "certified     nothing: P >= 0" in str(report) and "why           " in str(report)
+
+
+@cache
+def narrow() -> tuple[cg.Problem, Any]:
+    """A gap that a run without noise jumps, with far too much noise."""
+    asked = problem("!wall U goal", 6, 0.5, 3.6, wall=2.4)
+    return asked, cg.synthesize(asked, relation="path")
+
+
+def test_where_noise_is_to_blame_the_controller_follows_a_run() -> None:
+    asked, found = narrow()
+    assert found.certificate.lower_bound == 0.0 and cg.check(found.certificate, asked).valid
+    assert satisfies(asked, [part.states for part in found.certificate.paths])
+    # With hardly any noise the same controller does the task.
+    calm = problem("!wall U goal", 6, 1e-6, 3.6, wall=2.4)
+    rollouts = cg.rollout(calm, found.controller, 200, seed=1)
+    assert rollouts.success.mean() == 1.0
+
+
+def test_a_claim_of_nothing_along_a_path_cannot_be_made_one_of_something() -> None:
+    asked, found = narrow()
+    certificate = found.certificate
+    assert not cg.check(replace(certificate, failure=0.5), asked).valid
+
+
+def test_the_terminal_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "try.toml"
+    file.write_text(FILE.format(name="try", formula="F goal", horizon=2, std=0.02, high=9.0, wall=2.75))
+    assert main(["synthesize", str(file), "--out", str(tmp_path / "c.npz"), "--effort", "2"]) == 0
+    assert re.search(r"nothing was certified \(P >= 0.*\): .* short of `goal` at step 2", capsys.readouterr().out)
+
+
+def test_levels_end_where_no_run_is_known() -> None:
+    tried = cg.synthesize(problem("F goal", 2, 0.1)).stats["tried"]
+    assert isinstance(tried, dict)
+    assert any("no run without noise was found" in str(told) for told in tried.values())
