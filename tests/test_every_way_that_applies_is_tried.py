@@ -9,6 +9,7 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.certificates import rounded_up
 from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
 from certigym.synthesis.models import Settings
 from certigym.synthesis.nominal_paths import path_certificate
@@ -160,6 +161,10 @@ def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     ways = [(text, value) for text, value in told if text.startswith("way: ")]
     assert ways[0][1] == 0.0 and any("cells" in text for text, _ in ways)
     assert max(value for _, value in ways) <= found.certificate.lower_bound
+    # The upper end, once it is known, and the work that is left are told, too.
+    most = found.stats["continuous_upper_bound"]
+    assert isinstance(most, float) and f"at most {rounded_up(most, 4)} for anyone" in ways[-1][0]
+    assert all(text.endswith(" of 80 work spent") for text, _ in ways)
 
 
 def test_a_path_that_has_no_time_is_a_path() -> None:

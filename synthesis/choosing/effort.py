@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from ..certificates import rounded_up
 from ..search import BEGINS
 
 EFFORT = 80.0
@@ -56,6 +57,8 @@ class Effort:
     is_interrupted: bool = False
     """Whether the user broke off (Ctrl-C) after there was a certificate: nothing further is begun."""
     progress: Callable[[str, float], None] | None = None
+    above: float = 1.0
+    """Upper bound on what any controller does, as far as one is known."""
     no_run: str = ""
     """Why no run without noise satisfies the task, if that was looked for and none was found."""
     left_out: dict[str, str] = field(default_factory=dict)
@@ -85,9 +88,17 @@ class Effort:
         return f"given up: {BROKEN_OFF if self.is_interrupted else 'the `seconds` were over'}"
 
     def tell(self, what: str, bound: float) -> None:
-        """Say which way or level begins, beside the largest bound so far."""
+        """Say which way or level begins, what may be left to gain and to spend, beside the largest bound so far."""
         if self.progress is not None:
-            self.progress(f"{BEGINS}{what}", bound)
+            most = f", at most {rounded_up(self.above, 4)} for anyone" if self.above < 1.0 else ""
+            self.progress(f"{BEGINS}{what}{most}{self._in_hand}", bound)
+
+    @property
+    def _in_hand(self) -> str:
+        """What was spent, of how much, in words; every task has as much."""
+        if self.seconds is not None:
+            return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
+        return f", {min(self.spent, self.limit):.0f} of {self.limit:.0f} work spent"
 
     @contextmanager
     def until_broken_off(self) -> Iterator[None]:

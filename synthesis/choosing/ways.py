@@ -122,6 +122,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
         finally:
             effort.spent = max(effort.spent, before + way.work)
         results[way.name], effort.has_result = result, True
+        effort.above = min(effort.above, _above(result))
         tried |= _outcomes(way, result)
         if result.certificate.lower_bound >= way.ends:
             ended_by = f"after `{way.name}` hardly anything is left to gain"
@@ -166,6 +167,12 @@ def with_settings(result: Synthesis, more: Mapping[str, Any]) -> Synthesis:
 def _bound(result: Synthesis) -> float:
     """Return the certified bound."""
     return float(result.certificate.lower_bound)
+
+
+def _above(result: Synthesis) -> float:
+    """Return an upper bound on what any controller does, 1 where none is known."""
+    known = result.stats.get("continuous_upper_bound")
+    return known if isinstance(known, float) else 1.0
 
 
 def _left_out(way: Way, results: Results, effort: Effort) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import floor
 
 from tqdm import tqdm
 
@@ -44,7 +45,7 @@ def shown_on(bar: tqdm) -> Progress:
         nonlocal bound
         if text.startswith(BEGINS):
             bound = max(bound, value)
-            so_far = f"P >= {bound:.6f} so far" if bound > 0.0 else "nothing certified yet"
+            so_far = f"P >= {floor(1e6 * bound) / 1e6:.6f} so far" if bound > 0.0 else "nothing certified yet"
             bar.set_description_str(f"{text.removeprefix(BEGINS)}; {so_far}", refresh=False)
             bar.set_postfix_str("")
         else:
