@@ -28,7 +28,7 @@ LOST = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Candidates: gains (N, S, m, d), and slabs (N, 2 d + m) in deviations of states, inputs and noises."""
+    """Candidates: gains (N, S, m, d), and slabs (N, S + 1, 2 d + m) in deviations of states, inputs and noises."""
 
     gains: FloatArray
     slabs: FloatArray
@@ -193,7 +193,7 @@ class _Walk:
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
-            slab = np.where(asked, self.feedback.slabs[:, :d] * sd + self.least[:d], np.inf)
+            slab = np.where(asked, self.feedback.slabs[:, t, :d] * sd + self.least[:d], np.inf)
             reach = np.where(np.isinf(slab), np.inf, slab) + drift if t else drift
             reach = np.minimum(reach, np.maximum(self.agent.state_high - x, x - self.agent.state_low))
             states[0, t], states[1, t], slabs[t, :, :d] = sd, drift, slab
@@ -251,7 +251,7 @@ class _Walk:
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         moved = np.any(gain != 0.0, axis=2)
         asked = moved & self.model.bent[d:]
-        slab = np.where(asked, self.feedback.slabs[:, d : d + m] * sd + self.least[d:], np.inf)
+        slab = np.where(asked, self.feedback.slabs[:, t, d : d + m] * sd + self.least[d:], np.inf)
         size = np.einsum("nmd,nd->nm", np.abs(gain), reach)
         around = np.where(moved, np.minimum(slab + drift, size) * OUTWARD + 1e-13 * np.abs(u), 0.0)
         spare = INWARD * (np.abs(u) + 1e-3)
@@ -273,7 +273,7 @@ class _Walk:
                 self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
             ).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
-            noise_slab = np.where(is_varied & (not self.model.is_light), self.feedback.slabs[:, d + m :], np.inf)
+            noise_slab = np.where(is_varied & (not self.model.is_light), self.feedback.slabs[:, t, d + m :], np.inf)
             is_bounded = np.isfinite(noise_slab)
             off = off + np.where(
                 is_bounded, varied * self.model.deviations * np.where(is_bounded, noise_slab, 0.0), 0.0

@@ -308,7 +308,7 @@ def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[
     """Return, for each of some agents that are alike, the best of its candidates and the scores of all."""
     which = np.repeat(np.arange(len(tasks)), [len(thetas) for _, _, thetas in tasks])
     paths = [nominal for _, nominal, _ in tasks]
-    feedback = _feedback(tasks[0][0], paths, which, np.concatenate([thetas for _, _, thetas in tasks]))
+    feedback = feedback_of(tasks[0][0], paths, which, np.concatenate([thetas for _, _, thetas in tasks]))
     worth, spreads = worth_of(paths, feedback, which)
     scores = worth.scores()
     scores = np.where(np.isfinite(scores), scores, np.inf)
@@ -326,7 +326,7 @@ def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[
     return result
 
 
-def _feedback(
+def feedback_of(
     search: NonlinearSearch, paths: Sequence[NominalPath], which: NDArray[np.int64], thetas: FloatArray
 ) -> Feedback:
     """Return the feedbacks of candidates (N, k), each along the path ``which`` (N,)."""
@@ -340,7 +340,8 @@ def _feedback(
     A, B = (np.stack([path.linear[k] for path in paths], axis=1)[:, which] for k in (0, 1))
     inputs = np.stack([path.inputs for path in paths], axis=1)[:, which]
     gains = regulators(A, B, weights, (inputs <= low) | (inputs >= high))
-    return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), slabs)
+    each = np.repeat(slabs[:, None], gains.shape[1] + 1, axis=1)
+    return Feedback(np.where(np.isfinite(gains), np.clip(gains, -1e6, 1e6), 0.0), each)
 
 
 def _nowhere(limits: object, p: int, steps: int) -> Aim:

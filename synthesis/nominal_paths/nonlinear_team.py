@@ -17,6 +17,7 @@ from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import PathCertificate, Synthesis
 from .calm_runs import most_missed, satisfies
 from .nonlinear_search import Found, NonlinearSearch
+from .polish import polished
 from .team_search import TeamFound, TeamSearch
 from .words import Plan, letters_of
 
@@ -31,6 +32,16 @@ HARDLY = -0.05
 
 PROMISING = -4.0
 """Logarithm of the failure after little work from which no further way is looked for."""
+
+REFINED, NEAR = 4, 1.5
+"""Plans on which more work is spent, and how much worse their logarithm may be after little work, which hardly tells
+them apart."""
+
+TOUCHED_UP = 3
+"""Plans that are moved a little in all that is free, until one is good."""
+
+FAIR = 1e-3
+"""Failure above which more work is spent on further plans in any case."""
 
 FEW_PAIRS = 15
 """Pairs up to which times of jumps are moved: plans of larger teams take seconds."""
@@ -88,15 +99,20 @@ class Refined:
 class _Apart:
     """Nonlinear paths of all agents for letters; what depends on an agent's own letters is searched once."""
 
-    best: tuple[float, Plan, NDArray[np.int8], list[Found]] | None
+    seen: list[tuple[float, Plan, NDArray[np.int8], list[Found]]]
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
         self.known: dict[tuple[int, bytes], Found | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
-        self.best = None
+        self.seen, self.done = [], dict[Plan, Refined]()
         self.stopped = ""
+
+    @property
+    def best(self) -> tuple[float, Plan, NDArray[np.int8], list[Found]] | None:
+        """The best plan after little work."""
+        return min(self.seen, key=lambda one: one[0], default=None)
 
     @property
     def tried(self) -> int:
@@ -121,22 +137,44 @@ class _Apart:
             self.warm[i] = one.theta
             found.append(one)
         score = float(np.logaddexp.reduce([one.score for one in found]))
-        if self.best is None or score < self.best[0]:
-            self.best = score, plan, letters, found
+        if all(plan != other for _, other, _, _ in self.seen):
+            self.seen.append((score, plan, letters, found))
 
-    def refined(self, is_over: Callable[[], bool]) -> Refined:
-        """Return the best plan after more work."""
-        assert self.best is not None
-        _, (_, times, _), letters, found = self.best
-        found = [search.full(letters, one, is_over) for search, one in zip(self.searches, found, strict=True)]
-        # Agents are independent.
-        failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
-        return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)
+    def refined(self, is_over: Callable[[], bool], count: int = 1) -> Refined:
+        """Return the best of a few plans, the best of all after little work, after more work."""
+        best: Refined | None = None
+        for score, plan, letters, found in sorted(self.seen, key=lambda one: one[0])[:count]:
+            is_far = self.best is None or score > self.best[0] + NEAR
+            if best is not None and (is_far or best.failure <= GOOD or is_over()):
+                break
+            if plan not in self.done:
+                each = [search.full(letters, one, is_over) for search, one in zip(self.searches, found, strict=True)]
+                self.done[plan] = _refined(plan.times, letters, each)
+            one = self.done[plan]
+            best = one if best is None or one.failure < best.failure else best
+        assert best is not None
+        return best
+
+    def touched_up(self, best: Refined, is_over: Callable[[], bool]) -> Refined:
+        """Return a plan that fails at most as often, after small moves of all that is free in the best few plans."""
+        for one in sorted(self.done.values(), key=lambda one: one.failure)[:TOUCHED_UP]:
+            if best.failure <= GOOD or is_over():
+                break
+            each = [polished(search, path, is_over) for search, path in zip(self.searches, one.found, strict=True)]
+            moved = _refined(one.times, one.letters, each)
+            best = moved if moved.failure < best.failure else best
+        return best
 
     def _own(self, i: int) -> list[int]:
         names, agent = self.problem.automaton.propositions, self.problem.agents[i]
         return [p for p in range(min(len(names), self.problem.labeling.first_pair))
                 if self.problem.propositions[names[p]].agent == agent.name]  # fmt: skip
+
+
+def _refined(times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Found]) -> Refined:
+    """Return a plan of agents that are independent."""
+    failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
+    return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)
 
 
 class _Together:
@@ -161,12 +199,16 @@ class _Together:
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
             self.best = found.score, plan, letters, found
 
-    def refined(self, is_over: Callable[[], bool]) -> Refined:
-        """Return the best plan after more work."""
+    def refined(self, is_over: Callable[[], bool], count: int = 1) -> Refined:
+        """Return the best plan after more work; plans of teams take so long that there is time for one."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
         found = self.search.full(letters, found, is_over)
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
+
+    def touched_up(self, best: Refined, is_over: Callable[[], bool]) -> Refined:
+        """Return the plan: what pairs ask for ties all paths together."""
+        return best
 
 
 def nonlinear_certificate(
@@ -233,9 +275,10 @@ def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], is_over: Callab
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
         _with_better_times(team, is_over)
-        if team.best[0] < before:
-            again = team.refined(is_over)
+        if team.best[0] < before or best.failure > FAIR:
+            again = team.refined(is_over, REFINED)
             best = again if again.failure < best.failure else best
+    best = best if is_over() else team.touched_up(best, is_over)
     return team.tried, best
 
 
