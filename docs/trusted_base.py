@@ -20,11 +20,11 @@ TRUSTED = {
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
         "envs.agents.labeling "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair "
-        "envs.agents.products envs.agents.proposition envs.arrays.libraries "
+        "envs.agents.products envs.agents.proposition envs.agents.shapes envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
-        "envs.problem.record envs.problem.specification envs.problem.writing_out"
+        "envs.problem.record envs.problem.regions envs.problem.specification envs.problem.writing_out"
     ),
     "What the formula means": (
         "envs.logic.automaton envs.logic.decision_diagram envs.logic.formula envs.logic.guard_diagrams "

@@ -53,7 +53,7 @@ def opposite_of(problem: Problem) -> Problem:
     return Problem(
         name=f"not {problem.name}",
         horizon=problem.horizon,
-        agents=problem.agents,
+        agents=problem.written_agents,
         propositions=problem.declared,
         specification=Specification(automaton=automaton),
     )

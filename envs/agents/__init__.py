@@ -13,6 +13,7 @@ from .checks import (
     slices_of,
     unknown_argument,
 )
+from .declared_names import MOST_STATES
 from .expression_agent import Agent
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
@@ -22,23 +23,31 @@ from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .proposition import DECIMALS, TIME, Proposition
 from .saving import write_bytes, write_json, write_text
+from .shapes import SHAPES, Combined, Form, Frame, Limit, Piece
 
 __all__ = [
     "Agent",
     "AnyAgent",
     "Box",
+    "Combined",
     "DECIMALS",
+    "Form",
+    "Frame",
     "Gaussian",
     "Labeling",
     "Law",
+    "Limit",
     "LinearAgent",
     "MOST_AGENTS",
+    "MOST_STATES",
     "MOVING_REFUSAL",
     "Pair",
     "PairRegion",
+    "Piece",
     "Place",
     "Proposition",
     "REFUSAL",
+    "SHAPES",
     "TIME",
     "Uniform",
     "UnknownArgument",

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .any_agent import AnyAgent, is_passive, shared_fields, summary_rows
+from .any_agent import AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import float_array, read_only
 from .laws import Law
 from .printing import counted, tree_text
@@ -63,6 +63,8 @@ class LinearAgent(AnyAgent):
         C; the identity by default.
     offset : array_like, shape (d,), optional
         Affine term c; zero by default.
+    added_outputs : int, optional
+        How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
 
     Raises
     ------
@@ -93,8 +95,9 @@ class LinearAgent(AnyAgent):
     initial_high: np.ndarray | None
     output_matrix: np.ndarray
     offset: np.ndarray
+    added_outputs: int
 
-    # Sixteen keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Seventeen keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -113,6 +116,7 @@ class LinearAgent(AnyAgent):
         offset: Any = None,
         noise: Any = None,
         noise_axes: Any = None,
+        added_outputs: Any = 0,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
         # A fixes the number of states d, B the number of inputs m; all other lengths follow.
@@ -134,12 +138,13 @@ class LinearAgent(AnyAgent):
             ),
             "offset": float_array(zero if offset is None else offset, "offset", (d,), f"{[0.0] * d}"),
         }
+        values["added_outputs"] = checked_added(added_outputs, len(values["output_matrix"]))
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
 
     # Copy and pickle the fields alone: what is cached can be computed again.
     def __getstate__(self) -> dict[str, Any]:
-        return {key: getattr(self, key) for key in ("name", "laws", "noise_axes", *_ARRAYS)}
+        return {key: getattr(self, key) for key in ("name", "laws", "noise_axes", "added_outputs", *_ARRAYS)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
@@ -160,6 +165,12 @@ class LinearAgent(AnyAgent):
         """Whether y = x exactly."""
         return self.n_outputs == self.n_states and bool((self.output_matrix == np.eye(self.n_states)).all())
 
+    @cached_property
+    def state_outputs(self) -> int:
+        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
+        first = self.output_matrix[: self.n_outputs - self.added_outputs]
+        return self.n_states if len(first) == self.n_states and bool((first == np.eye(self.n_states)).all()) else 0
+
     @property
     def motion_key(self) -> tuple[bytes, ...]:
         """What determines how the agent moves, apart from noise, boxes and names of agents; it serves comparisons."""
@@ -168,7 +179,8 @@ class LinearAgent(AnyAgent):
     @property
     def output_key(self) -> tuple[bytes, ...]:
         """What determines its outputs."""
-        return (b"linear", self.output_matrix.tobytes())
+        added = (b"added", str(self.added_outputs).encode()) if self.added_outputs else ()
+        return (b"linear", self.output_matrix.tobytes(), *added)
 
     def mean(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the means ``(d, *S)`` of the next states from states ``(d, *S)`` under inputs ``(m, *S)``."""
@@ -205,4 +217,6 @@ class LinearAgent(AnyAgent):
                 data |= self.noise_data()
             elif value is not None:
                 data[key] = value.tolist()
+        if self.added_outputs:
+            data["added_outputs"] = self.added_outputs
         return data

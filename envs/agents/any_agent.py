@@ -78,6 +78,14 @@ class AnyAgent(ABC):
     def has_identity_output(self) -> bool:
         """Whether y = x exactly."""
 
+    added_outputs: int = 0
+    """How many of the last outputs are there for shapes alone; the others are those that the agent has without them."""
+
+    @property
+    @abstractmethod
+    def state_outputs(self) -> int:
+        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
+
     @property
     @abstractmethod
     def motion_key(self) -> tuple[bytes, ...]:
@@ -271,6 +279,14 @@ def shared_fields(d: int, m: int, given: Mapping[str, Any]) -> dict[str, Any]:
         "initial_low": None if start is None else start.low,
         "initial_high": None if start is None else start.high,
     }
+
+
+def checked_added(value: Any, n_outputs: int) -> int:
+    """Return the number of outputs that were added for shapes, or raise ValueError."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if not whole or not 0 <= value <= n_outputs:
+        raise ValueError(f"`added_outputs`: expected a whole number from 0 to {n_outputs}, got {shown(value)}")
+    return int(value)
 
 
 IDLE = "idle"

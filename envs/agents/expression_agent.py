@@ -24,7 +24,7 @@ import numpy as np
 
 from ..arrays import double, is_host, namespace
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
-from .any_agent import IDLE, AnyAgent, is_passive, shared_fields, summary_rows
+from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
 from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
@@ -93,6 +93,8 @@ class Agent(AnyAgent):
         inputs anything in their boxes, unless these are chosen in common.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
+    added_outputs : int, optional
+        How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
 
     Raises
     ------
@@ -132,8 +134,9 @@ class Agent(AnyAgent):
     neighbour_ranges: tuple[tuple[float, float], ...] | None
     neighbour_inputs: tuple[bool, ...]
     has_clock: bool
+    added_outputs: int
 
-    # Twenty keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Twenty-one keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -156,6 +159,7 @@ class Agent(AnyAgent):
         initial_high: Any = None,
         communicated: Any = None,
         outputs: Any = None,
+        added_outputs: Any = 0,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
         state_names = checked_names(states, "states")
@@ -178,6 +182,7 @@ class Agent(AnyAgent):
             "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
             "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
+        values["added_outputs"] = checked_added(added_outputs, len(values["output_expressions"]))
         for key, value in values.items():
             object.__setattr__(self, key, value)  # the record is frozen
         self._check_names()
@@ -402,6 +407,12 @@ class Agent(AnyAgent):
         """Whether y = x exactly."""
         return self.output_trees == tuple(Name(state) for state in self.states)
 
+    @cached_property
+    def state_outputs(self) -> int:
+        """How many outputs, from the first on, are read as the states that they are: d if y = x but for added ones."""
+        first = self.output_trees[: self.n_outputs - self.added_outputs]
+        return self.n_states if first == tuple(Name(state) for state in self.states) else 0
+
     @property
     def disturbance_low(self) -> np.ndarray:
         """Lower ends of the disturbances, shape (k,)."""
@@ -434,7 +445,9 @@ class Agent(AnyAgent):
     @cached_property
     def output_key(self) -> tuple[bytes, ...]:
         """What determines its outputs."""
-        return (b"expressions", repr((self.states, self.output_expressions, tuple(self.parameters.items()))).encode())
+        parts: tuple[object, ...] = (self.states, self.output_expressions, tuple(self.parameters.items()))
+        parts = (*parts, self.added_outputs) if self.added_outputs else parts
+        return (b"expressions", repr(parts).encode())
 
     def mean(
         self,
@@ -524,6 +537,8 @@ class Agent(AnyAgent):
         data |= {key: getattr(self, key).tolist() for key in _ARRAYS if getattr(self, key) is not None}
         if not self.has_identity_output:
             data["outputs"] = list(self.output_expressions)
+        if self.added_outputs:
+            data["added_outputs"] = self.added_outputs
         return data
 
 

@@ -7,7 +7,8 @@ pairs that hold. Rules:
 - the workspace is closed: `low <= x <= high`;
 - a region is half-open: `low <= y < high`, so that neighbours share no point;
 - with `C = I`, a region that reaches the upper edge of the workspace is closed there (its upper bound becomes
-  infinite: leaving the workspace is decided separately, and first);
+  infinite: leaving the workspace is decided separately, and first); outputs that were added for shapes change nothing
+  of this;
 - a region may move with the time; at each time the rules above hold for where it is then;
 - the box of a pair is half-open: `low <= y_a - y_b < high`, the difference as floating point computes it.
 
@@ -67,9 +68,9 @@ def at_the_edge(agent: AnyAgent, low: np.ndarray, high: np.ndarray) -> tuple[np.
 
     A region that reaches it is closed there; one that begins there, as it may where it moves, holds nowhere.
     """
-    if not agent.has_identity_output:
-        return low, high
-    edge = agent.state_high[:, None]
+    # The faces of outputs that were added have no edge of the workspace.
+    edge = np.full((len(low), 1), np.inf)
+    edge[: agent.state_outputs, 0] = agent.state_high[: agent.state_outputs]
     return np.where(low >= edge, np.inf, low), np.where((high >= edge) & (low < high), np.inf, high)
 
 
@@ -324,18 +325,23 @@ class Labeling:
         flat = low >= high
         beyond = ((high < model.state_low) | (low > model.state_high) | ((high == model.state_low) & ~flat)).any(axis=1)
         low, high = np.maximum(low, model.state_low), np.minimum(high, model.state_high)
+        states = model.state_outputs
         if model.has_identity_output:
             bottom, top, upper_face = model.state_low, model.state_high, flat
         else:  # bounds on the outputs of closed boxes, rounded outwards: a superset
             bottom, top = (bound[0] for bound in model.output_range(model.state_low[None], model.state_high[None]))
-            low, high = model.output_range(low, high)
-            upper_face = np.ones_like(low, dtype=bool)
+            outputs = model.output_range(low, high)
+            upper_face = np.ones_like(outputs[0], dtype=bool)
+            if states:  # outputs that are states are exact, whatever was added to them
+                bottom[:states], top[:states], upper_face[:, :states] = model.state_low, model.state_high, flat
+                outputs[0][:, :states], outputs[1][:, :states] = low, high
+            low, high = outputs
         result = []
         for axis in range(model.n_outputs):
             region_low, region_high = self.low[agent][axis], self.high[agent][axis]
             edges = np.unique(np.concatenate([[bottom[axis]], region_low, region_high]))
             edges = edges[(edges >= bottom[axis]) & (edges <= top[axis])]
-            if model.has_identity_output and len(edges) > 1 and edges[-1] == top[axis]:
+            if axis < states and len(edges) > 1 and edges[-1] == top[axis]:
                 edges = edges[:-1]  # the last piece is closed at the top, so that its upper edge starts no new one
             pieces = (region_low <= edges[:, None]) & (edges[:, None] < region_high)
             # A box meets a piece if it starts below the end of the piece and reaches beyond its beginning.
@@ -356,12 +362,11 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyA
         )
     if proposition.moves:
         return  # it may pass beyond the workspace, and be empty at times
-    if agent.has_identity_output:
-        bottom, top = agent.state_low, agent.state_high
-        outside = (proposition.low >= top) | (proposition.high <= bottom)
-    else:
-        bottom, top = (bound[0] for bound in agent.output_range(agent.state_low[None], agent.state_high[None]))
-        outside = (proposition.low > top) | (proposition.high <= bottom)
+    bottom, top = (bound[0] for bound in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    states = agent.state_outputs
+    bottom[:states], top[:states] = agent.state_low[:states], agent.state_high[:states]
+    outside = (proposition.low > top) | (proposition.high <= bottom)
+    outside[:states] |= proposition.low[:states] >= top[:states]
     if outside.any():
         axis = int(np.argmax(outside))
         raise ValueError(

@@ -180,7 +180,8 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     """Return a pair in terms of the agents; raise ValueError if its dimensions do not fit, or it can never hold."""
     places: Mapping[str, int] = {agent.name: i for i, agent in enumerate(agents)}
     i, j = (places[agent] for agent in pair.agents)
-    sizes = agents[i].n_outputs, agents[j].n_outputs
+    # Those that were added for shapes are not compared.
+    sizes = tuple(agents[k].n_outputs - agents[k].added_outputs for k in (i, j))
     length, names = pair.low.size, (agents[i].name, agents[j].name)
     outputs = pair.outputs
     if outputs is None:

@@ -1,4 +1,4 @@
-"""A proposition about one agent: a box in its output space, which may move with the time.
+"""A proposition about one agent: a box in its output space, which may move with the time, or a shape in its states.
 
 A corner is a number or an expression in `t`, the number of control steps taken: 0 at the start, and the horizon at the
 end. Corners that move are rounded to twelve decimals, so that they are the same numbers on every machine, whose sines
@@ -18,6 +18,7 @@ from ..expressions import Number, Tree, computed, names_in, read_expression
 from .box import Box
 from .checks import float_array, read_only, shown
 from .printing import box_text
+from .shapes import SHAPES, Shape, read_shape
 
 TIME = "t"
 """Name of the time in expressions, unless a state, input, parameter or disturbance has this name."""
@@ -31,7 +32,7 @@ Corner = tuple[float | str, ...]
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Proposition:
-    """A box in the output space of one agent, half-open: `low <= y < high`.
+    """A box in the output space of one agent, half-open: `low <= y < high`; or another shape in its state space.
 
     Parameters
     ----------
@@ -40,11 +41,18 @@ class Proposition:
     low, high : array_like, shape (p,), or sequences of numbers and strings
         Corners, finite, `low < high`. They may lie beyond the workspace. Strings are expressions in the time `t`, such
         as `"2*sin(0.4*t) - 0.5"`: then the region moves, and is empty at times at which `low < high` does not hold.
+    **shape
+        In the place of corners, one shape by its word: `disc`, `ball`, `box`, `polygon`, `polytope`, `halfspace`,
+        `cone`, `heading`, `union`, `intersection` or `complement`, with the same table as in problem files
+        (docs/how-to/own_problem.md, "Regions by what they are").
 
     Attributes
     ----------
     low, high : np.ndarray, shape (p,)
-        Corners of a region that stands still; ValueError for one that moves, which has them `at` each time.
+        Corners of a region that stands still; ValueError for one that moves, which has them `at` each time, and for a
+        shape, which has them in a problem alone (`problem.propositions`).
+    shape : Shape or None
+        The shape as it is written.
 
     Raises
     ------
@@ -56,17 +64,33 @@ class Proposition:
     >>> band = Proposition("robot", ["2*sin(0.4*t) - 0.5"], ["2*sin(0.4*t) + 0.5"])
     >>> band.moves, band.at(0)
     (True, Proposition('robot', [-0.5, 0.5)))
+    >>> Proposition("ship", disc={"centre": [1, 2], "radius": 0.5})
+    Proposition('ship', disc of centre (1, 2), radius 0.5)
     """
 
     agent: str
     low: np.ndarray
     high: np.ndarray
     corners: tuple[Corner, Corner] | None
+    shape: Shape | None
 
-    def __init__(self, agent: str, low: Any, high: Any) -> None:
+    def __init__(self, agent: str, low: Any = None, high: Any = None, **shape: Any) -> None:
         if not isinstance(agent, str) or agent.count("*") > 1:
             raise ValueError(f"`agent`: expected a name with at most one `*`, got {shown(agent)}")
         object.__setattr__(self, "agent", agent)
+        object.__setattr__(self, "shape", None)
+        if shape:
+            if len(shape) > 1 or low is not None or high is not None:
+                raise ValueError(
+                    f"`{next(iter(shape))}`: expected one shape, or `low` and `high`, got more; unite them in a "
+                    "`union` or an `intersection`"
+                )
+            object.__setattr__(self, "corners", None)
+            object.__setattr__(self, "shape", read_shape(shape))
+            return
+        for value, name in ((low, "low"), (high, "high")):
+            if value is None:
+                raise ValueError(f"`{name}`: expected `low` and `high`, or a shape: {', '.join(SHAPES)}")
         if not (_is_written(low) or _is_written(high)):
             self._stand(Box(low, high))
             return
@@ -91,17 +115,23 @@ class Proposition:
     if not TYPE_CHECKING:  # types are those of the attributes
         # Asked for what the region has not: whoever reads corners without a time must not go on with any.
         def __getattr__(self, name: str) -> Any:
+            if name in ("low", "high") and self.shape is not None:
+                raise ValueError(f"`proposition`: expected a box, got {self!r}; ask for `problem.propositions`")
             if name in ("low", "high"):
                 raise ValueError(f"`proposition`: expected a region that stands still, got {self!r}; ask `at` a time")
             raise AttributeError(name)
 
     # Rebuilt from its arguments: a pickled array would come back writable.
     def __reduce__(self) -> tuple[Any, ...]:
+        if self.shape is not None:
+            return _shaped, (self.agent, self.shape)
         if self.corners is not None:
             return Proposition, (self.agent, *self.corners)
         return _standing, (self.agent, self.low, self.high)
 
     def __repr__(self) -> str:
+        if self.shape is not None:
+            return f"Proposition({self.agent!r}, {self.text})"
         if self.corners is None:
             return f"Proposition({self.agent!r}, {box_text(self.low, self.high, closed=False)})"
         return f"Proposition({self.agent!r}, {self.text})"
@@ -118,7 +148,9 @@ class Proposition:
 
     @property
     def text(self) -> str:
-        """The corners as they are written, for people."""
+        """The corners, or the shape, as they are written, for people."""
+        if self.shape is not None:
+            return self.shape.text
         low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else self.corners
         shown_low, shown_high = (
             ", ".join(entry if isinstance(entry, str) else f"{entry:g}" for entry in corner) for corner in (low, high)
@@ -127,6 +159,8 @@ class Proposition:
 
     def of(self, agent: str) -> Proposition:
         """Return the same region for another agent, which has its own outputs."""
+        if self.shape is not None:
+            return _shaped(agent, self.shape)
         if self.corners is not None:
             return Proposition(agent, *self.corners)
         return _standing(agent, self.low, self.high)
@@ -170,6 +204,8 @@ class Proposition:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
+        if self.shape is not None:
+            return {"agent": self.agent, self.shape.key: self.shape.data}
         low, high = (self.low.tolist(), self.high.tolist()) if self.corners is None else map(list, self.corners)
         return {"agent": self.agent, "low": low, "high": high}
 
@@ -177,7 +213,16 @@ class Proposition:
 def _standing(agent: str, low: np.ndarray, high: np.ndarray) -> Proposition:
     """Return a region that stands still, and may be empty."""
     region = object.__new__(Proposition)
-    for key, value in (("agent", agent), ("low", read_only(low)), ("high", read_only(high)), ("corners", None)):
+    values = {"agent": agent, "low": read_only(low), "high": read_only(high), "corners": None, "shape": None}
+    for key, value in values.items():
+        object.__setattr__(region, key, value)
+    return region
+
+
+def _shaped(agent: str, shape: Shape) -> Proposition:
+    """Return a region of a shape that has been read."""
+    region = object.__new__(Proposition)
+    for key, value in {"agent": agent, "corners": None, "shape": shape}.items():
         object.__setattr__(region, key, value)
     return region
 

@@ -210,8 +210,9 @@ class OneWorld:
         if letter not in self._names:
             if len(self._names) >= _MEMORY:
                 self._names.clear()
-            propositions = self.dynamics.problem.automaton.propositions
-            self._names[letter] = tuple(name for p, name in enumerate(propositions) if letter >> p & 1)
+            problem = self.dynamics.problem
+            names = (name for p, name in enumerate(problem.automaton.propositions) if letter >> p & 1)
+            self._names[letter] = tuple(problem.told(names))
         return self._names[letter]
 
     def _disturbances(self, world: World, inputs: Any, normals: Any) -> Sequence[np.ndarray | None]:

@@ -234,7 +234,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         over = self._settled(worlds) | (worlds.time >= self.problem.horizon)
         frames = []
         for k in range(self.num_envs):
-            letter = [names[p] for p in np.flatnonzero(holds[:, k])]
+            letter = self.problem.told(names[p] for p in np.flatnonzero(holds[:, k]))
             verdict = verdict_text(bool(satisfied[k]), bool(worlds.failed[k]), bool(over[k]))
             frames.append(picture.frame(self._track[: worlds.time[k] + 1, k], int(worlds.q[k]), letter, verdict))
         return tuple(frames)

@@ -9,7 +9,7 @@ from .guard_diagrams import letter_text
 from .hoa import automaton_from_hoa
 from .normal_form import NormalForm
 from .parser import parse_formula
-from .rebuilt import automaton_from_diagrams, over_propositions, with_sides, within
+from .rebuilt import automaton_from_diagrams, over_propositions, with_meanings, with_sides, within
 from .translation import AutomatonSizeError, translate
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "parse_formula",
     "AutomatonSizeError",
     "translate",
+    "with_meanings",
     "with_sides",
     "within",
 ]

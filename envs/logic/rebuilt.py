@@ -13,6 +13,7 @@ import numpy as np
 
 from .automaton import Automaton, checked_names
 from .decision_diagram import DecisionDiagrams
+from .formula import Formula
 
 FEW_STATES = 64
 """Number of states out of reach that are not worth an automaton of its own."""
@@ -95,6 +96,40 @@ def with_sides(automaton: Automaton, sides: Mapping[str, tuple[str, ...]]) -> Au
         for side in reversed(sides_of[variable]):
             high = manager.choose(place[side], low, high)
         return high
+
+    return _rebuilt(automaton, order, node)
+
+
+def with_meanings(automaton: Automaton, order: Sequence[str], meanings: Mapping[str, Formula]) -> Automaton:
+    """Return the automaton over other propositions that tests what some names mean, where it tested these (exact).
+
+    Parameters
+    ----------
+    automaton : Automaton
+    order : sequence of str
+        Propositions of the result.
+    meanings : mapping
+        For the name of a proposition that is not in `order`: a formula of `order` with `!`, `&` and `|` alone.
+    """
+    place = {name: i for i, name in enumerate(order)}
+
+    def chosen(manager: DecisionDiagrams, formula: Formula, low: int, high: int) -> int:
+        """Return "if the formula then `high` else `low`"."""
+        if formula.operator == "atom":
+            return manager.choose(place[formula.name], low, high)
+        if formula.operator == "!":
+            return chosen(manager, formula.operands[0], high, low)
+        for operand in reversed(formula.operands):
+            # Of a conjunction the operands that hold lead on; of a disjunction those that do not.
+            if formula.operator == "&":
+                high = chosen(manager, operand, low, high)
+            else:
+                low = chosen(manager, operand, low, high)
+        return high if formula.operator == "&" else low
+
+    def node(manager: DecisionDiagrams, variable: int, low: int, high: int) -> int:
+        name = automaton.propositions[variable]
+        return chosen(manager, meanings.get(name, Formula("atom", name=name)), low, high)
 
     return _rebuilt(automaton, order, node)
 

@@ -198,6 +198,13 @@ class Picture:
             x0, x1 = (left + t / self._problem.horizon * (right - left) for t in region.span(self._problem.horizon))
         color = self._colors[region.name]
         edge = tuple(c * 3 // 4 for c in color) if panel.is_map or region.time is None else None
+        if panel.is_map and region.outline is not None:
+            fills, edges = region.polygons
+            for polygon in fills:
+                draw.polygon(self._points(panel, cell, polygon), fill=(*color, 150))
+            for polygon in edges:
+                draw.line(self._points(panel, cell, np.concatenate([polygon, polygon[:1]])), fill=edge)
+            return
         draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=edge)
 
     def _axes(self, draw: Any, panel: Panel, cell: Cell) -> None:
@@ -253,7 +260,7 @@ class Picture:
         """Draw a ring around each of two agents about whom a proposition holds, and a line between them."""
         curves = {curve.name: curve for curve in panel.curves}
         for name in letter:
-            about = self._problem.propositions[name]
+            about = self._problem.written[name]
             if not isinstance(about, Pair) or not panel.is_map or not all(agent in curves for agent in about.agents):
                 continue
             ends = [self._points(panel, cell, (curves[agent].rows @ state)[None])[0] for agent in about.agents]

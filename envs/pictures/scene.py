@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..agents import AnyAgent, Box, LinearAgent, Proposition
+from ..logic import Formula
 from ..problem import Problem
+from .outlines import Drawer, Outline
 
 MOST_PLACES = 8
 """Times at which a region that moves is drawn in one picture of a map."""
@@ -23,13 +25,24 @@ MOST_PLACES = 8
 class Region:
     """A box behind the curves of a panel: its name, or that of its family, and its corners on the panel's axes.
 
-    One that moves has the `time` at which it is there; None for regions that stand still.
+    One that moves has the `time` at which it is there; None for regions that stand still. One that is no box on a map
+    has its `outline`, and the corners are those of the box around it.
     """
 
     name: str
     low: tuple[float, ...]
     high: tuple[float, ...]
     time: int | None = None
+    outline: Outline | None = None
+
+    @property
+    def polygons(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """What to fill on a map, and the edges: closed polygons (n, 2)."""
+        if self.outline is not None:
+            return self.outline.fill, self.outline.edges
+        (a, c), (b, d) = self.low, self.high
+        box = (np.array([(a, c), (b, c), (b, d), (a, d)]),)
+        return box, box
 
     def span(self, horizon: int) -> tuple[float, float]:
         """Return from when to when it is drawn in a track over time: half a step around its time, or always."""
@@ -121,7 +134,7 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
 
 def _panel(group: list[_Shown]) -> Panel:
     """Return the panel of agents that share one; equal regions are drawn once."""
-    regions = {(r.name, r.low, r.high, r.time): r for item in group for r in item.regions}
+    regions = {(r.name, r.low, r.high, r.time, _edges(r)): r for item in group for r in item.regions}
     box = group[0].box
     return Panel(
         low=tuple(map(float, box.low)),
@@ -131,6 +144,10 @@ def _panel(group: list[_Shown]) -> Panel:
     )
 
 
+def _edges(region: Region) -> bytes:
+    return b"" if region.outline is None else b"".join(edge.tobytes() for edge in region.outline.edges)
+
+
 def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
     return tuple(sorted((r.name, r.low, r.high, -1 if r.time is None else r.time) for r in regions))
 
@@ -138,6 +155,8 @@ def _signature(regions: tuple[Region, ...]) -> tuple[object, ...]:
 def _agent(problem: Problem, i: int, number: int) -> _Shown:
     """Return one agent on the axes that its regions restrict."""
     agent = problem.agents[i]
+    if any(isinstance(p, Proposition) and p.agent == agent.name and p.shape for p in problem.written.values()):
+        return _shaped(problem, i, number)
     # Regions carry the name of their family, so that all agents' regions of one family share a colour.
     low, high = _output_box(agent)
     families = {member: family for family, members in problem.families.items() for member in members}
@@ -164,6 +183,57 @@ def _agent(problem: Problem, i: int, number: int) -> _Shown:
         for name, time, least, most in placed
     )
     return _Shown(Curve(agent.name, number, rows), Box(low[axes], high[axes]), regions)
+
+
+def _shaped(problem: Problem, i: int, number: int) -> _Shown:
+    """Return an agent with shapes on the first two states that its regions restrict."""
+    agent = problem.agents[i]
+    own = {n: p for n, p in problem.written.items() if isinstance(p, Proposition) and p.agent == agent.name}
+    axes = _restricted_states(problem, i)
+    low, high = agent.state_low[axes], agent.state_high[axes]
+    rows = np.zeros((len(axes), problem.n_states))
+    rows[np.arange(len(axes)), problem.columns[i].start + np.array(axes)] = 1.0
+    families = {member: family for family, members in problem.families.items() for member in members}
+    drawer, regions = Drawer(problem, i, axes, low, high), list[Region]()
+    for member in own:
+        name = families.get(member, member)
+        # What is made of several boxes moves if one of them does.
+        boxes = _atoms(problem.meanings[member]) if member in problem.meanings else [member]
+        moves = any(problem.propositions[box].moves for box in boxes)
+        for time in range(problem.horizon + 1) if moves else (0,):
+            when = time if moves else None
+            if len(axes) == 1:
+                regions += [Region(name, (a,), (b,), when) for a, b in drawer.spans(member, time)]
+            elif (outline := drawer.outline(member, time)) is not None:
+                least, most = (tuple(map(float, corner)) for corner in outline.corners)
+                regions.append(Region(name, least, most, when, outline))
+    return _Shown(Curve(agent.name, number, rows), Box(low, high), tuple(regions))
+
+
+def _restricted_states(problem: Problem, i: int) -> list[int]:
+    """Return the first two states that regions of an agent restrict."""
+    agent = problem.agents[i]
+    states: set[int] = set()
+    for name, region in problem.propositions.items():
+        if not isinstance(region, Proposition) or region.agent != agent.name:
+            continue
+        if name in problem.pieces:
+            for limit in problem.pieces[name].limits:
+                rows = [limit.form.row] if limit.form.row else [row for _, row, _ in limit.form.squares]
+                states |= {k for row in rows for k, entry in enumerate(row) if entry}
+            continue
+        for _, least, most in _places(region, problem.horizon):
+            for k in range(agent.n_outputs):
+                axis = agent.output_axis(k)
+                if axis is not None and axis[1] == 1.0:
+                    s = axis[0]
+                    states |= {s} if least[k] > agent.state_low[s] or most[k] < agent.state_high[s] else set()
+    return sorted(states)[:2] or [*range(min(2, agent.n_states))]
+
+
+def _atoms(formula: Formula) -> list[str]:
+    """Return the propositions of a formula."""
+    return [sub.name for sub in formula.subformulas() if sub.operator == "atom"]
 
 
 def _places(region: Proposition, horizon: int) -> list[tuple[int | None, np.ndarray, np.ndarray]]:

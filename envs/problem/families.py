@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ..agents import Pair, Proposition, checked_name, shown
+from ..agents import SHAPES, Pair, Proposition, checked_name, shown
 from ..logic import RESERVED
 
 AnyProposition = Proposition | Pair
@@ -26,6 +26,12 @@ KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs"
 def about_pairs(value: Any) -> bool:
     """Return whether a table of a proposition is about pairs."""
     return isinstance(value, Mapping) and "agents" in value
+
+
+def keys_of_shape(value: Any) -> tuple[str, ...]:
+    """Return the keys of a proposition that is a shape: its agent, and the word of the shape; nothing for others."""
+    words = [key for key in value if key in SHAPES] if isinstance(value, Mapping) else []
+    return ("agent", words[0]) if words else ()
 
 
 def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
@@ -45,14 +51,14 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
         # A dict of the arguments stands for a proposition, as in problem files.
         of_agent, of_pair, besides = ({*keys} for keys in KEYS)
-        if isinstance(value, Mapping) and set(value) == of_agent:
+        if isinstance(value, Mapping) and set(value) in (of_agent, {*keys_of_shape(value)}):
             value = Proposition(**value)
         elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:
             value = Pair(**value)
         if not isinstance(value, AnyProposition):
             raise ValueError(
                 f"`propositions.{name}`: expected a Proposition, a Pair, or a dict with agent (or agents), low and "
-                f"high, got {shown(value)}"
+                f"high, or agent and a shape, got {shown(value)}"
             )
         checked[name] = value
     return checked

@@ -10,6 +10,7 @@ Layout of a file:
                                       # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
+    dock = { agent = "ship", disc = { centre = [1, 2], radius = 0.5 } }   # or another shape (see ``agents.shapes``)
     near = { agents = ["left", "right"], low = [-1.0], high = [1.0] }   # of y_left - y_right; or agents = "drone_*"
                                       # for all pairs, with pairs = "neighbours" for those next to each other;
                                       # outputs = [[0], [1]] says which outputs are compared
@@ -31,7 +32,18 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import MOST_AGENTS, Agent, AnyAgent, LinearAgent, Pair, Proposition, checked_count, float_array, shown
+from ..agents import (
+    MOST_AGENTS,
+    SHAPES,
+    Agent,
+    AnyAgent,
+    LinearAgent,
+    Pair,
+    Proposition,
+    checked_count,
+    float_array,
+    shown,
+)
 from ..logic import (
     Automaton,
     FormulaError,
@@ -40,7 +52,7 @@ from ..logic import (
     automaton_from_transitions,
     parse_formula,
 )
-from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand
+from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand, keys_of_shape
 from .record import Problem
 from .specification import Specification
 
@@ -198,7 +210,11 @@ def _propositions(table: Any) -> dict[str, AnyProposition]:
             _check_keys(value, where, of_pair, besides)
             result[name] = _prefixed(where, lambda value=value: Pair(**value))
             continue
-        _check_keys(value, where, of_agent)
+        if isinstance(value, Mapping) and ("low" not in value and "high" not in value):
+            keys = keys_of_shape(value) or of_agent
+            _check_keys(value, where, keys, () if keys != of_agent else SHAPES)
+        else:
+            _check_keys(value, where, of_agent)
         result[name] = _prefixed(where, lambda value=value: Proposition(**value))
     return checked_propositions(result)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import product
@@ -22,6 +22,8 @@ import numpy as np
 from ..agents import (
     AnyAgent,
     Labeling,
+    Piece,
+    Proposition,
     checked_count,
     counted,
     float_array,
@@ -32,9 +34,10 @@ from ..agents import (
     slices_of,
     tied,
 )
-from ..logic import Automaton, over_propositions, translate, within
+from ..logic import Automaton, Formula, over_propositions, translate, with_meanings, within
 from .families import AnyProposition, checked_propositions, expand
 from .groups import MOST_STATES, Group, independent_groups, joint_automaton
+from .regions import regions_of
 from .specification import Specification
 from .summary import summary_html, summary_text
 
@@ -58,7 +61,7 @@ class Problem:
     horizon : int
         Number of control steps T, at least 1.
     agents : sequence of LinearAgent or Agent
-        Each with a start.
+        Each with a start. Those with propositions of other shapes than boxes get outputs for them.
     propositions : mapping from str to Proposition or Pair, or to a dict of its arguments
         A proposition belongs to one agent, or to a pair. An agent name with one `*` makes a family: one member per
         agent that matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...), or per
@@ -69,8 +72,17 @@ class Problem:
     ----------
     declared : mapping from str to Proposition or Pair
         The propositions as they were passed in.
+    written_agents : tuple of AnyAgent
+        The agents as they were passed in: without outputs for shapes.
+    written : mapping from str to Proposition or Pair
+        The propositions with families expanded, as they were written.
     propositions : mapping from str to Proposition or Pair
-        The propositions with families expanded, ordered agent by agent; those about pairs come last.
+        The same as boxes, ordered agent by agent; those about pairs come last. A shape that consists of several pieces
+        has a box for each.
+    meanings : mapping from str to Formula
+        Of shapes made of several pieces, or of other propositions: a formula of `propositions`.
+    pieces : mapping from str to Piece
+        The shapes of those `propositions` that come from shapes.
     families : mapping from str to tuple of str
         Members of each family, in agent order.
     labeling : Labeling
@@ -102,8 +114,12 @@ class Problem:
     name: str
     horizon: int
     agents: tuple[AnyAgent, ...]
+    written_agents: tuple[AnyAgent, ...]
     declared: Mapping[str, AnyProposition]
+    written: Mapping[str, AnyProposition]
     propositions: Mapping[str, AnyProposition]
+    meanings: Mapping[str, Formula]
+    pieces: Mapping[str, Piece]
     families: Mapping[str, tuple[str, ...]]
     specification: Specification
     labeling: Labeling
@@ -123,17 +139,24 @@ class Problem:
         if not isinstance(specification, Specification):
             raise ValueError(f"`specification`: expected a Specification, got {shown(specification)}")
         # Expand families first: the labelling, the groups and the automaton all speak of single propositions.
-        members = tied(_checked_agents(agents))
+        written_agents = _checked_agents(agents)
         declared = checked_propositions(propositions)
-        expanded, families = expand(declared, [agent.name for agent in members])
-        labeling = Labeling.of(members, expanded)
-        groups = _groups(specification, labeling, families)
-        automaton = None if groups else _automaton(specification, labeling.names, families)
+        expanded, families = expand(declared, [agent.name for agent in written_agents])
+        regions = regions_of(written_agents, expanded, families)
+        members = tied(regions.agents)
+        labeling = Labeling.of(members, regions.boxes)
+        # The task speaks of regions as they were written; letters are those of boxes.
+        owners = dict(zip(labeling.names, labeling.owners, strict=True))
+        places = {agent.name: frozenset([i]) for i, agent in enumerate(members)}
+        owners |= {key: places[expanded[key].agent] for key in regions.meanings}
+        names = _task_names(labeling.names, expanded, regions.meanings)
+        groups = _groups(specification, {key: owners[key] for key in names}, families, len(members))
+        automaton = None if groups else _automaton(specification, names, families, labeling.names)
         are_coupled = any(getattr(agent, "others", ()) for agent in members)
         if groups and (are_coupled or labeling.pairs):
             # Whoever moves, or is compared, with others has no task alone: the whole may have fewer states than feared.
             formula = specification.formula or ""
-            automaton = joint_automaton(formula, specification.semantics, labeling.names, families)
+            automaton = joint_automaton(formula, specification.semantics, names, families)
             groups = () if automaton is not None else groups
         if groups and are_coupled:
             raise ValueError(
@@ -141,14 +164,20 @@ class Problem:
                 f"independent tasks whose joint automaton has more than {MOST_STATES} states; take fewer agents or "
                 "another formula"
             )
+        if automaton is not None and regions.meanings:
+            automaton = with_meanings(automaton, labeling.names, regions.meanings)
         steps = checked_horizon(horizon)
         _check_corners(labeling, steps)
         values = {
             "name": title,
             "horizon": steps,
             "agents": members,
+            "written_agents": written_agents,
             "declared": MappingProxyType(declared),
-            "propositions": MappingProxyType({key: expanded[key] for key in labeling.names}),
+            "written": MappingProxyType(expanded),
+            "propositions": MappingProxyType({key: regions.boxes[key] for key in labeling.names}),
+            "meanings": MappingProxyType(regions.meanings),
+            "pieces": MappingProxyType(regions.pieces),
             "families": MappingProxyType(families),
             "specification": specification,
             "labeling": labeling,
@@ -183,7 +212,7 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickle the arguments alone: unpickling builds and checks the rest anew.
-        return _rebuilt, (self.name, self.horizon, self.agents, dict(self.declared), self.specification)
+        return _rebuilt, (self.name, self.horizon, self.written_agents, dict(self.declared), self.specification)
 
     @cached_property
     def automaton(self) -> Automaton:
@@ -214,10 +243,12 @@ class Problem:
     def _task(self, group: Group) -> Problem:
         """Return the problem of one group of agents."""
         names = self.labeling.names
-        group_names = [names[p] for i in group.agents for p in self.labeling.agent_propositions[i]]
+        members = [self.agent_names[i] for i in group.agents]
+        # As they were written, agent by agent: their boxes are made anew.
+        of_agents = [(name, p.agent) for name, p in self.written.items() if isinstance(p, Proposition)]
+        group_names = [name for member in members for name, agent in of_agents if agent == member]
         for name, pair in zip(names[self.labeling.first_pair :], self.labeling.pairs):
             group_names += [name] if {pair.first, pair.second} <= {*group.agents} else []
-        members = [self.agent_names[i] for i in group.agents]
         listed = ", ".join(members[:3]) + (", ..." if len(members) > 3 else "")
         # The automaton of a co-safe group is judged at the horizon, which no formula says: hand it on as it is.
         if self.specification.semantics == "co-safe":
@@ -227,10 +258,21 @@ class Problem:
         return Problem(
             name=f"{self.name[:120]} ({listed[:70]})",
             horizon=self.horizon,
-            agents=[self.agents[i] for i in group.agents],
-            propositions={name: self.propositions[name] for name in group_names},
+            agents=[self.written_agents[i] for i in group.agents],
+            propositions={name: self.written[name] for name in group_names},
             specification=specification,
         )
+
+    def told(self, holding: Iterable[str]) -> list[str]:
+        """Return the names of the propositions, as they were written, that hold where these `propositions` hold."""
+        here = {*holding}
+        if not self.meanings:
+            return [name for name in self.propositions if name in here]
+        return [
+            name
+            for name in self.written
+            if (_holds(self.meanings[name], here) if name in self.meanings else name in here)
+        ]
 
     @property
     def names_time(self) -> bool:
@@ -336,18 +378,16 @@ class Problem:
         starts = {"initial_state": initial_state, "initial_low": initial_low, "initial_high": initial_high}
         vectors = {key: self._vectors(value, key) for key, value in starts.items() if value is not None}
         if vectors:
-            agents = []
-            for agent in self.agents:
-                start = {key: by_name[agent.name] for key, by_name in vectors.items() if agent.name in by_name}
-                agents.append(agent.replace(**start) if start else agent)
-            changes["agents"] = tuple(agents)
+            for key in ("agents", "written_agents"):
+                changes[key] = tuple(_started(agent, vectors) for agent in getattr(self, key))
         if disturbance_scale is not None:
             # Scale the agents with their new starts, so that both changes apply.
             factor = float(float_array([disturbance_scale], "disturbance_scale", (1,), "0.5")[0])
             if factor < 0.0:
                 raise ValueError(f"`disturbance_scale`: expected a number of at least 0, got {factor:g}")
-            agents = changes.get("agents", self.agents)
-            changes["agents"] = tuple(agent.with_noise_times(factor) for agent in agents)
+            for key in ("agents", "written_agents"):
+                agents = changes.get(key, getattr(self, key))
+                changes[key] = tuple(agent.with_noise_times(factor) for agent in agents)
         if "agents" in changes:
             changes["agents"] = tied(changes["agents"])
         return self._with(changes)
@@ -380,12 +420,14 @@ class Problem:
     def fingerprint(self) -> str:
         """SHA-256 of dynamics, boxes, propositions, automaton, start and horizon (not of the name): 64 hex digits."""
         # Problems that behave alike shall agree: hash expanded families and the automaton, not how they were written.
-        data = self.to_dict()
+        data = {**self.to_dict(), "agents": [agent.to_dict() for agent in self.agents]}
         del data["name"]
         data["propositions"] = [[key, value.to_dict()] for key, value in self.propositions.items()]
         if self.groups:
             groups = [[group.agents, group.automaton.to_dict()] for group in self.groups]
             data["specification"] = {"semantics": self.specification.semantics, "groups": groups}
+            if self.meanings:
+                data["meanings"] = {key: str(meaning) for key, meaning in self.meanings.items()}
         else:
             data["specification"] = self.automaton.to_dict()
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -396,10 +438,31 @@ class Problem:
         return {
             "name": self.name,
             "horizon": self.horizon,
-            "agents": [agent.to_dict() for agent in self.agents],
+            "agents": [agent.to_dict() for agent in self.written_agents],
             "propositions": {key: value.to_dict() for key, value in self.declared.items()},
             "specification": self.specification.to_dict(),
         }
+
+
+def _holds(meaning: Formula, holding: set[str]) -> bool:
+    """Return whether a formula of propositions holds."""
+    if meaning.operator == "atom":
+        return meaning.name in holding
+    parts = [_holds(operand, holding) for operand in meaning.operands]
+    return not parts[0] if meaning.operator == "!" else all(parts) if meaning.operator == "&" else any(parts)
+
+
+def _started(agent: AnyAgent, vectors: Mapping[str, Mapping[str, Any]]) -> AnyAgent:
+    """Return an agent with what is given for it, by argument and agent, in the place of its start."""
+    start = {key: by_name[agent.name] for key, by_name in vectors.items() if agent.name in by_name}
+    return agent.replace(**start) if start else agent
+
+
+def _task_names(
+    boxes: tuple[str, ...], written: Mapping[str, AnyProposition], meanings: Mapping[str, Formula]
+) -> tuple[str, ...]:
+    """Return the names that a task may use: those of boxes that were written, and of what is made of several."""
+    return tuple(name for name in boxes if name in written) + tuple(meanings)
 
 
 def _rebuilt(*values: Any) -> Problem:
@@ -466,26 +529,35 @@ def _check_corners(labeling: Labeling, horizon: int) -> None:
 
 
 def _groups(
-    specification: Specification, labeling: Labeling, families: Mapping[str, tuple[str, ...]]
+    specification: Specification,
+    owners: Mapping[str, frozenset[int]],
+    families: Mapping[str, tuple[str, ...]],
+    n_agents: int,
 ) -> tuple[Group, ...]:
     """Return the groups of agents with independent tasks; a task given as an automaton is not taken apart."""
     if specification.formula is None:
         return ()
+    names = tuple(owners)
     return independent_groups(
-        specification.formula, specification.semantics, labeling.names, families, labeling.owners, len(labeling.agents)
+        specification.formula, specification.semantics, names, families, tuple(owners.values()), n_agents
     )
 
 
 def _automaton(
-    specification: Specification, names: tuple[str, ...], families: Mapping[str, tuple[str, ...]]
+    specification: Specification,
+    names: tuple[str, ...],
+    families: Mapping[str, tuple[str, ...]],
+    boxes: tuple[str, ...],
 ) -> Automaton:
-    """Return the automaton of the task over all propositions of the problem."""
+    """Return the automaton of the task over all propositions of the problem, as they were written."""
     if specification.automaton is None:
         return translate(specification.formula or "", names, specification.semantics, families=families)
-    unknown = [name for name in specification.automaton.propositions if name not in names]
+    # An automaton may be of boxes: those of problems that were derived are.
+    known = tuple(dict.fromkeys((*names, *boxes)))
+    unknown = [name for name in specification.automaton.propositions if name not in known]
     if unknown:
         raise ValueError(
             f"`automaton`: expected propositions among {shown(list(names))}, got {shown(unknown[0])}; declare it"
         )
     # Its propositions may stand in another order, and some of the problem's may be missing.
-    return over_propositions(specification.automaton, names)
+    return over_propositions(specification.automaton, known)

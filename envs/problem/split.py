@@ -64,6 +64,12 @@ def split_axes(problem: Problem) -> Problem:
     blocks = [_blocks(agent) for agent in problem.agents]
     if all(len(agent_blocks) == 1 for agent_blocks in blocks):
         return problem
+    if problem.pieces or problem.meanings:
+        shaped = next(name for name, p in problem.written.items() if isinstance(p, Proposition) and p.shape)
+        raise ValueError(
+            f"`problem`: expected regions with `low` and `high` alone, got the shape `{shaped}`; write boxes, or leave "
+            "the agents whole"
+        )
     # Agents of several blocks are replaced by one agent per block.
     taken = set(problem.agent_names)
     agents: list[AnyAgent] = []

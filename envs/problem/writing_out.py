@@ -110,10 +110,10 @@ def _is_nowhere(agent: AnyAgent, low: NDArray[np.float64], high: NDArray[np.floa
     """Return whether a region is empty, or surely has no point of the workspace, as labels see it."""
     if np.any(low >= high):
         return True
-    if agent.has_identity_output:
-        return bool(np.any((low >= agent.state_high) | (high <= agent.state_low)))
     bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
-    return bool(np.any((low > top) | (high <= bottom)))
+    states = agent.state_outputs
+    bottom[:states], top[:states] = agent.state_low[:states], agent.state_high[:states]
+    return bool(np.any((low > top) | (high <= bottom)) or np.any(low[:states] >= top[:states]))
 
 
 def _counting(problem: Problem, places: Places) -> Automaton:

@@ -8,8 +8,6 @@ half-open ones that reach a little further. Certain labels are exact; wider boxe
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +19,6 @@ from .mean_spans import output_spans
 
 OUTWARD = 2.0**-47
 """Relative widening of boxes that went through a matrix: some sixty times the rounding of one operation."""
-
-MOST_CLASSES_AT_ONCE = 20_000_000
-"""Most entries of the tables of points against propositions that are held at once."""
 
 
 def cell_boxes(part: AgentPart) -> tuple[FloatArray, FloatArray]:
@@ -68,39 +63,62 @@ def classes_in_boxes(
         return np.zeros((1, 0), dtype=bool), np.ones((len(low), 1), dtype=bool)
     region_low = np.array([r.low for r in regions]).reshape(len(regions), -1)  # (P, p)
     region_high = np.array([r.high for r in regions]).reshape(len(regions), -1)
-    if model.has_identity_output:
-        region_high = np.where(region_high >= model.workspace.high, np.inf, region_high)  # closed at the workspace
-    else:
-        closed = True
+    closed_axes = np.full(model.n_outputs, True)
+    if not model.has_identity_output:
+        boxes = low, high
         if isinstance(model, LinearAgent):
             low, high = box_image(low, high, model.output_matrix)
         else:
             assert isinstance(model, Agent)
             low, high = output_spans(model, low, high)
-    axes = []  # per axis: (S, 1 + E) coordinates, (S, 1 + E) whether the box reaches them
-    for k in range(low.shape[1]):
-        edges = np.unique(np.concatenate([region_low[:, k], region_high[:, k]]))
-        edges = np.broadcast_to(edges[np.isfinite(edges)], (len(low), np.isfinite(edges).sum()))
-        below, above = low[:, k, None], high[:, k, None]
-        inside = (below < edges) & ((edges <= above) if closed else (edges < above))
-        used = inside.any(axis=0)
-        points = np.concatenate([below, edges[:, used]], axis=1)
-        axes.append((points, np.concatenate([np.ones_like(below, dtype=bool), inside[:, used]], axis=1)))
-    found: dict[bytes, NDArray[np.bool_]] = {}
+        # Outputs that are the states are read as they are, whatever was added to them for shapes.
+        for image, own in zip((low, high), boxes, strict=True):
+            image[:, : model.state_outputs] = own[:, : model.state_outputs]
+    states = slice(model.state_outputs)
+    closed_axes[states] = closed
+    edge = model.workspace.high[states]
+    region_high[:, states] = np.where(region_high[:, states] >= edge, np.inf, region_high[:, states])  # closed there
+    classes, meets = np.ones((1, len(regions)), dtype=bool), np.ones((len(low), 1), dtype=bool)
+    # Axis by axis: a class is the conjunction of what holds along each axis.
+    for k, own_closed in enumerate(closed_axes.tolist()):
+        rows, here = _along(low[:, k], high[:, k], region_low[:, k], region_high[:, k], own_closed)
+        found: dict[bytes, NDArray[np.bool_]] = {}
+        reached: dict[bytes, NDArray[np.bool_]] = {}
+        for a, row in enumerate(classes):
+            for b, also in enumerate(rows):
+                both = meets[:, a] & here[:, b]
+                if both.any():
+                    key = (row & also).tobytes()
+                    found[key] = row & also
+                    reached[key] = reached[key] | both if key in reached else both
+        classes, meets = np.array(list(found.values())), np.array([reached[key] for key in found]).T
+    return classes, meets
+
+
+def _along(
+    below: FloatArray, above: FloatArray, region_low: FloatArray, region_high: FloatArray, closed: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """What may hold (n, P) along one axis, and which of it (S, n) in each interval ``below`` to ``above``."""
+    edges = np.unique(np.concatenate([region_low, region_high]))
+    edges = edges[np.isfinite(edges)]
+    inside = (below[:, None] < edges) & ((edges <= above[:, None]) if closed else (edges < above[:, None]))
+    used = inside.any(axis=0)
+    rows: dict[bytes, NDArray[np.bool_]] = {}
     meets: dict[bytes, NDArray[np.bool_]] = {}
-    for corner in itertools.product(*(range(points.shape[1]) for points, _ in axes)):
-        reached = np.logical_and.reduce([inside[:, c] for (_, inside), c in zip(axes, corner, strict=True)])
-        where = np.flatnonzero(reached)
-        for rows in np.array_split(where, max(1, len(where) * len(regions) // MOST_CLASSES_AT_ONCE + 1)):
-            holds = np.ones((len(rows), len(regions)), dtype=bool)
-            for k, ((points, _), c) in enumerate(zip(axes, corner, strict=True)):
-                at = points[rows, c, None]
-                holds &= (region_low[:, k] <= at) & (at < region_high[:, k])
-            for row in np.unique(holds, axis=0):
-                key = row.tobytes()
-                found.setdefault(key, row)
-                meets.setdefault(key, np.zeros(len(low), dtype=bool))[rows[np.all(holds == row, axis=1)]] = True
-    return np.array(list(found.values())), np.array([meets[key] for key in found]).T
+
+    def note(row: NDArray[np.bool_], where: NDArray[np.bool_]) -> None:
+        rows.setdefault(row.tobytes(), row)
+        meets.setdefault(row.tobytes(), np.zeros(len(below), dtype=bool))[...] |= where
+
+    for edge, where in zip(edges[used], inside[:, used].T, strict=True):
+        note((region_low <= edge) & (edge < region_high), where)
+    # Between two edges nothing changes: lower ends are told apart by the edges that they have reached.
+    place = np.searchsorted(edges, below, side="right")
+    for number in np.unique(place):
+        where = place == number
+        first = below[where][0]
+        note((region_low <= first) & (first < region_high), where)
+    return np.array(list(rows.values())), np.array([meets[key] for key in rows]).T
 
 
 def start_shares(agent: AnyAgent, part: AgentPart) -> FloatArray:

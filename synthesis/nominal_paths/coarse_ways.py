@@ -1,4 +1,7 @@
-"""Ways around regions on a coarse grid of outputs: where a nonlinear path may run at each time, before it is planned.
+"""Ways around regions on a coarse grid: where a nonlinear path may run at each time, before it is planned.
+
+The grid is one of outputs, as those are what regions are about. Where outputs were added for shapes, several of them
+say where one point is: then it is one of the states that they depend on.
 
 By dynamic programming over times and cells: short steps, far from what must not be met. Dynamics are not asked. A
 second and a third way keep off the ones before, so that obstacles are passed on other sides.
@@ -6,14 +9,16 @@ second and a third way keep off the ones before, so that obstacles are passed on
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from ...envs.agents import AnyAgent
+from ...envs.agents import Agent, AnyAgent
+from ...envs.expressions import names_in
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .path_limits import corners_along
@@ -39,26 +44,85 @@ def guesses(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], start:
     low, high = agent.output_range(agent.state_low[None], agent.state_high[None])
     low, high = low[0].copy(), high[0].copy()
     here = agent.outputs(start[:, None])[:, 0]
-    axes = _planned(problem, agent, letters, low, high)
+    axes = _limited(problem, agent, letters, low, high)
     if not axes:
         yield np.tile(here, (len(letters), 1))
         return
-    grid = _Grid(problem, agent, letters, axes, (low[axes], high[axes]))
+    space = _of_states(agent, axes, start) or _of_outputs(axes[:3], low, high, here)
+    grid = _Grid(problem, agent, letters, space)
     charge = np.zeros(grid.shape)
     for _ in range(MOST_GUESSES):
-        found = grid.way(here[axes], charge)
+        found = grid.way(space.here, charge)
         if found is None:
             return
-        full = np.tile(here, (len(letters), 1))
-        full[:, axes] = found
-        yield full
+        yield space.whole(found)
         charge = charge + grid.beside(found)
 
 
-def _planned(
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """What a grid is one of: some outputs, or some states.
+
+    Attributes
+    ----------
+    low, high, here : np.ndarray, shape (k,)
+        Its ends, and where the start is.
+    axes : list of int
+        Outputs that tell regions there.
+    told : callable
+        From points (*S, k) to those outputs (*S, len(axes)).
+    whole : callable
+        From points (S + 1, k) to all outputs (S + 1, p).
+    """
+
+    low: FloatArray
+    high: FloatArray
+    here: FloatArray
+    axes: list[int]
+    told: Callable[[FloatArray], FloatArray]
+    whole: Callable[[FloatArray], FloatArray]
+
+
+def _of_outputs(narrowest: list[int], low: FloatArray, high: FloatArray, here: FloatArray) -> _Space:
+    """Return the space of up to three outputs; all others stay what they are at the start."""
+    axes = sorted(narrowest)
+
+    def whole(points: FloatArray) -> FloatArray:
+        full = np.tile(here, (len(points), 1))
+        full[:, axes] = points
+        return full
+
+    return _Space(low[axes], high[axes], here[axes], axes, lambda points: points, whole)
+
+
+def _of_states(agent: AnyAgent, axes: list[int], start: FloatArray) -> _Space | None:
+    """Return the space of up to three states on which outputs depend; None for agents without added outputs."""
+    if not agent.added_outputs or not isinstance(agent, Agent):
+        return None
+    named, kept = set[str](), list[int]()
+    # The narrowest first; what is about further states is left to the planner.
+    for k in axes:
+        own = named | {*names_in(agent.output_trees[k])}
+        if len(own) <= len(CELLS):
+            named, kept = own, [*kept, k]
+    states = sorted(agent.states.index(name) for name in named)
+    if not states:
+        return None
+
+    def whole(points: FloatArray) -> FloatArray:
+        full = np.empty((agent.n_states, *points.shape[:-1]))
+        full[...] = start.reshape(-1, *[1] * (points.ndim - 1))
+        full[states] = np.moveaxis(points, -1, 0)
+        return np.moveaxis(agent.outputs(full), 0, -1)
+
+    ends = agent.state_low[states], agent.state_high[states], start[states]
+    return _Space(*ends, kept, lambda points: whole(points)[..., kept], whole)
+
+
+def _limited(
     problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], low: FloatArray, high: FloatArray
 ) -> list[int]:
-    """Return up to three outputs that regions limit, the most narrowly limited ones."""
+    """Return the outputs that regions limit, the most narrowly limited ones first."""
     share = np.full(agent.n_outputs, np.inf)
     for q, name in enumerate(problem.automaton.propositions):
         if q < problem.labeling.first_pair and problem.propositions[name].agent == agent.name and letters[:, q].any():
@@ -67,26 +131,20 @@ def _planned(
             inside = np.minimum(corners[1][asked], high) - np.maximum(corners[0][asked], low)
             with np.errstate(invalid="ignore"):
                 share = np.fmin(share, np.where(inside < high - low, inside / (high - low), np.inf).min(axis=0))
-    finite = [int(k) for k in np.argsort(share, kind="stable") if np.isfinite(share[k]) and np.isfinite(high - low)[k]]
-    return sorted(finite[:3])
+    return [int(k) for k in np.argsort(share, kind="stable") if np.isfinite(share[k]) and np.isfinite(high - low)[k]]
 
 
 class _Grid:
-    """Cells of some outputs, and which of them letters allow at each time."""
+    """Cells of some outputs or states, and which of them letters allow at each time."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        agent: AnyAgent,
-        letters: NDArray[np.int8],
-        axes: list[int],
-        box: tuple[FloatArray, FloatArray],
-    ) -> None:
-        self.count = CELLS[len(axes)]
-        self.shape = (self.count,) * len(axes)
-        self.low, self.size = box[0], (box[1] - box[0]) / self.count
+    def __init__(self, problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], space: _Space) -> None:
+        axes = space.axes
+        self.count = CELLS[len(space.low)]
+        self.shape = (self.count,) * len(space.low)
+        self.low, self.size = space.low, (space.high - space.low) / self.count
         middles = [a + (np.arange(self.count) + 0.5) * s for a, s in zip(self.low, self.size, strict=True)]
         self.points = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1)
+        told, edges = space.told(self.points), (slice(1, -1),) * len(space.low)
         self.costs: list[FloatArray] = []
         known: dict[bytes, FloatArray] = {}
         names = problem.automaton.propositions
@@ -100,16 +158,16 @@ class _Grid:
                 allowed, far = np.ones(self.shape, dtype=bool), np.ones(self.shape, dtype=bool)
                 for q in own:
                     low, high = (end[t, axes] for end in corners[q])
-                    inside = np.all((self.points >= low) & (self.points < high), axis=-1)
+                    inside = np.all((told >= low) & (told < high), axis=-1)
                     if letter[q] > 0:
                         allowed &= inside
                     elif letter[q] < 0:
                         allowed &= ~inside
                         far &= ~inside
                 distance = distance_transform_edt(np.pad(far, 1, constant_values=True)) if not far.all() else None
-                near = 0.0 if distance is None else 4.0 * np.exp(-distance[(slice(1, -1),) * len(axes)] / NEAR)
+                near = 0.0 if distance is None else 4.0 * np.exp(-distance[edges] / NEAR)
                 # Where something has to hold, its middle is better than its edge.
-                deep = distance_transform_edt(np.pad(allowed, 1))[(slice(1, -1),) * len(axes)]
+                deep = distance_transform_edt(np.pad(allowed, 1))[edges]
                 edge = 4.0 * np.exp(-deep / NEAR) if np.any(letter[own] > 0) else 0.0
                 known[key] = np.where(allowed, near + edge, np.inf)
             self.costs.append(known[key])

@@ -306,6 +306,13 @@ def _aim(problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent
     for p, name in enumerate(problem.automaton.propositions):
         if problem.propositions[name].agent == agent.name and letters[-1, p] > 0:
             region = problem.propositions[name].at(len(letters) - 1)
-            middle = 0.5 * (region.low + region.high)
-            aim = aim + np.linalg.pinv(agent.output_matrix) @ (middle - agent.output_matrix @ aim)
+            low, high, rows = region.low, region.high, agent.output_matrix
+            if agent.added_outputs:
+                # Outputs that a shape does not limit say nothing, and ends beyond the workspace are no ends.
+                bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
+                limited = (low > bottom) | (high < top)
+                low, high = np.maximum(low, bottom)[limited], np.minimum(high, top)[limited]
+                rows = rows[limited]
+            middle = 0.5 * (low + high)
+            aim = aim + np.linalg.pinv(rows) @ (middle - rows @ aim)
     return aim

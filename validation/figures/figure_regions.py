@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Proposition
-from ...envs.pictures import Panel
+from ...envs.pictures import Drawer, Panel
 from ...envs.problem import Problem
 from ...synthesis.certificates import Tube
 from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
@@ -32,6 +32,9 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
     for name, proposition in problem.propositions.items():
         if not isinstance(proposition, Proposition) or proposition.agent != agent.name:
             continue
+        piece = problem.pieces.get(name)
+        if piece is not None and any(sum(map(bool, limit.form.row)) != 1 for limit in piece.limits):
+            continue  # it is no box: maps show its outline
         region = proposition.at(0)  # starts are there at time 0
         if np.any(region.low >= region.high):
             continue
@@ -79,7 +82,28 @@ def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | No
             plot.add_patch(Rectangle((a, c), b - a, d - c, fill=False, edgecolor=INK, linewidth=0.8, linestyle="--"))
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7}
             plot.text(a, d, name, fontsize=7.5, color=INK, va="bottom", bbox=box)
+    _outlines(plot, problem, shown, {*first} & {*second})
     return 0
+
+
+def _outlines(plot: Axes, problem: Problem, shown: Sequence[int], done: set[str]) -> None:
+    """Outline the shapes of the agent of both coordinates, as they are at the start, but those that are boxes."""
+    i = next(i for i, columns in enumerate(problem.columns) if shown[0] < columns.stop)
+    axes = [k - problem.columns[i].start for k in shown]
+    agent = problem.agents[i]
+    drawer = Drawer(problem, i, axes, agent.state_low[axes], agent.state_high[axes])
+    for name, region in problem.written.items():
+        if not isinstance(region, Proposition) or region.agent != agent.name or not region.shape or name in done:
+            continue
+        outline = drawer.outline(name, 0)
+        if outline is None:
+            continue
+        for edge in outline.edges:
+            plot.fill(*edge.T, fill=False, edgecolor="white", linewidth=1.6)
+            plot.fill(*edge.T, fill=False, edgecolor=INK, linewidth=0.8, linestyle="--")
+        box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7}
+        (left, _), (_, top) = (outline.edges[0].min(axis=0), outline.edges[0].max(axis=0))
+        plot.text(left, top, name, fontsize=7.5, color=INK, va="bottom", bbox=box)
 
 
 def rollouts_panel(
@@ -155,8 +179,15 @@ def _regions(plot: Axes, panel: Panel) -> None:
         if panel.is_map:
             size = [b - a for a, b in zip(region.low, region.high, strict=True)]
             corner = region.low[0], region.low[1]
-            plot.add_patch(Rectangle(corner, *size, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5))
-            plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6))
+            if region.outline is not None:
+                fills, edges = region.polygons
+                for polygon in fills:
+                    plot.fill(*polygon.T, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5)
+                for polygon in edges:
+                    plot.fill(*polygon.T, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6)
+            else:
+                plot.add_patch(Rectangle(corner, *size, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5))
+                plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6))
             plot.text(region.low[0], region.high[1], f" {region.name}", fontsize=8, color=INK, va="top", zorder=5)
         elif region.time is not None:
             plot.text(region.time, region.high[0], f" {region.name}", fontsize=8, color=INK, va="bottom")

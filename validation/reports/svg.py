@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+Points = Sequence[tuple[float, float]]
+"""Points of a picture."""
+
 
 @dataclass(frozen=True)
 class Axes:
@@ -96,6 +99,19 @@ def polyline(points: Sequence[tuple[float, float]], role: str) -> str:
 def polygon(points: Sequence[tuple[float, float]], role: str) -> str:
     """Return a filled polygon through picture points."""
     return f'<polygon class="{role}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
+
+
+def outlined(fills: Sequence[Points], edges: Sequence[Points], role: str, hint: str) -> str:
+    """Return filled polygons without edges, and edges of polygons, with a hint that appears under the mouse pointer."""
+    drawn = [
+        f'<path class="{role}" style="{style}" d="{" ".join(_closed(points) for points in polygons)}"/>'
+        for polygons, style in ((fills, "stroke:none"), (edges, "fill:none"))
+    ]
+    return f"<g><title>{escape(hint)}</title>{''.join(drawn)}</g>"
+
+
+def _closed(points: Points) -> str:
+    return "M" + " L".join(f"{x:.1f},{y:.1f}" for x, y in points) + " Z"
 
 
 def rectangle(a: tuple[float, float], b: tuple[float, float], role: str, hint: str = "", style: str = "") -> str:

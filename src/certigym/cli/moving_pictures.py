@@ -131,7 +131,7 @@ def film(problem: Problem, player: Player, seed: int) -> tuple[list[np.ndarray],
     track = states[~np.isnan(states[:, 0]).any(axis=1), 0]
     frames = []
     for time in range(len(track)):
-        names = [name for name, holds in zip(problem.automaton.propositions, hold[time, :, 0]) if holds]
+        names = problem.told(name for name, holds in zip(problem.automaton.propositions, hold[time, :, 0]) if holds)
         last = time == len(track) - 1
         verdict = verdict_text(last and bool(success[0]), last and time < problem.horizon, last)
         value = None

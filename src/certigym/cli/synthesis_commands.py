@@ -39,11 +39,11 @@ def describe(options: Namespace) -> int:
         f"{problem.name}: {counted(problem.n_agents, 'agent')}, horizon {problem.horizon}, {semantics}",
         f"task: {_task(problem)}",
     ]
-    for agent in problem.agents[:MOST_AGENTS_SHOWN]:
+    for agent in problem.written_agents[:MOST_AGENTS_SHOWN]:
         lines += _agent_lines(agent)
     if problem.n_agents > MOST_AGENTS_SHOWN:
         lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
-    regions = list(problem.propositions.items())
+    regions = list(problem.written.items())
     lines += [
         f"proposition {name}: {_subject(region)} in {_box(region)}" for name, region in regions[:MOST_REGIONS_SHOWN]
     ]
@@ -270,7 +270,7 @@ def _subject(region: Proposition | Pair) -> str:
 
 def _box(region: Proposition | Pair) -> str:
     """Return the corners of a region; where it moves, as they are written."""
-    return region.text if isinstance(region, Proposition) and region.moves else _corners(region)
+    return region.text if isinstance(region, Proposition) and (region.moves or region.shape) else _corners(region)
 
 
 def _corners(region: Proposition | Pair) -> str:
