@@ -46,6 +46,18 @@ def corners_along(problem: Problem, name: str, times: int) -> tuple[FloatArray, 
     return low.T, high.T
 
 
+def without_far_ends(agent: AnyAgent, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return corners (..., p) that are infinite where they lie beyond what outputs that were added for shapes ask.
+
+    What is never met limits nothing: a search that took such ends for a width would measure by it.
+    """
+    if not agent.added_outputs:
+        return low, high
+    bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    size = 1.0 + np.abs(bottom) + np.abs(top)
+    return np.where(low < bottom - size, -np.inf, low), np.where(high > top + size, np.inf, high)
+
+
 def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> Limits:
     """Return the limits of an agent for letters (S + 1, P) and sides of regions that are kept away from."""
     steps, p = len(letters), agent.n_outputs
@@ -53,7 +65,7 @@ def limits_along(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], f
     for q, name in enumerate(problem.automaton.propositions):
         if q >= problem.labeling.first_pair or problem.propositions[name].agent != agent.name:
             continue
-        low, high = corners_along(problem, name, steps)
+        low, high = without_far_ends(agent, *corners_along(problem, name, steps))
         here = letters[:, q] > 0
         outputs[0, here] = np.maximum(outputs[0, here], low[here])
         outputs[1, here] = np.minimum(outputs[1, here], high[here])

@@ -19,7 +19,7 @@ from ..controllers import covariances_of, nominal_states
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import nonlinear_certificate, refuse_other_noise
-from .path_limits import corners_along
+from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
 from .words import Plan, Way, letters_of, ways_of, without_needless
@@ -300,19 +300,26 @@ def chosen_faces(
     return faces
 
 
+def _into_the_middle(rows: FloatArray, low: FloatArray, high: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the move that takes a state to the middle between limits; to a face where there is one limit alone.
+
+    Where a state is within a single limit it stays there.
+    """
+    limited = np.isfinite(low) | np.isfinite(high)
+    rows, low, high = rows[limited], low[limited], high[limited]
+    at = rows @ x
+    both = np.isfinite(low) & np.isfinite(high)
+    with np.errstate(invalid="ignore"):
+        middle = np.where(both, 0.5 * (low + high), np.clip(at, low, high))
+    return np.asarray(np.linalg.pinv(rows) @ (middle - at))
+
+
 def _aim(problem: Problem, i: int, letters: NDArray[np.int8], agent: LinearAgent) -> FloatArray:
     """Return a state in the middle of what is to hold at the end."""
     aim = np.array(agent.initial.low, dtype=float)
     for p, name in enumerate(problem.automaton.propositions):
         if problem.propositions[name].agent == agent.name and letters[-1, p] > 0:
             region = problem.propositions[name].at(len(letters) - 1)
-            low, high, rows = region.low, region.high, agent.output_matrix
-            if agent.added_outputs:
-                # Outputs that a shape does not limit say nothing, and ends beyond the workspace are no ends.
-                bottom, top = (end[0] for end in agent.output_range(agent.state_low[None], agent.state_high[None]))
-                limited = (low > bottom) | (high < top)
-                low, high = np.maximum(low, bottom)[limited], np.minimum(high, top)[limited]
-                rows = rows[limited]
-            middle = 0.5 * (low + high)
-            aim = aim + np.linalg.pinv(rows) @ (middle - rows @ aim)
+            low, high = without_far_ends(agent, region.low, region.high)
+            aim = aim + _into_the_middle(agent.output_matrix, low, high, aim)
     return aim

@@ -23,6 +23,7 @@ from scipy.special import ndtr
 from ...envs.agents import LinearAgent
 from ...envs.problem import Problem
 from ..cells import FloatArray
+from .path_limits import without_far_ends
 
 OUTWARD = 1.0 + 3e-9
 """Factor on deviations and on failure probabilities, far above the rounding of paths of a few hundred steps."""
@@ -109,7 +110,8 @@ def _limits_at(
             continue
         region = proposition.at(t)
         if letter[p] > 0:
-            yield from zip(agent.output_matrix, region.low.tolist(), region.high.tolist(), strict=True)
+            corners = without_far_ends(agent, region.low, region.high)
+            yield from zip(agent.output_matrix, *(corner.tolist() for corner in corners), strict=True)
             continue
         k, side = divmod(int(face[p]), 2)
         low, high = (float(region.high[k]), np.inf) if side else (-np.inf, float(region.low[k]))

@@ -1,0 +1,520 @@
+"""Regions of every shape hold where geometry says so: in letters, simulators, files, checks and pictures alike.
+
+Membership is computed here by other means: `hypot` for discs and balls, cross products for polygons, `atan2` for cones
+and headings.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.agents import SHAPES
+from certigym.envs.dynamics import Dynamics, OneWorld
+from certigym.envs.dynamics import worlds as core
+from certigym.envs.pictures import Drawer, Picture, panels
+from certigym.envs.problem import problem_from_dict
+from certigym.synthesis.checking.geometry import classes_in_boxes
+
+Point = np.ndarray
+COUNT = 4000
+"""Points at which a shape is compared with geometry: a wrong face is met by hundreds of them."""
+
+
+def linear(name: str = "robot", d: int = 2, **changes: Any) -> cg.LinearAgent:
+    """As many inputs as states, at most one metre per step."""
+    data: dict[str, Any] = {
+        "A": np.eye(d), "B": np.eye(d), "noise_covariance": 0.01 * np.eye(d), "state_low": [-5.0] * d,
+        "state_high": [5.0] * d, "input_low": [-1.0] * d, "input_high": [1.0] * d, "initial_state": [-4.0] * d,
+    }  # fmt: skip
+    return cg.LinearAgent(name=name, **{**data, **changes})
+
+
+def written(name: str = "robot", d: int = 2, **changes: Any) -> cg.Agent:
+    """The same, written as expressions."""
+    names = ["x", "y", "z"][:d]
+    data: dict[str, Any] = {
+        "states": names, "inputs": [f"u{k}" for k in range(d)], 
+        "dynamics": [f"{s} + u{k}" for k, s in enumerate(names)],
+        "noise": [{"law": "gaussian", "std": 0.1}] * d, "state_low": [-5.0] * d, "state_high": [5.0] * d,
+        "input_low": [-1.0] * d, "input_high": [1.0] * d, "initial_state": [-4.0] * d,
+    }  # fmt: skip
+    return cg.Agent(name=name, **{**data, **changes})
+
+
+def problem_of(agent: Any, formula: str = "F p", horizon: int = 8, **shapes: Any) -> cg.Problem:
+    kind = "finite-trace" if formula.startswith("G") else "co-safe"
+    regions = {name: shape if isinstance(shape, cg.Proposition | cg.Pair) else cg.Proposition("robot", **shape)
+               for name, shape in shapes.items()}  # fmt: skip
+    agents = agent if isinstance(agent, list) else [agent]
+    return cg.Problem(name="shapes", horizon=horizon, agents=agents, propositions=regions,
+                      specification=cg.Specification(formula, kind))  # fmt: skip
+
+
+def in_polygon(corners: list[list[float]], p: Point) -> bool:
+    """Return whether a point lies on one side of all edges, by cross products."""
+    signs = {
+        (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0 for a, b in pairwise([*corners, corners[0]])
+    }
+    return len(signs) == 1
+
+
+def in_cone(tip: list[float], axis: list[float], angle: float, p: Point) -> bool:
+    """Return whether a point is seen from the tip within half an angle of the axis."""
+    way = np.subtract(p, tip)
+    cosine = float(way @ axis) / (float(np.linalg.norm(way)) * float(np.linalg.norm(axis)))
+    return math.acos(max(-1.0, min(1.0, cosine))) <= 0.5 * angle
+
+
+def turned(angle: float) -> float:
+    return math.atan2(math.sin(angle), math.cos(angle)) % (2.0 * math.pi)
+
+
+PENTAGON = [[-2.0, -1.0], [1.0, -2.5], [3.0, 0.5], [1.5, 3.0], [-1.5, 2.0]]
+TRIANGLE = [[0.0, 1.5], [1.0, -1.0], [-1.0, -1.0]]
+"""Against the clock, and with it."""
+
+DISC = {"disc": {"centre": [1.0, -2.0], "radius": 1.5}}
+IN_DISC: Callable[[Point], bool] = lambda p: math.hypot(p[0] - 1.0, p[1] + 2.0) < 1.5  # noqa: E731
+
+SHAPED: dict[str, tuple[dict[str, Any], int, Callable[[Point], bool]]] = {
+    "disc": (DISC, 2, IN_DISC),
+    "ball": ({"ball": {"centre": [1, 0, -1], "radius": 2.5}}, 3, lambda p: math.dist(p, (1, 0, -1)) < 2.5),
+    "ball of two": (
+        {"ball": {"centre": [1, 0], "radius": 2, "of": [2, 0]}}, 3, lambda p: math.hypot(p[2] - 1, p[0]) < 2
+    ),
+    "box": ({"box": {"low": [-1], "high": [2], "of": 1}}, 2, lambda p: -1 <= p[1] < 2),
+    "polygon": ({"polygon": {"corners": PENTAGON}}, 2, lambda p: in_polygon(PENTAGON, p)),
+    "polygon with the clock": ({"polygon": {"corners": TRIANGLE}}, 2, lambda p: in_polygon(TRIANGLE, p)),
+    "polygon turned": (
+        {"polygon": {"corners": TRIANGLE, "of": [1, 0]}}, 2, lambda p: in_polygon(TRIANGLE, p[::-1])
+    ),
+    "halfspace": ({"halfspace": {"normal": [-1, 2], "offset": 1.5}}, 2, lambda p: -p[0] + 2 * p[1] <= 1.5),
+    "polytope": (
+        {"polytope": {"normals": [[1, 1, 1], [-1, 0, 0], [0, -2, 0]], "offsets": [2, 1, 3]}},
+        3,
+        lambda p: p.sum() <= 2 and -p[0] <= 1 and -2 * p[1] <= 3,
+    ),
+    "cone": (
+        {"cone": {"tip": [-1, 0.5], "axis": [-1, 1], "angle": 1.2}}, 2, lambda p: in_cone([-1, 0.5], [-1, 1], 1.2, p)
+    ),
+    "wide cone": (
+        {"cone": {"tip": [0, 1], "axis": [0, -2], "angle": 3.0}}, 2, lambda p: in_cone([0, 1], [0, -2], 3.0, p)
+    ),
+    "round cone": (
+        {"cone": {"tip": [1, 0, -3], "axis": [-1, 1, 2], "angle": 1.4}},
+        3,
+        lambda p: in_cone([1, 0, -3], [-1, 1, 2], 1.4, p),
+    ),
+    "heading": (
+        {"heading": {"of": 1, "from": 0.5, "to": 1.5}}, 2, lambda p: 0.5 <= turned(p[1]) < 1.5
+    ),
+    "heading through pi": (
+        {"heading": {"of": 0, "from": "pi - 0.5", "to": "-pi + 0.7"}},
+        2,
+        lambda p: math.pi - 0.5 <= turned(p[0]) < math.pi + 0.7,
+    ),
+    "union": (
+        {"union": [DISC, {"polygon": {"corners": TRIANGLE}}]}, 2, lambda p: IN_DISC(p) or in_polygon(TRIANGLE, p)
+    ),
+    "intersection": (
+        {"intersection": [DISC, {"halfspace": {"normal": [1, 1], "offset": -1}}]},
+        2,
+        lambda p: IN_DISC(p) and p[0] + p[1] <= -1,
+    ),
+    "complement": ({"complement": {"polygon": {"corners": PENTAGON}}}, 2, lambda p: not in_polygon(PENTAGON, p)),
+    "ring": (
+        {"intersection": [{"disc": {"centre": [0, 0], "radius": 4}}, {"complement": DISC}]},
+        2,
+        lambda p: math.hypot(*p) < 4 and not IN_DISC(p),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPED)
+@pytest.mark.parametrize("kind", [linear, written])
+def test_a_shape_holds_where_geometry_says(name: str, kind: Callable[..., Any]) -> None:
+    table, d, inside = SHAPED[name]
+    problem = problem_of(kind(d=d), p=table)
+    points = np.random.default_rng(1).uniform(-5, 5, (COUNT, d))
+    wanted = np.array([inside(p) for p in points])
+    assert 0.01 < wanted.mean() < 0.99
+    classes = problem.labeling.class_at(0, points.T)
+    names = problem.labeling.names
+    told = [problem.told(n for n, yes in zip(names, column, strict=True) if yes) for column in classes.T]
+    assert [bool(own) for own in told] == wanted.tolist()
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_runs_are_judged_by_what_is_written(name: str) -> None:
+    """Batched worlds and single ones accept `F p` at a start that is inside, and at no other."""
+    table, d, inside = SHAPED[name]
+    problem = problem_of(linear(d=d), p=table)
+    dynamics = Dynamics.of(problem)
+    states = np.random.default_rng(2).uniform(-5, 5, (200, d))
+    wanted = [inside(p) for p in states]
+    worlds = core.initial_at(dynamics, states)
+    assert core.satisfied(dynamics, worlds).tolist() == wanted
+    single = OneWorld.of(dynamics)
+    for k in range(40):
+        world = single.begin(core.initial_at(dynamics, states[k : k + 1]))
+        assert single.satisfied(world) == wanted[k]
+        assert ("p" in single.names(world.letter)) == wanted[k]
+
+
+@pytest.mark.parametrize("name", SHAPED)
+@pytest.mark.parametrize("kind", [linear, written])
+def test_no_cell_misses_a_class_that_its_points_have(name: str, kind: Callable[..., Any]) -> None:
+    """Neither in the search's reading nor in the check's."""
+    table, d, _ = SHAPED[name]
+    problem = problem_of(kind(d=d), p=table)
+    rng = np.random.default_rng(3)
+    low = rng.uniform(-5, 4, (150, d))
+    high = np.minimum(low + rng.uniform(0.01, 1.5, (150, d)), 5.0)
+    points = low + rng.uniform(0, 1, (40, 150, d)) * (high - low)
+    held = problem.labeling.class_at(0, np.moveaxis(points, -1, 0))  # (P, 40, 150)
+    known, possible = problem.labeling.classes[0], problem.labeling.box_classes(0, low, high)
+    checked, meets = classes_in_boxes(problem, 0, low, high, closed=False)
+    for rows, where in ((known, possible), (checked, meets)):
+        number = {row.tobytes(): k for k, row in enumerate(rows)}
+        for s in range(150):
+            assert all(where[s, number[held[:, k, s].copy().tobytes()]] for k in range(40))
+        # Most boxes are surely in or surely out.
+        assert (where.sum(axis=1) == 1).mean() > 0.25
+
+
+def test_faces_of_neighbours_share_no_point() -> None:
+    """Of two shapes on both sides of a line exactly one holds on it, as of boxes; a disc is open."""
+    problem = problem_of(
+        written(), left={"halfspace": {"normal": [1, 1], "offset": 0}},
+        right={"halfspace": {"normal": [-1, -1], "offset": 0}}, disc={"disc": {"centre": [0, 0], "radius": 1}},
+        rest={"complement": "disc"}, formula="F left",
+    )  # fmt: skip
+    labeling = problem.labeling
+    on_line = np.array([[-1.0, 0.25, 2.0], [1.0, -0.25, -2.0]])
+    held = dict(zip(labeling.names, labeling.class_at(0, on_line), strict=True))
+    assert held["right"].all() and not held["left"].any()
+    assert not labeling.class_at(0, np.array([[1.0], [0.0]]))[labeling.names.index("disc")].any()
+    assert problem.told([]) == ["rest"]
+
+
+def test_a_polygon_that_is_a_box_is_that_box() -> None:
+    square = cg.Proposition("robot", polygon={"corners": [[1, 2], [3, 2], [3, 5], [1, 5]]})
+    for kind in (linear, written):
+        shaped, plain = problem_of(kind(), p=square), problem_of(kind(), p=cg.Proposition("robot", [1, 2], [3, 5]))
+        assert shaped.fingerprint == plain.fingerprint
+        assert shaped.agents[0].has_identity_output
+
+
+def test_shapes_change_nothing_of_boxes_beside_them() -> None:
+    """Cells along the faces of a box stay of one class, and a box at the upper edge of the workspace stays closed."""
+    agent = linear()
+    room = cg.Proposition("robot", [2, 2], [5, 5])
+    problem = problem_of(agent, room=room, rock={"polygon": {"corners": TRIANGLE}}, p=DISC)
+    place = problem.labeling.names.index("room")
+    assert problem.labeling.class_at(0, np.array([[5.0], [5.0]]))[place].all()
+    low, high = np.array([[2.0, 2.0], [1.0, 2.0]]), np.array([[3.0, 3.0], [2.0, 3.0]])
+    known = problem.labeling.classes[0]
+    for rows, where in (
+        (known, problem.labeling.box_classes(0, low, high)),
+        classes_in_boxes(problem, 0, low, high, False),
+    ):
+        assert rows[where[0]][:, place].all()
+        assert not rows[where[1]][:, place].any()
+
+
+@pytest.mark.parametrize("kind", [linear, written])
+def test_a_linear_agent_with_faces_stays_linear_and_moves_the_same_with_discs(kind: Callable[..., Any]) -> None:
+    agent = kind(**({"A": [[0.9, -0.1], [0, 1]], "offset": [0.5, -1]} if kind is linear else {}))
+    faces, round_one = problem_of(agent, p={"polygon": {"corners": PENTAGON}}), problem_of(agent, p=DISC)
+    assert type(faces.agents[0]) is type(agent)
+    rng = np.random.default_rng(4)
+    x, u = rng.uniform(-5, 5, (2, 50)), rng.uniform(-1, 1, (2, 50))
+    for other in (faces, round_one):
+        np.testing.assert_allclose(other.agents[0].mean(x, u), agent.mean(x, u), rtol=0, atol=1e-14)
+        assert other.agents[0].noise_key == agent.noise_key
+        np.testing.assert_allclose(other.agents[0].outputs(x)[:2], x, rtol=0, atol=0)
+
+
+def everything() -> cg.Problem:
+    shapes = {f"p{k}": table for k, (table, d, _) in enumerate(SHAPED.values()) if d == 2}
+    shapes |= {"both": {"union": ["p0", "p3"]}, "moving": {"halfspace": {"normal": [1, 0], "offset": "sin(t)"}}}
+    return problem_of(written(), formula="F both", **shapes)
+
+
+def test_problems_remember_shapes_as_they_were_written() -> None:
+    problem = everything()
+    data = json.loads(json.dumps(problem.to_dict()))
+    assert data["propositions"]["p0"] == {"agent": "robot", **DISC}
+    assert "outputs" not in data["agents"][0] and "added_outputs" not in data["agents"][0]
+    for again in (problem_from_dict(data), pickle.loads(pickle.dumps(problem))):
+        assert again.fingerprint == problem.fingerprint
+        assert again.to_dict() == problem.to_dict()
+    moved = problem.replace(initial_state=[0, 0], disturbance_scale=0.5)
+    assert moved.to_dict()["agents"][0]["initial_low"] == [0.0, 0.0] == moved.agents[0].initial_low.tolist()
+    assert problem_from_dict(moved.to_dict()).fingerprint == moved.fingerprint != problem.fingerprint
+
+
+def test_problems_with_other_shapes_have_other_fingerprints() -> None:
+    """Their boxes may be the same: what differs are the outputs."""
+    here, there = (problem_of(linear(), p={"disc": {"centre": c, "radius": 1}}) for c in ([0, 0], [0.5, 0]))
+    assert here.fingerprint != there.fingerprint
+
+
+def test_names_of_information_are_those_that_were_written() -> None:
+    problem = problem_of(
+        linear(initial_state=[1, -2]), formula="F p", p={"union": [DISC, {"polygon": {"corners": TRIANGLE}}]}
+    )
+    assert set(problem.propositions) == {"p_1", "p_2"}
+    env = cg.parallel_env(problem)
+    _, info = env.reset(seed=0)
+    assert info["robot"]["satisfied"]
+
+
+# --- the bounds
+
+
+def certified(problem: cg.Problem, at_least: float) -> Any:
+    """Certify with no options, check against the problem read again from its own text, and simulate."""
+    result = cg.synthesize(problem)
+    again = problem_from_dict(json.loads(json.dumps(problem.to_dict())))
+    assert cg.check(result.certificate, again)
+    assert result.certificate.lower_bound >= at_least
+    return result
+
+
+def judged(problem: cg.Problem, result: Any, verdict: Callable[[np.ndarray], bool]) -> None:
+    """Simulate, judge the runs by a verdict of one's own, and compare with the simulator's, run by run."""
+    from certigym.validation.simulation import Loop, paths
+
+    states, success = paths(Loop(problem, result.controller, 5, 300), 300)
+    for k in range(300):
+        run = states[:, k]
+        assert verdict(run[~np.isnan(run).any(axis=1)]) == bool(success[k])
+    assert success.mean() >= result.certificate.lower_bound - 0.15
+
+
+def reaches(rock: Callable[[Point], bool], goal: Callable[[Point], bool]) -> Callable[[np.ndarray], bool]:
+    """Return the verdict of `!rock U goal` on a run."""
+
+    def verdict(run: np.ndarray) -> bool:
+        for x in run:
+            if goal(x):
+                return True
+            if rock(x):
+                return False
+        return False
+
+    return verdict
+
+
+def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
+    step = 0.5
+    agent = linear(
+        d=4, A=np.eye(4) + step * np.eye(4, k=2), B=np.vstack([0.125 * np.eye(2), step * np.eye(2)]),
+        noise_covariance=0.0025 * np.eye(4), state_low=[-6, -6, -3, -3], state_high=[6, 6, 3, 3],
+        input_low=[-2, -2], input_high=[2, 2], initial_state=[-4, 0, 0, 0],
+    )  # fmt: skip
+    goal, rock = {"disc": {"centre": [4, 0], "radius": 1}}, {"polygon": {"corners": TRIANGLE}}
+    problem = problem_of(agent, "!rock U goal", 16, goal=goal, rock=rock)
+    result = certified(problem, 0.999)
+    judged(problem, result, reaches(lambda x: in_polygon(TRIANGLE, x[:2]), lambda x: math.hypot(x[0] - 4, x[1]) < 1))
+
+
+def test_a_ball_is_flown_around() -> None:
+    centre, nest = [0, 0, 0], [3.5, 0, 1]
+    problem = problem_of(
+        written(d=3, initial_state=[-4, 0, 0], noise=[{"law": "gaussian", "std": 0.08}] * 3), "!rock U goal", 12,
+        rock={"ball": {"centre": centre, "radius": 1.5}}, goal={"ball": {"centre": nest, "radius": 0.9}},
+    )  # fmt: skip
+    result = certified(problem, 0.99)
+    judged(problem, result, reaches(lambda x: math.dist(x, centre) < 1.5, lambda x: math.dist(x, nest) < 0.9))
+
+
+def test_rooms_of_a_union_are_met_on_a_grid() -> None:
+    """Half a room is a polygon, the other a box; two robots, each of which may choose."""
+    hall = [[2, 2], [5, 2], [5, 5], [3, 5]]
+    problem = problem_of(
+        [linear("robot_0", initial_state=[0, 0]), linear("robot_1", initial_state=[1, 0])], "F all(inside)", 9,
+        kitchen=cg.Proposition("robot_*", [-5, -5], [-2, -2]),
+        hall=cg.Proposition("robot_*", polygon={"corners": hall}),
+        inside=cg.Proposition("robot_*", union=["kitchen", "hall"]),
+    )  # fmt: skip
+    assert problem.families["inside"] == ("inside_0", "inside_1")
+    result = certified(problem, 0.99)
+
+    def inside(x: np.ndarray) -> bool:
+        return (x[0] < -2 and x[1] < -2) or in_polygon(hall, x)
+
+    judged(problem, result, lambda run: any(inside(x[:2]) and inside(x[2:]) for x in run))
+
+
+def test_a_half_space_moves_with_the_time() -> None:
+    problem = problem_of(
+        linear(initial_state=[0, 3]), "G !wet", 15, wet={"halfspace": {"normal": [1, 1], "offset": "2*sin(0.4*t)"}}
+    )
+    result = certified(problem, 0.999)
+    judged(
+        problem, result,
+        lambda run: len(run) == 16 and all(x[0] + x[1] > 2 * math.sin(0.4 * t) for t, x in enumerate(run)),
+    )  # fmt: skip
+
+
+def test_a_disc_may_grow_with_the_time() -> None:
+    problem = problem_of(linear(), p={"disc": {"centre": [0, 0], "radius": "t - 1"}}, horizon=6)
+    points = np.random.default_rng(6).uniform(-5, 5, (2, COUNT))
+    for time in range(6):
+        held = problem.labeling.at(time).class_at(0, points)[0]
+        assert held.tolist() == [math.hypot(*p) < time - 1 for p in points.T]
+
+
+def test_a_polygon_that_is_a_box_is_worth_as_much() -> None:
+    """Also where it has corners off the axes: a face that cuts off nothing changes the bound little."""
+    agent = linear()
+    plain = problem_of(agent, p=cg.Proposition("robot", [1, 2], [3, 4]))
+    cut = problem_of(agent, p={"polygon": {"corners": [[1, 2], [3, 2], [3, 3.999], [2.999, 4], [1, 4]]}})
+    for options in ({"relation": "exact", "cells": 30}, {"relation": "path"}):
+        bounds = [cg.synthesize(p, **options).certificate.lower_bound for p in (plain, cut)]
+        assert bounds[0] - 1e-3 <= bounds[1] <= bounds[0] + 1e-9
+
+
+def test_tasks_of_a_team_split_with_their_shapes() -> None:
+    agents = [linear(f"robot_{k}") for k in range(12)]
+    problem = problem_of(
+        agents, " & ".join(f"F[0,{5 + k % 3}] p_{k}" for k in range(12)), 9,
+        p=cg.Proposition("robot_*", union=[{"disc": {"centre": [-3, -3], "radius": 1}}, {"box": {"low": [2], "high": [5]}}]),
+    )  # fmt: skip
+    assert len(problem.tasks) == 12
+    task = problem.tasks[3]
+    assert task.declared["p_3"].shape is not None
+    assert set(task.propositions) == {"p_3_1", "p_3_2"}
+    assert problem_from_dict(task.to_dict()).fingerprint == task.fingerprint
+
+
+# --- what is drawn
+
+
+def area(polygon: np.ndarray) -> float:
+    x, y = polygon.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("disc", math.pi * 1.5**2),
+        ("polygon", 17.625),
+        ("polygon with the clock", 2.5),
+        ("union", math.pi * 1.5**2 + 2.5),
+        ("complement", 100 - 17.625),
+    ],
+)
+def test_shapes_are_drawn_as_large_as_they_are(name: str, size: float) -> None:
+    problem = problem_of(linear(), p=SHAPED[name][0])
+    (panel,) = panels(problem)
+    (region,) = panel.regions
+    assert region.name == "p" and region.outline is not None
+    assert sum(map(area, region.outline.fill)) == pytest.approx(size, rel=3e-3)
+
+
+@pytest.mark.parametrize("name", [name for name, (_, d, _) in SHAPED.items() if d == 2])
+def test_every_shape_is_drawn_where_it_holds(name: str) -> None:
+    """Points of a frame are coloured inside, and white outside."""
+    table, _, inside = SHAPED[name]
+    problem = problem_of(linear(), p=table, q={"box": {"low": [-4.9, -4.9], "high": [-4.8, -4.8]}})
+    drawer = Drawer(problem, 0, [0, 1], np.full(2, -5.0), np.full(2, 5.0))
+    outline = drawer.outline("p", 0)
+    assert outline is not None
+    from matplotlib.path import Path
+
+    points = np.random.default_rng(8).uniform(-5, 5, (800, 2))
+    drawn = np.zeros(800, dtype=bool)
+    for polygon in outline.fill:
+        drawn |= Path(polygon).contains_points(points)
+    wanted = np.array([inside(p) for p in points])
+    # Discs are polygons there.
+    assert (drawn != wanted).mean() < 0.01
+    assert Picture(problem).frame(np.zeros((1, 2)), 0, ["p"], "").std() > 0
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"polygon": {"corners": [[0, 0], [1, 1]]}}, "`polygon`: `corners`: expected 3 to 60 corners, got 2"),
+        ({"polygon": {"corners": [[0, 0], [4, 0], [1, 1], [0, 4]]}}, "`union` of convex ones"),
+        ({"polygon": {"corners": [[0, 1], [1, -1], [-1, 0.5], [1, 0.5], [-1, -1]]}}, "`union` of convex ones"),
+        ({"polygon": {"corners": [[0, 0], [1, 0], [2, 0], [1, 1]]}}, "none on the line of two neighbours"),
+        ({"polygon": {"corners": [[0, 0], [1, 0], [1, 1], [0, 0]]}}, "expected different corners"),
+        ({"polygon": {"corners": [["t", 0], [1, 0], [1, 1]]}}, "expected numbers"),
+        ({"disc": {"centre": [0, 0], "radius": -1}}, "`disc`: `radius`: expected a number above 0, got -1"),
+        ({"disc": {"centre": [0, 0, 0], "radius": 1}}, "`disc`: `centre`: expected"),
+        ({"disc": {"center": [0, 0], "radius": 1}}, "did you mean `centre`?"),
+        ({"disc": {"centre": ["t", 0], "radius": 1}}, "what may name the time `t` are offsets, radii"),
+        ({"disc": {"centre": [0, 0]}}, "`radius` is missing"),
+        ({"disk": {"centre": [0, 0], "radius": 1}}, "did you mean `disc`?"),
+        ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "yy"]}}, "did you mean 'y'?"),
+        ({"disc": {"centre": [0, 0], "radius": 1, "of": ["x", "x"]}}, "expected different states"),
+        ({"ball": {"centre": [0, 0, 0], "radius": 1}}, "expected a shape of at most 2 dimensions"),
+        ({"disc": {"centre": [20, 0], "radius": 1}}, "expected a region that meets the workspace"),
+        ({"cone": {"tip": [0, 0], "axis": [1, 0], "angle": 4}}, "`angle`: expected the whole opening"),
+        ({"cone": {"tip": [0, 0], "axis": [0, 0], "angle": 1}}, "`axis`: expected a vector with an entry other than 0"),
+        ({"halfspace": {"normal": [0, 0], "offset": 1}}, "`normal`: expected a vector with an entry other than 0"),
+        ({"halfspace": {"normal": [1, 0], "offset": -9}}, "expected a region that meets the workspace"),
+        ({"halfspace": {"normal": [1, 0], "offset": "2*s"}}, "`halfspace`: `offset`"),
+        ({"polytope": {"normals": [[1, 0], [-1, 0]], "offsets": [0, -1]}}, "opposite ones that leave none"),
+        ({"polytope": {"normals": [[1, 0]], "offsets": [0, -1]}}, "as many as there are normals"),
+        ({"heading": {"of": "x", "from": 0, "to": 7}}, "an angle less than a turn"),
+        ({"heading": {"of": ["x", "y"], "from": 0, "to": 1}}, "expected one state"),
+        ({"union": ["p"]}, "at least two names"),
+        ({"union": ["p", "q"]}, "expected a shape made of others, got itself again: p -> p"),
+        ({"complement": "nowhere"}, "expected names of propositions, got 'nowhere'"),
+        ({"union": ["q", "other"]}, "which is about others; write `a | b` in the formula"),
+        ({"union": ["q", {"disc": {"centre": [0, 0], "radius": 0}}]}, "`union`: `disc`: `radius`"),
+        ({"complement": "circle"}, "circle -> turn -> circle"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(table: dict[str, Any], said: str) -> None:
+    agents = [written(), written("second")]
+    with pytest.raises(ValueError, match="(?s).*") as caught:
+        problem_of(
+            agents, "F q", q=cg.Proposition("robot", [0, 0], [1, 1]), other=cg.Proposition("second", [0, 0], [1, 1]),
+            circle={"complement": "turn"} if "circle" in table.values() else DISC,
+            turn={"complement": "circle"} if "circle" in table.values() else DISC, p=table,
+        )  # fmt: skip
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value) or str(caught.value).endswith("^")
+
+
+def test_pairs_compare_what_agents_have_without_shapes() -> None:
+    near = cg.Pair(["robot", "second"], [-1, -1], [1, 1])
+    problem = problem_of([linear(), linear("second")], "F near", p={"polygon": {"corners": TRIANGLE}}, near=near)
+    assert problem.labeling.pairs[0].outputs == ((0, 1), (0, 1))
+
+
+def test_agents_are_split_where_regions_are_boxes_alone() -> None:
+    with pytest.raises(ValueError, match="expected regions with `low` and `high` alone, got the shape `p`"):
+        cg.split_axes(problem_of(linear(d=3), p={"polygon": {"corners": TRIANGLE}}))
+
+
+def test_shapes_are_deep_within_reason() -> None:
+    table: dict[str, Any] = DISC
+    for _ in range(100):
+        table = {"complement": table}
+    with pytest.raises(ValueError, match="lists and tables deep"):
+        cg.Proposition("robot", **table)
+
+
+def test_every_word_is_tried_here() -> None:
+    words = {next(iter(table)) for table, _, _ in SHAPED.values()}
+    assert words == {*SHAPES}
