@@ -24,6 +24,37 @@ MUTANTS = [
         ("result = (low[0] <= y[0]) & (y[0] < high[0])", "result = (low[0] <= y[0]) & (y[0] < high[0] + 0.1)"),
     ),
     *_in(
+        "envs/agents/shapes.py",
+        ("else radius * radius", "else radius"),
+        (
+            "        for a, b in edges:\n            # To the right",
+            "        for a, b in edges[1:]:\n            # To the right",
+        ),
+        ("return Limit(Form(scaled), high=end) if factor > 0", "return Limit(Form(scaled), high=end) if factor < 0"),
+        ('Combined("or", tuple(parts))', 'Combined("and", tuple(parts))'),
+        ('return lambda frame: Combined("not", (part(frame),))', "return part"),
+        ("middle + 0.5 * angle, middle - 0.5 * angle", "middle + angle, middle - angle"),
+        ("width = last - first if last > first else last - first + TURN", "width = abs(last - first)"),
+    ),
+    *_in(
+        "envs/problem/regions.py",
+        ("low[k] = low[k] if limit.low is None else limit.low", "low[k] = low[k]"),
+        ("spare = SPARE * (1.0 + np.abs(low) + np.abs(high))", "spare = -0.1 * (high - low)"),
+        ("places[form] = rows.index(form.row)", "places[form] = len(rows) - 1"),
+    ),
+    *_in(
+        "envs/logic/rebuilt.py",
+        (
+            "return chosen(manager, formula.operands[0], high, low)",
+            "return chosen(manager, formula.operands[0], low, high)",
+        ),
+    ),
+    *_in(
+        "synthesis/checking/geometry.py",
+        ("closed_axes = np.full(model.n_outputs, True)", "closed_axes = np.full(model.n_outputs, closed)"),
+        ('place = np.searchsorted(edges, below, side="right")', 'place = np.searchsorted(edges, below, side="left")'),
+    ),
+    *_in(
         "envs/logic/translation.py",
         ("saturated(graph) if co_safe else graph", "graph"),
     ),

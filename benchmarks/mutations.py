@@ -38,7 +38,8 @@ EPISODES, LEVEL = 30_000, 1e-7
 TREES = ("envs", "synthesis", "validation", "src", "tests", "benchmarks", "docs", "pyproject.toml", "Makefile")
 TESTS = (
     "test_claims_agree_with_an_independent_evaluation.py", "test_kernel_is_a_lower_bound.py",
-    "test_cells_are_found_exactly.py", "test_labeling.py", "test_controllers_carry_out_what_is_certified.py",
+    "test_cells_are_found_exactly.py", "test_labeling.py", "test_regions_are_what_they_are.py",
+    "test_controllers_carry_out_what_is_certified.py",
     "test_guards_of_certificates_are_verified.py", "test_proofs_ask_about_the_start.py",
     "test_guards_are_disjoint.py", "test_tube_relation.py", "test_certificates_are_checked.py",
     "test_ellipsoid_certificates.py", "test_paper_relation.py", "test_ellipsoid_relation.py",

@@ -65,7 +65,7 @@ class Proposition:
     >>> band.moves, band.at(0)
     (True, Proposition('robot', [-0.5, 0.5)))
     >>> Proposition("ship", disc={"centre": [1, 2], "radius": 0.5})
-    Proposition('ship', disc of centre (1, 2), radius 0.5)
+    Proposition('ship', disc(centre=(1, 2), radius=0.5))
     """
 
     agent: str

@@ -244,9 +244,10 @@ def _plain(value: Any, depth: int = 0) -> Any:
 
 
 def _words(key: str, data: Any) -> str:
-    if isinstance(data, Mapping):
-        return f"{key} of " + ", ".join(f"{name} {_value(item)}" for name, item in data.items())
-    return f"{key} of {_value(data)}"
+    if isinstance(data, Mapping) and key not in ("complement",):
+        return f"{key}({', '.join(f'{name}={_value(item)}' for name, item in data.items())})"
+    parts = data if isinstance(data, list) else [data]
+    return f"{key}({', '.join(map(_value, parts))})"
 
 
 def _value(item: Any) -> str:
