@@ -51,7 +51,6 @@ MUTANTS = [
     ),
     *_in(
         "synthesis/checking/geometry.py",
-        ("closed_axes = np.full(model.n_outputs, True)", "closed_axes = np.full(model.n_outputs, closed)"),
         ('place = np.searchsorted(edges, below, side="right")', 'place = np.searchsorted(edges, below, side="left")'),
     ),
     *_in(
