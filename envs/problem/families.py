@@ -34,6 +34,16 @@ def keys_of_shape(value: Any) -> tuple[str, ...]:
     return ("agent", words[0]) if words else ()
 
 
+def refuse_shape(value: Mapping[str, Any], where: str) -> None:
+    """Raise ValueError if a proposition about pairs is written as a shape."""
+    words = [key for key in value if key in SHAPES]
+    if words:
+        raise ValueError(
+            f"{where}: expected `low` and `high` of a difference, as pairs are boxes, got `{words[0]}`; a shape is about "
+            "one agent (`agent`)"
+        )
+
+
 def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
     """Return a mapping from valid names to propositions; a value may be a dict of the arguments of one.
 
@@ -51,6 +61,8 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
             raise ValueError(f"`propositions.{name}`: expected a name, got a word of the formula language; rename it")
         # A dict of the arguments stands for a proposition, as in problem files.
         of_agent, of_pair, besides = ({*keys} for keys in KEYS)
+        if about_pairs(value):
+            refuse_shape(value, f"`propositions.{name}`")
         if isinstance(value, Mapping) and set(value) in (of_agent, {*keys_of_shape(value)}):
             value = Proposition(**value)
         elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:

@@ -52,7 +52,7 @@ from ..logic import (
     automaton_from_transitions,
     parse_formula,
 )
-from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand, keys_of_shape
+from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand, keys_of_shape, refuse_shape
 from .record import Problem
 from .specification import Specification
 
@@ -207,6 +207,7 @@ def _propositions(table: Any) -> dict[str, AnyProposition]:
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"
         if about_pairs(value):
+            refuse_shape(value, where)
             _check_keys(value, where, of_pair, besides)
             result[name] = _prefixed(where, lambda value=value: Pair(**value))
             continue

@@ -203,7 +203,7 @@ class Problem:
             automaton = ("automaton", counted(self.automaton.n_states, "state"))
         declared = f" ({names_text(list(self.declared))})" if self.declared else ""
         return [
-            ("propositions", f"{len(self.propositions)}{declared}"),
+            ("propositions", f"{len(self.written)}{declared}"),
             ("task", shortened(self.specification.formula or "given as an automaton", 200)),
             ("semantics", self.specification.semantics),
             automaton,
