@@ -30,11 +30,14 @@ MUTANTS = [
             "        for a, b in edges:\n            # To the right",
             "        for a, b in edges[1:]:\n            # To the right",
         ),
-        ("return Limit(Form(scaled), high=end) if factor > 0", "return Limit(Form(scaled), high=end) if factor < 0"),
-        ('Combined("or", tuple(parts))', 'Combined("and", tuple(parts))'),
         ('return lambda frame: Combined("not", (part(frame),))', "return part"),
         ("middle + 0.5 * angle, middle - 0.5 * angle", "middle + angle, middle - angle"),
         ("width = last - first if last > first else last - first + TURN", "width = abs(last - first)"),
+    ),
+    *_in(
+        "envs/agents/pieces.py",
+        ("return Limit(Form(scaled), high=end) if factor > 0", "return Limit(Form(scaled), high=end) if factor < 0"),
+        ('Combined("or", tuple(parts))', 'Combined("and", tuple(parts))'),
     ),
     *_in(
         "envs/problem/regions.py",

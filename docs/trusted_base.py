@@ -19,7 +19,7 @@ TRUSTED = {
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
         "envs.agents.labeling "
-        "envs.agents.neighbours envs.agents.noise envs.agents.pair "
+        "envs.agents.neighbours envs.agents.noise envs.agents.pair envs.agents.pieces "
         "envs.agents.products envs.agents.proposition envs.agents.shapes envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "

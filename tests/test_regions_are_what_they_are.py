@@ -245,7 +245,7 @@ def test_a_linear_agent_with_faces_stays_linear_and_moves_the_same_with_discs(ki
 
 
 def everything() -> cg.Problem:
-    shapes = {f"p{k}": table for k, (table, d, _) in enumerate(SHAPED.values()) if d == 2}
+    shapes: Any = {f"p{k}": table for k, (table, d, _) in enumerate(SHAPED.values()) if d == 2}
     shapes |= {"both": {"union": ["p0", "p3"]}, "moving": {"halfspace": {"normal": [1, 0], "offset": "sin(t)"}}}
     return problem_of(written(), formula="F both", **shapes)
 
@@ -259,7 +259,8 @@ def test_problems_remember_shapes_as_they_were_written() -> None:
         assert again.fingerprint == problem.fingerprint
         assert again.to_dict() == problem.to_dict()
     moved = problem.replace(initial_state=[0, 0], disturbance_scale=0.5)
-    assert moved.to_dict()["agents"][0]["initial_low"] == [0.0, 0.0] == moved.agents[0].initial_low.tolist()
+    assert moved.to_dict()["agents"][0]["initial_low"] == [0.0, 0.0]
+    assert not moved.agents[0].initial.low.any()
     assert problem_from_dict(moved.to_dict()).fingerprint == moved.fingerprint != problem.fingerprint
 
 
@@ -341,7 +342,7 @@ def test_a_ball_is_flown_around() -> None:
 
 def test_rooms_of_a_union_are_met_on_a_grid() -> None:
     """Half a room is a polygon, the other a box; two robots, each of which may choose."""
-    hall = [[2, 2], [5, 2], [5, 5], [3, 5]]
+    hall = [[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [3.0, 5.0]]
     problem = problem_of(
         [linear("robot_0", initial_state=[0, 0]), linear("robot_1", initial_state=[1, 0])], "F all(inside)", 9,
         kitchen=cg.Proposition("robot_*", [-5, -5], [-2, -2]),
@@ -394,7 +395,7 @@ def test_tasks_of_a_team_split_with_their_shapes() -> None:
     )  # fmt: skip
     assert len(problem.tasks) == 12
     task = problem.tasks[3]
-    assert task.declared["p_3"].shape is not None
+    assert isinstance(own := task.declared["p_3"], cg.Proposition) and own.shape is not None
     assert set(task.propositions) == {"p_3_1", "p_3_2"}
     assert problem_from_dict(task.to_dict()).fingerprint == task.fingerprint
 
@@ -542,6 +543,25 @@ def test_pairs_compare_what_agents_have_without_shapes() -> None:
     near = cg.Pair(["robot", "second"], [-1, -1], [1, 1])
     problem = problem_of([linear(), linear("second")], "F near", p={"polygon": {"corners": TRIANGLE}}, near=near)
     assert problem.labeling.pairs[0].outputs == ((0, 1), (0, 1))
+
+
+def test_shapes_of_pairs_are_refused_in_words() -> None:
+    data = problem_of([linear(), linear("second")], p=DISC).to_dict()
+    data["propositions"]["near"] = {"agents": ["robot", "second"], **DISC}
+    with pytest.raises(ValueError, match="as pairs are boxes, got `disc`"):
+        problem_from_dict(data)
+
+
+def test_automata_by_hand_read_unions() -> None:
+    data = problem_of(linear(), p=DISC, q={"union": ["p", {"box": {"low": [3, 3], "high": [5, 5]}}]}).to_dict()
+    formula = {**data, "specification": {"formula": "F q", "semantics": "co-safe"}}
+    steps = [["waits", "q", "done"], ["done", "true", "done"]]
+    data["specification"] = {"semantics": "co-safe", "states": ["waits", "done"], "initial": "waits",
+                             "accepting": ["done"], "transitions": steps, "otherwise": "waits"}  # fmt: skip
+    one, other = problem_from_dict(data), problem_from_dict(formula)
+    letters = np.random.default_rng(9).random((2, 50)) < 0.5
+    reached = [p.automaton.next_state(np.full(50, p.automaton.initial), letters) for p in (one, other)]
+    assert all(np.array_equal(p.automaton.accepting[q], letters.any(axis=0)) for p, q in zip((one, other), reached))
 
 
 def test_agents_are_split_where_regions_are_boxes_alone() -> None:

@@ -19,11 +19,12 @@ from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
+from .pieces import Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .proposition import DECIMALS, TIME, Proposition
 from .saving import write_bytes, write_json, write_text
-from .shapes import SHAPES, Combined, Form, Frame, Limit, Piece
+from .shapes import SHAPES
 
 __all__ = [
     "Agent",

@@ -19,9 +19,7 @@ import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
 from .checks import float_array, shown
-
-End = float | str
-"""A number, or an expression in the time `t`."""
+from .pieces import Combined, End, Form, Frame, Limit, all_of, either, face, face_through, piece_of
 
 MOST_FACES = 60
 """Most faces of a polytope: each may be an output of its agent."""
@@ -33,148 +31,6 @@ DEEPEST = 40
 """Lists and tables within one another: more would be a slip."""
 
 TURN = 2.0 * math.pi
-
-
-@dataclass(frozen=True)
-class Form:
-    """An output that limits are about: `row @ x`, or a sum of squares of linear forms.
-
-    Attributes
-    ----------
-    row : tuple of float
-        Coefficients (d,) of a linear form; empty for one of second degree. The largest is 1.
-    squares : tuple of (float, tuple of float, float)
-        `factor * (row @ x - offset)**2` each; empty for a linear form.
-    """
-
-    row: tuple[float, ...] = ()
-    squares: tuple[tuple[float, tuple[float, ...], float], ...] = ()
-
-    def text(self, names: Sequence[str]) -> str:
-        """Return the form as an expression in the names of the states, as a function of real numbers (exact)."""
-        if self.row:
-            return _sum(self.row, names)
-        terms = [(factor, f"({_sum(row, names)}{_signed(-offset)})**2") for factor, row, offset in self.squares]
-        return " ".join(
-            f"{'-' if factor < 0 else '+' if k else ''} {_times(abs(factor), term)}".strip()
-            for k, (factor, term) in enumerate(terms)
-        )
-
-
-def _sum(row: Sequence[float], names: Sequence[str]) -> str:
-    """Return a linear form as text; the first entry has its sign in front."""
-    parts = [(a, name) for a, name in zip(row, names, strict=True) if a]
-    first, *rest = parts
-    text = ("-" if first[0] < 0 else "") + _times(abs(first[0]), first[1])
-    return text + "".join(f" {'-' if a < 0 else '+'} {_times(abs(a), name)}" for a, name in rest)
-
-
-def _times(factor: float, text: str) -> str:
-    return text if factor == 1.0 else f"{factor!r}*{text}"
-
-
-def _signed(number: float) -> str:
-    return "" if number == 0.0 else f" {'-' if number < 0 else '+'} {abs(number)!r}"
-
-
-@dataclass(frozen=True)
-class Limit:
-    """`low <= form < high`; None where there is no end."""
-
-    form: Form
-    low: End | None = None
-    high: End | None = None
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A convex set: all limits hold, which are on different forms."""
-
-    limits: tuple[Limit, ...]
-
-    @property
-    def moves(self) -> bool:
-        """Whether an end names the time."""
-        return any(isinstance(end, str) for limit in self.limits for end in (limit.low, limit.high))
-
-    @property
-    def is_cone(self) -> bool:
-        """Whether it is a round cone: a square that is larger than the others together."""
-        return any(factor < 0.0 for limit in self.limits for factor, _, _ in limit.form.squares)
-
-    def at(self, time: int) -> Piece:
-        """Return the piece at a time, its ends numbers (for pictures)."""
-        ends = [(limit.form, _at(limit.low, time), _at(limit.high, time)) for limit in self.limits]
-        return Piece(tuple(Limit(*end) for end in ends))
-
-
-def _at(end: End | None, time: int) -> float | None:
-    if not isinstance(end, str):
-        return end
-    return float(computed([read_expression(end, ("t",))], {"t": np.array([float(time)])})[0][0])
-
-
-@dataclass(frozen=True)
-class Combined:
-    """A combination of pieces and names of other regions: `kind` is "piece", "name", "and", "or" or "not"."""
-
-    kind: str
-    parts: tuple[Combined, ...] = ()
-    piece: Piece | None = None
-    name: str = ""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What shapes are asked to be regions of: the states of an agent.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the states; empty where they have none, as those of linear agents.
-    low, high : tuple of float
-        Workspace.
-    """
-
-    names: tuple[str, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-    def states(self, of: Sequence[int | str] | None, count: int) -> tuple[int, ...]:
-        """Return the numbers of the states that a shape is over: those that it names, or the first ones."""
-        d = len(self.low)
-        if of is None:
-            if count > d:
-                raise ValueError(f"expected a shape of at most {d} dimensions, as the agent has states, got {count}")
-            return tuple(range(count))
-        if len(of) != count:
-            raise ValueError(f"`of`: expected {count} states, one for each dimension, got {shown(list(of))}")
-        found = [self._number(state) for state in of]
-        if len(set(found)) != len(found):
-            raise ValueError(f"`of`: expected different states, got {shown(list(of))}")
-        return tuple(found)
-
-    def _number(self, state: int | str) -> int:
-        if isinstance(state, str):
-            if state in self.names:
-                return self.names.index(state)
-            close = get_close_matches(state, self.names, n=1)
-            known = (
-                f"the states are {', '.join(self.names)}" if self.names else "this agent has numbers, 0 for the first"
-            )
-            raise ValueError(
-                f"`of`: expected states, got {shown(state)}; " + (f"did you mean {close[0]!r}?" if close else known)
-            )
-        if not 0 <= state < len(self.low):
-            raise ValueError(f"`of`: expected numbers of states from 0 to {len(self.low) - 1}, got {state}")
-        return state
-
-    def row(self, states: Sequence[int], entries: Sequence[float]) -> tuple[float, ...]:
-        """Return coefficients (d,) from those of some states."""
-        row = [0.0] * len(self.low)
-        for state, entry in zip(states, entries, strict=True):
-            row[state] = entry
-        return tuple(row)
 
 
 Maker = Callable[[Frame], Combined]
@@ -322,48 +178,6 @@ def _of(data: Mapping[str, Any]) -> tuple[int | str, ...] | None:
     return tuple(entries)
 
 
-# Faces: `normal @ x <= offset` becomes a limit on a form whose largest coefficient is 1.
-
-
-def _face(row: Sequence[float], offset: End) -> Limit:
-    """Return the limit that stands for `row @ x <= offset`."""
-    factor = max(row, key=abs)
-    scaled = tuple(float(Fraction(entry) / Fraction(factor)) for entry in row)
-    if isinstance(offset, str):
-        end: End = offset if factor == 1.0 else f"({offset})/({factor!r})"
-    else:
-        end = float(Fraction(offset) / Fraction(factor))
-    return Limit(Form(scaled), high=end) if factor > 0 else Limit(Form(scaled), low=end)
-
-
-def _through(row: Sequence[float], *points: Sequence[float]) -> Limit:
-    """Return the face with a normal, outwards, through points (d,); its place is their mean, rounded once."""
-    limit = _face(row, 0.0)
-    places = [sum(Fraction(a) * Fraction(x) for a, x in zip(limit.form.row, point, strict=True)) for point in points]
-    end = float(sum(places, Fraction(0)) / len(places))
-    return Limit(limit.form, high=end) if limit.high is not None else Limit(limit.form, low=end)
-
-
-def _piece(limits: Sequence[Limit]) -> Combined:
-    """Return the piece in which all limits hold, those on one form united; ValueError if it is empty."""
-    by_form: dict[Form, Limit] = {}
-    for limit in limits:
-        known = by_form.get(limit.form, Limit(limit.form))
-        low, high = _tighter(known.low, limit.low, max), _tighter(known.high, limit.high, min)
-        if isinstance(low, float) and isinstance(high, float) and not low < high:
-            raise ValueError("expected faces with points between them, got opposite ones that leave none")
-        by_form[limit.form] = Limit(limit.form, low, high)
-    return Combined("piece", piece=Piece(tuple(by_form.values())))
-
-
-def _tighter(a: End | None, b: End | None, best: Callable[..., float]) -> End | None:
-    if a is None or b is None:
-        return b if a is None else a
-    if isinstance(a, str) or isinstance(b, str):
-        return f"{best.__name__}({a if isinstance(a, str) else repr(a)}, {b if isinstance(b, str) else repr(b)})"
-    return best(a, b)
-
-
 # The shapes.
 
 
@@ -383,7 +197,7 @@ def _ball(dimension: int | None) -> Callable[[Any], Maker]:
             states = frame.states(of, len(centre))
             unit = np.eye(len(frame.low))
             squares = tuple((1.0, tuple(unit[s].tolist()), c) for s, c in zip(states, centre, strict=True))
-            return _piece([Limit(Form(squares=squares), high=square)])
+            return piece_of([Limit(Form(squares=squares), high=square)])
 
         return make
 
@@ -400,7 +214,7 @@ def _box(data: Any) -> Maker:
     def make(frame: Frame) -> Combined:
         states = frame.states(of, len(low))
         unit = np.eye(len(frame.low))
-        return _piece([Limit(Form(tuple(unit[s].tolist())), a, b) for s, a, b in zip(states, low, high, strict=True)])
+        return piece_of([Limit(Form(tuple(unit[s].tolist())), a, b) for s, a, b in zip(states, low, high, strict=True)])
 
     return make
 
@@ -422,7 +236,7 @@ def _normal(value: Any, name: str, length: int | None = None) -> tuple[float, ..
 def _halfspace(data: Any) -> Maker:
     table = _fields(data, ("normal", "offset"))
     normal, offset, of = _normal(table["normal"], "normal"), _end(table["offset"], "offset"), _of(table)
-    return lambda frame: _piece([_face(frame.row(frame.states(of, len(normal)), normal), offset)])
+    return lambda frame: piece_of([face(frame.row(frame.states(of, len(normal)), normal), offset)])
 
 
 def _polytope(data: Any) -> Maker:
@@ -438,7 +252,7 @@ def _polytope(data: Any) -> Maker:
 
     def make(frame: Frame) -> Combined:
         states = frame.states(of, len(first))
-        return _piece([_face(frame.row(states, n), b) for n, b in zip(normals, offsets, strict=True)])
+        return piece_of([face(frame.row(states, n), b) for n, b in zip(normals, offsets, strict=True)])
 
     return make
 
@@ -472,8 +286,8 @@ def _polygon(data: Any) -> Maker:
             normal = [turn * (Fraction(b[1]) - Fraction(a[1])), -turn * (Fraction(b[0]) - Fraction(a[0]))]
             largest = max(map(abs, normal))
             row = frame.row(states, [float(entry / largest) for entry in normal])
-            faces.append(_through(row, frame.row(states, a), frame.row(states, b)))
-        return _piece(faces)
+            faces.append(face_through(row, frame.row(states, a), frame.row(states, b)))
+        return piece_of(faces)
 
     return make
 
@@ -506,7 +320,7 @@ def _plane_cone(tip: tuple[float, ...], axis: tuple[float, ...], angle: float, o
     def make(frame: Frame) -> Combined:
         states = frame.states(of, 2)
         normals = (-math.sin(left), math.cos(left)), (math.sin(right), -math.cos(right))
-        return _piece([_through(frame.row(states, normal), frame.row(states, tip)) for normal in normals])
+        return piece_of([face_through(frame.row(states, normal), frame.row(states, tip)) for normal in normals])
 
     return make
 
@@ -523,7 +337,7 @@ def _round_cone(tip: tuple[float, ...], axis: tuple[float, ...], angle: float, o
         along = math.fsum(a * x for a, x in zip(unit, tip, strict=True))
         around = [(-cosine * cosine, tuple(one[s].tolist()), c) for s, c in zip(states, tip, strict=True)]
         squares = Form(squares=((1.0, row, along), *around))
-        return _piece([_through([-a for a in row], frame.row(states, tip)), Limit(squares, low=0.0)])
+        return piece_of([face_through([-a for a in row], frame.row(states, tip)), Limit(squares, low=0.0)])
 
     return make
 
@@ -549,21 +363,9 @@ def _heading(data: Any) -> Maker:
         here = [start for start in starts if start <= high and start + width > low]
         if not here:
             raise ValueError(f"expected a heading that the workspace of the state has, from {low:g} to {high:g}")
-        return _either([_piece([Limit(form, start, start + width)]) for start in here])
+        return either([piece_of([Limit(form, start, start + width)]) for start in here])
 
     return make
-
-
-def _either(parts: Sequence[Combined]) -> Combined:
-    return parts[0] if len(parts) == 1 else Combined("or", tuple(parts))
-
-
-def _all_of(parts: Sequence[Combined]) -> Combined:
-    """Return an intersection: where all parts are pieces it is one of them, with all their limits."""
-    pieces = [part.piece for part in parts if part.piece is not None]
-    if len(pieces) == len(parts):
-        return _piece([limit for piece in pieces for limit in piece.limits])
-    return Combined("and", tuple(parts))
 
 
 def _part(value: Any) -> Callable[[Frame], Combined]:
@@ -597,8 +399,8 @@ SHAPES: dict[str, Callable[[Any], Maker]] = {
     "halfspace": _halfspace,
     "cone": _cone,
     "heading": _heading,
-    "union": _several(_either),
-    "intersection": _several(_all_of),
+    "union": _several(either),
+    "intersection": _several(all_of),
     "complement": _complement,
 }
 """The words that shapes have, and what reads what is written behind them."""

@@ -39,8 +39,8 @@ def refuse_shape(value: Mapping[str, Any], where: str) -> None:
     words = [key for key in value if key in SHAPES]
     if words:
         raise ValueError(
-            f"{where}: expected `low` and `high` of a difference, as pairs are boxes, got `{words[0]}`; a shape is about "
-            "one agent (`agent`)"
+            f"{where}: expected `low` and `high` of a difference, as pairs are boxes, got `{words[0]}`; a shape is "
+            "about one agent (`agent`)"
         )
 
 
