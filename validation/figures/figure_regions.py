@@ -76,13 +76,13 @@ def region_boxes(plot: Axes, problem: Problem, shown: Sequence[int]) -> int | No
 
     first, second = (intervals(problem, k) for k in shown)
     for name in first:
-        if name in second:
+        if name in second and name in problem.written:
             (a, b), (c, d) = first[name], second[name]
             plot.add_patch(Rectangle((a, c), b - a, d - c, fill=False, edgecolor="white", linewidth=1.6))
             plot.add_patch(Rectangle((a, c), b - a, d - c, fill=False, edgecolor=INK, linewidth=0.8, linestyle="--"))
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7}
             plot.text(a, d, name, fontsize=7.5, color=INK, va="bottom", bbox=box)
-    _outlines(plot, problem, shown, {*first} & {*second})
+    _outlines(plot, problem, shown, {*first} & {*second} & {*problem.written})
     return 0
 
 
