@@ -15,8 +15,9 @@ import pytest
 import certigym as cg
 import fake_pygame
 from certigym.cli.main import main
-from certigym.envs.pictures import Picture
+from certigym.envs.pictures import AGENTS, Picture
 from certigym.envs.pictures.label_places import Labels, beside
+from certigym.envs.pictures.palette import rgb
 from certigym.envs.pictures.scene import panels
 from sample_problems import mixed_problem
 
@@ -84,7 +85,7 @@ def test_the_marker_of_an_agent_is_where_the_agent_is() -> None:
     env.reset(seed=0)
     frame = env.render()
     assert isinstance(frame, np.ndarray)
-    rows, columns = np.nonzero((frame == (31, 119, 180)).all(axis=-1))
+    rows, columns = np.nonzero((frame == rgb(AGENTS[0])).all(axis=-1))
     # the map spans 34..500 by 16..456 pixels and -10..10 on both axes; the name stands to the right of the marker
     assert abs(np.median(rows) - 236) <= 2 and abs(columns.min() + 5 - 267) <= 2
 

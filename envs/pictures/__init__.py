@@ -3,19 +3,32 @@
 from .automaton_drawing import automaton_to_dot, places
 from .guard_texts import edges
 from .outlines import Drawer
+from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, Look, agent_color
 from .rendering import Picture, checked_render_mode, verdict_text
 from .scene import Panel, Region, coordinate_name, panels
+from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 
 __all__ = [
+    "AGENTS",
+    "AGENTS_ON_DARK",
+    "AVOIDED",
     "Drawer",
+    "FREE",
+    "KEPT",
+    "LOOKS",
+    "Look",
+    "MIXED",
+    "REACHED",
     "Panel",
     "Picture",
     "Region",
+    "agent_color",
     "automaton_to_dot",
     "checked_render_mode",
     "coordinate_name",
     "edges",
     "panels",
     "places",
+    "roles",
     "verdict_text",
 ]

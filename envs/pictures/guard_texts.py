@@ -38,7 +38,7 @@ def edges(problem: Problem) -> list[Edge]:
     manager, roots = automaton.diagrams()
     result = []
     try:
-        possible = _possible(problem, manager)
+        possible = possible_letters(problem, manager)
     except DiagramSizeError:
         return [Edge(q, target, NOT_SHOWN) for q, root in enumerate(roots) for target in manager.leaves(root)]
     impossible = manager.negate(possible)
@@ -60,7 +60,7 @@ def edges(problem: Problem) -> list[Edge]:
     return result
 
 
-def _possible(problem: Problem, manager: DecisionDiagrams) -> int:
+def possible_letters(problem: Problem, manager: DecisionDiagrams) -> int:
     """Return the function that holds for the letters which every agent can have somewhere in its workspace.
 
     Where regions move, all letters count as possible: which of them are depends on the time.

@@ -92,7 +92,7 @@ class Drawer:
 
     def _terms(self, name: str) -> list[list[Literal]]:
         meaning = self._problem.meanings.get(name, Formula("atom", name=name))
-        terms = _terms(meaning, True)
+        terms = terms_of(meaning, True)
         return terms if len(terms) <= MOST_TERMS else []
 
     def _frame(self) -> Polygon:
@@ -183,13 +183,13 @@ class Drawer:
         return low, high
 
 
-def _terms(formula: Formula, positive: bool) -> list[list[Literal]]:
+def terms_of(formula: Formula, positive: bool) -> list[list[Literal]]:
     """Return a disjunction of conjunctions of boxes and their complements: it is a formula, or its negation."""
     if formula.operator == "atom":
         return [[(positive, formula.name)]]
     if formula.operator == "!":
-        return _terms(formula.operands[0], not positive)
-    parts = [_terms(operand, positive) for operand in formula.operands]
+        return terms_of(formula.operands[0], not positive)
+    parts = [terms_of(operand, positive) for operand in formula.operands]
     if (formula.operator == "|") == positive:
         return [term for part in parts for term in part]
     result: list[list[Literal]] = [[]]

@@ -7,7 +7,6 @@ from the extra `viz`, is imported when the first picture is made.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,9 @@ import numpy as np
 from ..agents import Pair, shown
 from ..problem import Problem
 from .label_places import Cell, Labels, beside
+from .palette import LOOKS, agent_color, rgb
 from .scene import Panel, Region, panels
+from .task_roles import roles
 from .window import Window
 
 WIDTH, HEIGHT, SIDE = 720, 480, 210
@@ -24,30 +25,11 @@ WIDTH, HEIGHT, SIDE = 720, 480, 210
 _MARGIN = (34, 16, 10, 24)  # left, top, right, bottom of a panel: room for the numbers at its axes
 _INK, _PALE, _PAPER = (34, 40, 49), (150, 156, 166), (255, 255, 255)
 
-# Colours of agents and of regions, taken in turn: eight that most readers can tell apart, and eight pale ones.
-_AGENT_COLORS = (
-    (31, 119, 180),
-    (214, 39, 40),
-    (44, 160, 44),
-    (148, 103, 189),
-    (255, 127, 14),
-    (23, 165, 185),
-    (140, 86, 75),
-    (200, 80, 160),
-)
-_REGION_COLORS = (
-    (198, 224, 205),
-    (247, 205, 196),
-    (205, 218, 240),
-    (248, 232, 190),
-    (224, 209, 238),
-    (203, 232, 235),
-    (236, 214, 200),
-    (222, 226, 205),
-)
-_RING = (190, 40, 40)
 _VERDICTS = {"satisfied": (34, 130, 60), "failed": (190, 40, 40), "not satisfied": (190, 40, 40)}
 _VALUE = (61, 122, 186)
+_TINT, _LINES, _SPACING = 46, 120, 8
+"""Opacity of regions and of the lines of their hatch, of 255, and pixels from line to line."""
+
 _TRAIL = 6
 """Steps for which a way is drawn strongly: what moved last is seen at once."""
 
@@ -93,7 +75,7 @@ class Picture:
 
     def __init__(self, problem: Problem, caption: str = "") -> None:
         try:
-            from PIL import Image, ImageDraw, ImageFont
+            from PIL import Image, ImageChops, ImageDraw, ImageFont
         except ImportError as error:
             raise ImportError("pictures need Pillow; install it with `pip install certigym[viz]`") from error
         self._draw = ImageDraw.Draw
@@ -101,13 +83,18 @@ class Picture:
         self._problem = problem
         self._panels = panels(problem)[:_PANELS_SHOWN]
         self._frames = _cells(len(self._panels))
-        self._colors = dict(zip(_region_names(self._panels), cycle(_REGION_COLORS)))
+        self._roles = roles(problem)
+        self._image, self._multiply = Image, ImageChops.multiply
+        self._hatches = {look.hatch: self._hatch(look.hatch) for look in LOOKS.values()}
         # All that never changes is drawn once.
         self._background = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         self._window: Window | None = None
         draw = self._draw(self._background, "RGBA")
         self._names: list[list[Cell]] = []  # where names of regions stand, per panel
         for panel, cell in zip(self._panels, self._frames):
+            for region in panel.regions:
+                if region.time is None or not panel.is_map:
+                    self._region(self._background, panel, cell, region)
             self._axes(draw, panel, cell)
         self._side(draw, caption)
 
@@ -135,7 +122,7 @@ class Picture:
             # On maps, regions that move are where they are now.
             here = [region for region in panel.regions if panel.is_map and region.time == len(track) - 1]
             for region in here:
-                self._region(self._draw(image, "RGBA"), panel, cell, region)
+                self._region(image, panel, cell, region)
             self._curves(draw, panel, cell, track, Labels(cell, names))
             self._rings(draw, panel, cell, track[-1], letter)
         self._status(draw, len(track) - 1, q, letter, verdict)
@@ -150,7 +137,7 @@ class Picture:
         ends = []
         for curve in panel.curves:
             points = self._points(panel, cell, track @ curve.rows.T)
-            color = _AGENT_COLORS[curve.number % len(_AGENT_COLORS)]
+            color = rgb(agent_color(curve.number))
             recent = points[-_TRAIL - 1 :]
             if len(points) > len(recent):
                 draw.line(points[: len(points) - len(recent) + 1], fill=_paler(color), width=1)
@@ -190,29 +177,62 @@ class Picture:
         across = share[:, 0] if panel.is_map else np.arange(len(y)) / self._problem.horizon
         return list(zip((left + across * (right - left)).tolist(), (bottom - share[:, -1] * (bottom - top)).tolist()))
 
-    def _region(self, draw: Any, panel: Panel, cell: Cell, region: Region) -> None:
-        """Draw a region: a box on a map, a band over time."""
+    def _region(self, image: Any, panel: Panel, cell: Cell, region: Region) -> None:
+        """Draw a region in the colour and hatch of its role: a box on a map, a band over time."""
         left, _, right, _ = cell
         (x0, y1), (x1, y0) = self._points(panel, cell, np.array([region.low, region.high]))
         if not panel.is_map:
             x0, x1 = (left + t / self._problem.horizon * (right - left) for t in region.span(self._problem.horizon))
-        color = self._colors[region.name]
-        edge = tuple(c * 3 // 4 for c in color) if panel.is_map or region.time is None else None
-        if panel.is_map and region.outline is not None:
-            fills, edges = region.polygons
-            for polygon in fills:
-                draw.polygon(self._points(panel, cell, polygon), fill=(*color, 150))
-            for polygon in edges:
-                draw.line(self._points(panel, cell, np.concatenate([polygon, polygon[:1]])), fill=edge)
-            return
-        draw.rectangle((x0, y0, x1, y1), fill=(*color, 150), outline=edge)
+        look = LOOKS[region.role]
+        # Where the region is, its tint; and of the hatch what lies there.
+        place = self._image.new("L", image.size, 0)
+        has_shape = panel.is_map and region.outline is not None
+        fills, edges = region.polygons if has_shape else ((), ())
+        corners = [self._points(panel, cell, polygon) for polygon in fills]
+        for polygon in corners:
+            self._draw(place).polygon(polygon, fill=255)
+        if not has_shape:
+            self._draw(place).rectangle((x0, y0, x1, y1), fill=255)
+        image.paste(look.rgb, mask=place.point([v * _TINT // 255 for v in range(256)]))
+        image.paste(look.rgb, mask=self._multiply(place, self._hatches[look.hatch]))
+        for polygon in edges:
+            self._draw(image).line(self._points(panel, cell, np.concatenate([polygon, polygon[:1]])), fill=look.rgb)
+        if not has_shape and (panel.is_map or region.time is None):
+            self._draw(image).rectangle((x0, y0, x1, y1), outline=look.rgb)
+
+    def _hatch(self, hatch: str) -> Any:
+        """Return lines all over a frame, as a mask: ``/`` rising, ``x`` crossed, ``-`` level, ``|`` upright."""
+        lines = self._image.new("L", (WIDTH, HEIGHT), 0)
+        draw = self._draw(lines)
+        for k in range(-HEIGHT, WIDTH, _SPACING):
+            if hatch in ("/", "x"):
+                draw.line((k, HEIGHT, k + HEIGHT, 0), fill=_LINES)
+            if hatch == "x":
+                draw.line((k, 0, k + HEIGHT, HEIGHT), fill=_LINES)
+            if hatch == "-":
+                draw.line((0, k, WIDTH, k), fill=_LINES)
+            if hatch == "|":
+                draw.line((k, 0, k, HEIGHT), fill=_LINES)
+        return lines
+
+    def _legend(self, draw: Any) -> None:
+        """Draw at the foot of the column what the colours of the regions mean, for the roles that there are."""
+        x, y = WIDTH - SIDE + 12.0, HEIGHT - 16
+        # Pairs of agents have rings instead of regions.
+        shown_roles = [region.role for panel in self._panels for region in panel.regions]
+        shown_roles += [
+            self._roles[name] for name, about in self._problem.propositions.items() if isinstance(about, Pair)
+        ]
+        for role in dict.fromkeys(shown_roles):
+            look = LOOKS[role]
+            if look.word:
+                draw.rectangle((x, y + 2, x + 8, y + 10), fill=look.rgb)
+                draw.text((x + 12, y - 1), look.word, fill=_INK, font=self._small)
+                x += 20 + self._small.getlength(look.word)
 
     def _axes(self, draw: Any, panel: Panel, cell: Cell) -> None:
-        """Draw what a panel always shows: its regions, their names, the frame and its limits."""
+        """Draw what a panel always shows over its regions: their names, the frame and its limits."""
         left, top, right, bottom = cell
-        for region in panel.regions:
-            if region.time is None or not panel.is_map:
-                self._region(draw, panel, cell, region)
         # Names come after all regions, each in a corner of its region that is free, those of small regions first.
         labels, written = Labels(cell), set()
         for region in sorted(panel.named, key=lambda r: float(np.prod(np.subtract(r.high, r.low)))):
@@ -234,7 +254,7 @@ class Picture:
             place = labels.place(spots, width, _LINE)
             if place is not None:
                 written.add(key)
-                draw.text(place, region.name, fill=(96, 100, 108), font=self._small)
+                draw.text(place, region.name, fill=(70, 74, 82), font=self._small)
         self._names.append(labels.taken)
         draw.rectangle(cell, outline=_INK)
         for value, y in ((panel.high[-1], top - 4), (panel.low[-1], bottom - 10)):
@@ -255,6 +275,7 @@ class Picture:
         for k, q in enumerate(self._listed()):
             self._state(draw, k, q, False)
         draw.text((x, 346), "holds", fill=_PALE, font=self._small)
+        self._legend(draw)
 
     def _rings(self, draw: Any, panel: Panel, cell: Cell, state: np.ndarray, letter: Sequence[str]) -> None:
         """Draw a ring around each of two agents about whom a proposition holds, and a line between them."""
@@ -264,9 +285,10 @@ class Picture:
             if not isinstance(about, Pair) or not panel.is_map or not all(agent in curves for agent in about.agents):
                 continue
             ends = [self._points(panel, cell, (curves[agent].rows @ state)[None])[0] for agent in about.agents]
-            draw.line(ends, fill=_RING, width=1)
+            color = LOOKS[self._roles[name]].rgb
+            draw.line(ends, fill=color, width=2)
             for x, y in ends:
-                draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=_RING, width=2)
+                draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=color, width=2)
 
     def _status(self, draw: Any, time: int, q: int, letter: Sequence[str], verdict: str) -> None:
         """Draw what the column at the right shows at this time."""
@@ -280,7 +302,7 @@ class Picture:
         for k, text in enumerate(self._wrapped(self._told(letter), SIDE - 20, 5)):
             draw.text((x, 362 + 14 * k), text, fill=_INK, font=self._small)
         if verdict:
-            draw.text((x, 446), verdict, fill=_VERDICTS[verdict], font=self._font)
+            draw.text((x, 440), verdict, fill=_VERDICTS[verdict], font=self._font)
 
     def _told(self, letter: Sequence[str]) -> list[str]:
         """Return the propositions that hold in few words: large families as counts, with those that are missing."""
@@ -333,10 +355,6 @@ class Picture:
 def _paler(color: tuple[int, int, int]) -> tuple[int, ...]:
     """Return a colour mixed with white."""
     return tuple((c + 2 * 255) // 3 for c in color)
-
-
-def _region_names(shown_panels: Sequence[Panel]) -> list[str]:
-    return list(dict.fromkeys(region.name for panel in shown_panels for region in panel.regions))
 
 
 def _cells(n: int) -> list[tuple[int, int, int, int]]:

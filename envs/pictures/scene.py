@@ -2,20 +2,23 @@
 
 An agent is shown by the output axes that its regions restrict, at most two of them: one axis gives a track over time,
 two axes give a point on a map. Scalar agents named `x_S` and `y_S` are the two coordinates of one robot S and share a
-map. Agents share a panel if their panels would have the same axes and the same regions; on maps, equal axes suffice.
-A region that moves is a region for each time at which it holds anything.
+map. Agents share a panel if their panels would have the same axes and the same regions; on maps, equal axes suffice,
+and agents of different workspaces share one if a proposition is about both. A region that moves is a region for each
+time at which it holds anything. Each has the role that the task gives it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..agents import AnyAgent, Box, LinearAgent, Proposition
+from ..agents import AnyAgent, Box, LinearAgent, Pair, Proposition
 from ..logic import Formula
 from ..problem import Problem
 from .outlines import Drawer, Outline
+from .task_roles import FREE, roles
 
 MOST_PLACES = 8
 """Times at which a region that moves is drawn in one picture of a map."""
@@ -26,7 +29,8 @@ class Region:
     """A box behind the curves of a panel: its name, or that of its family, and its corners on the panel's axes.
 
     One that moves has the `time` at which it is there; None for regions that stand still. One that is no box on a map
-    has its `outline`, and the corners are those of the box around it.
+    has its `outline`, and the corners are those of the box around it. The `role` is what the task asks of it (see
+    `task_roles`).
     """
 
     name: str
@@ -34,6 +38,7 @@ class Region:
     high: tuple[float, ...]
     time: int | None = None
     outline: Outline | None = None
+    role: str = FREE
 
     @property
     def polygons(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
@@ -129,16 +134,33 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
     for item in shown.values():
         axes = (tuple(item.box.low), tuple(item.box.high), len(item.box.low) == 2 or _signature(item.regions))
         groups.setdefault(axes, []).append(item)
-    return tuple(_panel(group) for group in groups.values())
+    told = roles(problem)
+    return tuple(_panel(group, told) for group in _with_pairs(problem, list(groups.values())))
 
 
-def _panel(group: list[_Shown]) -> Panel:
-    """Return the panel of agents that share one; equal regions are drawn once."""
-    regions = {(r.name, r.low, r.high, r.time, _edges(r)): r for item in group for r in item.regions}
-    box = group[0].box
+def _with_pairs(problem: Problem, groups: list[list[_Shown]]) -> list[list[_Shown]]:
+    """Return the groups, those on maps joined whose agents some proposition is about: they are seen side by side."""
+    of = {item.curve.name: k for k, group in enumerate(groups) for item in group if len(item.box.low) == 2}
+    for about in problem.propositions.values():
+        if isinstance(about, Pair) and all(agent in of for agent in about.agents):
+            first, other = sorted(of[agent] for agent in about.agents)
+            if first != other:
+                groups[first] += groups[other]
+                groups[other] = []
+                of |= {item.curve.name: first for item in groups[first]}
+    return [group for group in groups if group]
+
+
+def _panel(group: list[_Shown], told: Mapping[str, str]) -> Panel:
+    """Return the panel of agents that share one; equal regions are drawn once, with their roles."""
+    regions = {
+        (r.name, r.low, r.high, r.time, _edges(r)): replace(r, role=told[r.name])
+        for item in group
+        for r in item.regions
+    }
     return Panel(
-        low=tuple(map(float, box.low)),
-        high=tuple(map(float, box.high)),
+        low=tuple(map(float, np.min([item.box.low for item in group], axis=0))),
+        high=tuple(map(float, np.max([item.box.high for item in group], axis=0))),
         regions=tuple(regions.values()),
         curves=tuple(item.curve for item in group),
     )

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.agents import Proposition
-from ...envs.pictures import Drawer, Panel
+from ...envs.pictures import LOOKS, Drawer, Panel, Region, roles
 from ...envs.problem import Problem
 from ...synthesis.certificates import Tube
-from .figure_style import FAILURE, INK, REGIONS, SERIES, legend_above, whole_ticks
+from .figure_style import FAILURE, INK, SERIES, legend_above, whole_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,11 +50,12 @@ def intervals(problem: Problem, k: int) -> dict[str, Interval]:
 def bands(plot: Axes, problem: Problem, k: int, across: bool) -> int:
     """Draw the regions of joint coordinate k as bars along the upper (``across``) or right edge; return their rows."""
     taken: list[tuple[int, float, float]] = []
-    for number, (name, (a, b)) in enumerate(intervals(problem, k).items()):
+    told = roles(problem)
+    for name, (a, b) in intervals(problem, k).items():
         # The lowest row in which the bar overlaps no other.
         level = next(n for n in range(len(taken) + 1) if all(n != m or b <= c or d <= a for m, c, d in taken))
         taken.append((level, a, b))
-        place, color = 1.015 + 0.055 * level, REGIONS[number % len(REGIONS)]
+        place, color = 1.015 + 0.055 * level, LOOKS[told[name]].color
         bar, middle = ([a, b], [place, place]), (0.5 * (a + b), place + 0.008)
         style: dict[str, Any] = {"color": color, "linewidth": 3, "clip_on": False, "solid_capstyle": "butt"}
         words: dict[str, Any] = {"fontsize": 8, "color": INK, "clip_on": False}
@@ -118,6 +119,8 @@ def rollouts_panel(
 
     Below them come tubes along nominal paths, by the numbers of their curves.
     """
+    if not panel.is_map:
+        plot.set_xlim(0, horizon)
     _regions(plot, panel)
     for curve in panel.curves:
         if tubes and curve.number in tubes:
@@ -142,7 +145,6 @@ def rollouts_panel(
         plot.set_xlabel("first coordinate (state units)")
         plot.set_ylabel("second coordinate (state units)")
     else:
-        plot.set_xlim(0, horizon)
         whole_ticks(plot.xaxis)
         plot.set_xlabel("control step")
         plot.set_ylabel("position (state units)")
@@ -164,35 +166,47 @@ def _draw_tube(plot: Axes, panel: Panel, tube: Tube, color: str) -> None:
 
 
 def _regions(plot: Axes, panel: Panel) -> None:
-    """Draw the regions of a panel with their names: boxes on a map, bands over time."""
-    from matplotlib.patches import Rectangle
-
-    numbers = {name: k for k, name in enumerate(dict.fromkeys(region.name for region in panel.regions))}
-    for number, region in enumerate(panel.drawn):
-        # Places of one region that moves share its colour.
-        color = REGIONS[(number if region.time is None else numbers[region.name]) % len(REGIONS)]
-        if region.time is not None and not panel.is_map:
-            first, last = max(0.0, region.time - 0.5), region.time + 0.5
-            plot.fill_between([first, last], region.low[0], region.high[0], color=color, alpha=0.16, linewidth=0)
-            if region not in panel.named:
-                continue
+    """Draw the regions of a panel with their names, in the looks of their roles: boxes on a map, bands over time."""
+    for region in panel.drawn:
+        _region(plot, panel, region)
+        if region not in panel.named:
+            continue
+        words: dict[str, Any] = {"fontsize": 8, "color": INK, "zorder": 5}
         if panel.is_map:
-            size = [b - a for a, b in zip(region.low, region.high, strict=True)]
-            corner = region.low[0], region.low[1]
-            if region.outline is not None:
-                fills, edges = region.polygons
-                for polygon in fills:
-                    plot.fill(*polygon.T, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5)
-                for polygon in edges:
-                    plot.fill(*polygon.T, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6)
-            else:
-                plot.add_patch(Rectangle(corner, *size, facecolor=color, alpha=0.18, linewidth=0, zorder=0.5))
-                plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=1.2, zorder=0.6))
-            plot.text(region.low[0], region.high[1], f" {region.name}", fontsize=8, color=INK, va="top", zorder=5)
+            plot.text(region.low[0], region.high[1], f" {region.name}", va="top", **words)
         elif region.time is not None:
-            plot.text(region.time, region.high[0], f" {region.name}", fontsize=8, color=INK, va="bottom")
+            plot.text(region.time, region.high[0], f" {region.name}", va="bottom", **words)
         else:
-            plot.axhspan(region.low[0], region.high[0], facecolor=color, alpha=0.16, linewidth=0, zorder=0.5)
             middle = 0.5 * (region.low[0] + region.high[0])
             place: dict[str, Any] = {"transform": plot.get_yaxis_transform(), "va": "center", "clip_on": False}
-            plot.text(1.015, middle, region.name, fontsize=8, color=INK, **place)
+            plot.text(1.015, middle, region.name, **place, **words)
+
+
+def _region(plot: Axes, panel: Panel, region: Region) -> None:
+    """Draw one region: its tint, the hatch of its role, and on a map its rim."""
+    from matplotlib.patches import Rectangle
+
+    look = LOOKS[region.role]
+    fill: dict[str, Any] = {"facecolor": look.color, "alpha": 0.16, "linewidth": 0, "zorder": 0.5}
+    lines: dict[str, Any] = {"fill": False, "edgecolor": look.color, "alpha": 0.55, "linewidth": 0, "zorder": 0.6}
+    is_told = region.time is None or region in panel.named
+    if panel.is_map and region.outline is not None:
+        fills, edges = region.polygons
+        for polygon in fills:
+            plot.fill(*polygon.T, **fill)
+            if is_told:
+                plot.fill(*polygon.T, hatch=2 * look.hatch, **lines)
+        for polygon in edges:
+            plot.fill(*polygon.T, fill=False, edgecolor=look.color, linewidth=1.2, zorder=0.6)
+        return
+    if panel.is_map:
+        corner, size = (region.low[0], region.low[1]), [b - a for a, b in zip(region.low, region.high, strict=True)]
+    else:
+        # A band over the whole figure; one that moves is there for half a step around its time.
+        left, right = plot.get_xlim() if region.time is None else (max(0.0, region.time - 0.5), region.time + 0.5)
+        corner, size = (left, region.low[0]), [right - left, region.high[0] - region.low[0]]
+    plot.add_patch(Rectangle(corner, *size, **fill))
+    if is_told:
+        plot.add_patch(Rectangle(corner, *size, hatch=2 * look.hatch, **lines))
+    if panel.is_map:
+        plot.add_patch(Rectangle(corner, *size, fill=False, edgecolor=look.color, linewidth=1.2, zorder=0.6))

@@ -1,8 +1,8 @@
 """The common look of all figures; matplotlib is loaded with the first figure, and its global state is never used.
 
-The colours are those of Okabe and Ito, which readers with any of the usual colour deficiencies can tell apart; maps use
-``cividis``. A certified lower bound is a solid line, and the range that it leaves open above it is tinted, so that it
-reads as a bound and not as an estimate. Results of rollouts are points with limits.
+The colours are those of all pictures (``envs.pictures``), which readers with any of the usual colour deficiencies can
+tell apart; maps use ``cividis``. A certified lower bound is a solid line, and the range that it leaves open above it is
+tinted, so that it reads as a bound and not as an estimate. Results of rollouts are points with limits.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...envs.agents import write_bytes
+from ...envs.pictures import AGENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,11 +24,9 @@ if TYPE_CHECKING:
 FORMATS = (".png", ".svg", ".pdf")
 INK, SOFT, PALE = "#1b1f24", "#6b7280", "#b6bcc6"
 """Colours of text, of notes and arrows, and of lines in the background."""
-BOUND, ESTIMATE, FAILURE = "#0072B2", "#D55E00", "#B00020"
-SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-"""Colours of lines, in the order in which they are used."""
-REGIONS = ("#009E73", "#D55E00", "#56B4E9", "#E69F00", "#CC79A7", "#0072B2")
-"""Colours of regions: the same ones in another order, so that the first agent and the first region differ."""
+BOUND, ESTIMATE, FAILURE = AGENTS[0], "#b3541e", "#b00020"
+SERIES = AGENTS
+"""Colours of agents and of lines, in the order in which they are used."""
 MARKS = ("o", "s", "^", "D", "v", "P")
 AT_LEAST = "^"
 """Triangle that points up, the mark of a lower bound."""

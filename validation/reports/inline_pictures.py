@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.logic import Automaton
-from ...envs.pictures import Panel, Region, coordinate_name, places
+from ...envs.pictures import AGENTS, Panel, Region, coordinate_name, places
 from ...envs.problem import Problem
 from ...synthesis.certificates import Tube, rounded_down
 from ..verdicts import FieldReport
@@ -180,11 +180,11 @@ def rollouts_picture(
     shapes += _region_names(axes, panel)
     for curve in panel.curves:
         if tubes and curve.number in tubes:
-            shapes += _tube(panel, axes, tubes[curve.number], f"tube agent{curve.number % 6}")
+            shapes += _tube(panel, axes, tubes[curve.number], f"tube agent{curve.number % len(AGENTS)}")
     shapes.append('<g class="all">')
     for curve, episodes in zip(panel.curves, tracks(panel, axes, states)):
         for points, good in zip(episodes, success):
-            role = f"path agent{curve.number % 6} {'good' if good else 'lost'}"
+            role = f"path agent{curve.number % len(AGENTS)} {'good' if good else 'lost'}"
             shapes += [svg.polyline(points, role), svg.circle(points[-1], 2.0, f"end {role}")]
     shapes.append(f'</g><g class="one" data-panel="{number}"></g>')
     return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
@@ -207,7 +207,7 @@ def _region(axes: Axes, region: Region, is_map: bool, horizon: int) -> str:
         return svg.outlined(fills, edges, "region", region.name)
     first, last = region.span(horizon)
     low, high = (region.low, region.high) if is_map else ((first, region.low[0]), (last, region.high[0]))
-    return svg.rectangle(axes.at(low[0], low[1]), axes.at(high[0], high[1]), "region", region.name)
+    return svg.rectangle(axes.at(low[0], low[1]), axes.at(high[0], high[1]), f"region r-{region.role}", region.name)
 
 
 def _region_names(axes: Axes, panel: Panel) -> list[str]:

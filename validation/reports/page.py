@@ -9,7 +9,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ...envs.agents import counted
-from ...envs.pictures import coordinate_name, edges, panels
+from ...envs.pictures import AGENTS, LOOKS, Panel, coordinate_name, edges, panels
 from ...envs.problem import Problem
 from ...synthesis.certificates import (
     KEPT,
@@ -26,7 +26,7 @@ from ...synthesis.certificates import (
 from ..statistics import VACUOUS
 from ..verdicts import MEANINGS, NOT_CERTIFIED, tried_lines
 from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
-from .page_style import PLAYER, STYLE
+from .page_style import PATTERNS, PLAYER, STYLE
 from .player import episodes_of
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def page_of(content: ReportContent) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(problem.name)}: {kind}</title><style>{STYLE}</style></head><body><main>"
+        f"<title>{escape(problem.name)}: {kind}</title><style>{STYLE}</style></head><body>{PATTERNS}<main>"
         f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, {escape(problem.specification.semantics)} task</p>"
         f"<p class=task><code>{escape(_cut(task, LONGEST_TASK))}</code></p>"
         f"{_answer(content)}{''.join(sections)}</main>"
@@ -167,6 +167,12 @@ def _episodes(content: ReportContent) -> dict[str, Any]:
     return episodes_of(content, panels(content.certificate.problem)[:MOST_PANELS_DRAWN])
 
 
+def _looks(panel: Panel) -> str:
+    """Return what the colours of the regions of a panel mean."""
+    shown = dict.fromkeys(region.role for region in panel.regions if LOOKS[region.role].word)
+    return "".join(f"; {_key(role)}{LOOKS[role].word}" for role in shown)
+
+
 def _about(tubes: Iterable[Tube]) -> str:
     """Return what is said of the tubes of a picture; nothing if there are none."""
     linear = {tube.is_linear for tube in tubes}
@@ -179,11 +185,13 @@ def _rollouts(content: ReportContent) -> str:
     lost = int((~content.success).sum())
     figures = []
     for number, panel in enumerate(shown[:MOST_PANELS_DRAWN]):
-        names = ", ".join(f'<span class="key k-agent{c.number % 6}"></span>{escape(c.name)}' for c in panel.curves[:12])
+        names = ", ".join(
+            f'<span class="key k-agent{c.number % len(AGENTS)}"></span>{escape(c.name)}' for c in panel.curves[:12]
+        )
         rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
         tubes = {c.number: tube for c in panel.curves if (tube := tube_along(content.certificate, c.rows)) is not None}
         drawing = rollouts_picture(panel, content.states, content.success, number, tubes)
-        figures.append(_figure("", drawing, names + rest + _about(tubes.values())))
+        figures.append(_figure("", drawing, names + rest + _looks(panel) + _about(tubes.values())))
     words = f"{counted(len(content.success), 'rollout')} of the continuous system"
     words += f"; the {lost} with broken lines did not satisfy the task." if lost else ", which all satisfied the task."
     if len(shown) > MOST_PANELS_DRAWN:

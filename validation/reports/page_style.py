@@ -5,11 +5,13 @@ The page loads nothing. Without scripts it shows all that it says but single epi
 
 from __future__ import annotations
 
-STYLE = """
+from ...envs.pictures import AGENTS, AGENTS_ON_DARK, LOOKS
+
+_COMMON = """
 :root{--ink:#1b2430;--soft:#566372;--paper:#fbfbf9;--card:#fff;--line:#dfe3e8;--bound:#1f5fae;--run:#c2571a;
---bad:#b3261e;--good:#1e7d4f;--region:#e9b949;color-scheme:light dark}
+--bad:#b3261e;--good:#1e7d4f;--here:#e9b949;color-scheme:light dark}
 @media (prefers-color-scheme:dark){:root{--ink:#e6e9ee;--soft:#9aa6b4;--paper:#14181e;--card:#1c222a;--line:#313a45;
---bound:#7db2ef;--run:#f0a06b;--bad:#ff8a80;--good:#74d3a2;--region:#8d6d1d}}
+--bound:#7db2ef;--run:#f0a06b;--bad:#ff8a80;--good:#74d3a2;--here:#8d6d1d}}
 *{box-sizing:border-box}
 body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,
 "DejaVu Sans",sans-serif}
@@ -36,7 +38,7 @@ padding:1px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566
 .player button,.player select{font:inherit;font-size:.88rem;padding:3px 12px;border:1px solid var(--line);
 border-radius:6px;background:var(--card);color:var(--ink)}
 .playing .all{opacity:.13}.one polyline{stroke-width:2.4;fill:none}.one circle{stroke:var(--card);stroke-width:1}
-.here{fill:var(--region)!important}
+.here{fill:var(--here)!important}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 18px;margin:8px 0;font-size:.92rem}dt{color:var(--soft)}
 dd{margin:0;min-width:0;overflow-wrap:anywhere}table{border-collapse:collapse;width:100%;font-size:.86rem}
 th,td{text-align:left;padding:3px 14px 3px 0;border-top:1px solid var(--line);vertical-align:top}
@@ -51,25 +53,58 @@ svg .end{text-anchor:end}line.grid{stroke:var(--line);stroke-width:1}polyline,.a
 .sure{fill:var(--bound);fill-opacity:.75}.sure.open{fill-opacity:.22}
 .estimate-dot{fill:var(--run)}.bad-dot{fill:var(--bad)}.cell{fill:var(--bound)}.over{fill:var(--bound)}
 .under{fill:var(--run)}.bad-cell{fill:var(--bad)}.sure-dot{fill:var(--good);stroke:var(--card);stroke-width:.4}
-.region{fill:var(--region);fill-opacity:.22;stroke:var(--region);stroke-width:1}
+.region{stroke-width:1}.region-name{paint-order:stroke}
 .tube{stroke-width:.8;stroke-opacity:.6;
-fill-opacity:.13}polygon.agent0{fill:var(--bound)}polygon.agent1{fill:var(--run)}polygon.agent2{fill:var(--good)}
-polygon.agent3{fill:#9a5fc0}polygon.agent4{fill:#b0902a}polygon.agent5{fill:#d0588a}
+fill-opacity:.13}
 svg .region-name{font-size:9.5px;fill:var(--soft)}.path{stroke-width:1;stroke-opacity:.55}
-.path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}.agent0{stroke:var(--bound)}
-.agent1{stroke:var(--run)}.agent2{stroke:var(--good)}.agent3{stroke:#9a5fc0}.agent4{stroke:#b0902a}
-.agent5{stroke:#d0588a}circle.agent0{fill:var(--bound)}circle.agent1{fill:var(--run)}circle.agent2{fill:var(--good)}
-circle.agent3{fill:#9a5fc0}circle.agent4{fill:#b0902a}circle.agent5{fill:#d0588a}
+.path.lost{stroke-dasharray:3 2}circle.path{fill-opacity:.8;stroke:none}
 .state,.accepting,.dead{fill:var(--card);stroke:var(--ink);stroke-width:1.3}
 .accepting{stroke:var(--good);stroke-width:1.8}.dead{stroke:var(--bad)}svg .state-name{font-size:10px}
 .arrow{stroke:var(--soft);stroke-width:1.1}.tip{fill:var(--soft)}
 .key{display:inline-block;width:.8em;height:.8em;border-radius:2px;margin:0 4px 0 0;background:currentColor}
 .key.k-bound{color:var(--bound)}.key.k-run{color:var(--run)}.key.k-bad{color:var(--bad)}.key.k-good{color:var(--good)}
-.k-agent0{color:var(--bound)}.k-agent1{color:var(--run)}.k-agent2{color:var(--good)}.k-agent3{color:#9a5fc0}
-.k-agent4{color:#b0902a}.k-agent5{color:#d0588a}
-@media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}.player{display:none}
+"""
+
+_PRINT = """@media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}.player{display:none}
 figure,.answer{break-inside:avoid}h2{break-after:avoid}details{display:none}}
 """
+_LINES = {"/": "M0 8L8 0", "x": "M0 8L8 0M0 0L8 8", "-": "M0 4H8", "|": "M4 0V8"}
+"""The lines of one tile of a hatch, 8 units wide and high."""
+
+
+def _agents(colors: tuple[str, ...]) -> str:
+    """Return the rules of agents: lines, dots, tubes and keys in their colours."""
+    return "".join(
+        f".agent{k}{{stroke:{color}}}:is(circle,polygon).agent{k}{{fill:{color}}}.k-agent{k}{{color:{color}}}"
+        for k, color in enumerate(colors)
+    )
+
+
+def _regions() -> str:
+    """Return the rules of regions by their roles: rims, the hatch of `PATTERNS`, and keys."""
+    return "".join(
+        f".r-{role}{{fill:url(#look-{role});stroke:{look.color}}}.k-{role}{{color:{look.color}}}"
+        for role, look in LOOKS.items()
+    )
+
+
+STYLE = (
+    f"{_COMMON}{_regions()}{_agents(AGENTS)}\n@media (prefers-color-scheme:dark){{{_agents(AGENTS_ON_DARK)}}}\n"
+    f"@media print{{{_agents(AGENTS)}}}\n{_PRINT}"
+)
+"""The style sheet; agents have lighter colours on a dark page, and those of paper in print."""
+
+PATTERNS = (
+    '<svg width="0" height="0" style="position:absolute" aria-hidden="true"><defs>'
+    + "".join(
+        f'<pattern id="look-{role}" width="8" height="8" patternUnits="userSpaceOnUse">'
+        f'<path d="M0 0H8V8H0z" fill="{look.color}" fill-opacity=".16"/>'
+        f'<path d="{_LINES.get(look.hatch, "")}" fill="none" stroke="{look.color}" stroke-opacity=".55"/></pattern>'
+        for role, look in LOOKS.items()
+    )
+    + "</defs></svg>"
+)
+"""The fills of regions, which the style sheet refers to: a page has them once."""
 
 PLAYER = """
 (function(){var d=JSON.parse(document.getElementById("episodes").textContent),main=document.querySelector("main"),

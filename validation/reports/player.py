@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...envs.pictures import Panel
+from ...envs.pictures import AGENTS, Panel
 from ..simulation import task_tracks
 from .inline_pictures import panel_axes, tracks
 
@@ -39,7 +39,7 @@ def episodes_of(content: ReportContent, shown: Sequence[Panel]) -> dict[str, Any
         curves.append(
             [
                 {
-                    "role": f"agent{curve.number % 6}",
+                    "role": f"agent{curve.number % len(AGENTS)}",
                     "paths": [[[round(x, 1), round(y, 1)] for x, y in path] for path in paths],
                 }
                 for curve, paths in zip(panel.curves, drawn)
