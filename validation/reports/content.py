@@ -17,6 +17,7 @@ from ...synthesis.checking import CheckReport
 from ..audits import AuditReport
 from ..statistics import REFUTED
 from ..verdicts import NOT_CERTIFIED, FieldReport, ValidationReport
+from .explorer import Explored
 
 INVALID = "invalid"
 """The verdict on a certificate that its check refuses, whatever rollouts say."""
@@ -44,6 +45,8 @@ class ReportContent:
         Rollouts to draw; NaN after their decision.
     success : (M,) bool array
         Which of these rollouts satisfied the task.
+    explored : Explored or None
+        What the value explorer shows; None if the check failed, or of certificates that speak of one start.
     """
 
     certificate: AnyCertificate
@@ -55,6 +58,7 @@ class ReportContent:
     bounds: NDArray[Any] | None
     states: NDArray[Any]
     success: NDArray[np.bool_]
+    explored: Explored | None = None
 
     def __repr__(self) -> str:
         problem, validation = self.certificate.problem, self.validation

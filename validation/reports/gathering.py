@@ -1,6 +1,6 @@
 """One self-contained HTML page about a certificate: what is claimed, what rollouts show, and how to repeat them.
 
-The page has no scripts and loads nothing; all drawings are inline SVG, and all text from the certificate is escaped.
+The page loads nothing; all drawings are inline SVG, and all text from the certificate is escaped.
 The data behind the page are embedded as JSON; ``ReportContent.to_dict`` returns the same data.
 """
 
@@ -27,6 +27,7 @@ from ..audits import audit, bound_by_steps_left
 from ..simulation import Loop, Plan, TrialOptions, TrialPlan, paths, planned
 from ..verdicts import slice_axes, slice_starts, start_box, validate, validate_field
 from .content import ReportContent
+from .explorer import explored
 from .page import page_of
 
 DRAWN = 40
@@ -110,6 +111,7 @@ def gathered(
         bounds=_bounds(claim, 0.5 * np.sum(start_box(problem), axis=0)),
         states=states,
         success=success,
+        explored=explored(claim, plan.seed, axes) if checked else None,
     )
 
 

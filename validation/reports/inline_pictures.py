@@ -190,6 +190,16 @@ def rollouts_picture(
     return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
 
 
+def empty_panel(panel: Panel, horizon: int, number: int) -> str:
+    """Draw the regions of a panel, and a group into which the explorer of the page draws episodes."""
+    axes = panel_axes(panel, horizon)
+    names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
+    shapes = svg.frame(axes, *names, whole=not panel.is_map)
+    shapes += [_region(axes, r, panel.is_map, horizon) for r in panel.drawn]
+    shapes += [*_region_names(axes, panel), f'<g class="x-paths" data-panel="{number}"></g>']
+    return svg.picture(axes, shapes, "Episodes from the chosen start")
+
+
 def _tube(panel: Panel, axes: Axes, tube: Tube, role: str) -> list[str]:
     """Draw the tube along a nominal path: a band over time, or an ellipse for each time on a map; none at a point."""
     if panel.is_map:

@@ -23,9 +23,20 @@ from ...synthesis.certificates import (
     significant_up,
     tube_along,
 )
-from ..statistics import VACUOUS
+from ..statistics import REFUTED, VACUOUS
 from ..verdicts import MEANINGS, NOT_CERTIFIED, tried_lines
-from .inline_pictures import FEW_STATES, automaton_picture, bound_curve, margin_pictures, meter, rollouts_picture
+from .content import INVALID
+from .explorer import MOST_PANELS, explorer_data
+from .explorer_script import EXPLORER, EXPLORER_STYLE
+from .inline_pictures import (
+    FEW_STATES,
+    automaton_picture,
+    bound_curve,
+    empty_panel,
+    margin_pictures,
+    meter,
+    rollouts_picture,
+)
 from .page_style import PATTERNS, PLAYER, STYLE
 from .player import episodes_of
 
@@ -54,6 +65,9 @@ LINEAR_TUBE = (
 )
 """What is said of a tube that is drawn, and of one of an agent that is not linear."""
 
+HEADLINES = {INVALID: "Not certified", REFUTED: "Refuted by rollouts", VACUOUS: "Nothing is claimed"}
+"""What stands over the page in place of the name where the claim failed, or says nothing."""
+
 LONGEST_TASK = 600
 """Characters of a formula that the head of the page shows; the data at its end have all of it."""
 
@@ -61,19 +75,20 @@ LONGEST_TASK = 600
 def page_of(content: ReportContent) -> str:
     """Return the whole page."""
     problem = content.certificate.problem
-    sections = [_rollouts(content), _starts(content), _steps(content), _task(content.certificate), _trust(content)]
+    sections = [_explorer(content), _rollouts(content), _starts(content), _steps(content), _trust(content)]
     task = problem.specification.formula or "given as an automaton"
     kind = "certificate" if content.checked else "NOT certified"
     size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'control step')}"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(problem.name)}: {kind}</title><style>{STYLE}</style></head><body>{PATTERNS}<main>"
-        f"<h1>{escape(problem.name)}</h1><p class=soft>{size}, {escape(problem.specification.semantics)} task</p>"
+        f"<title>{escape(problem.name)}: {kind}</title><style>{STYLE}{EXPLORER_STYLE}</style></head>"
+        f"<body>{PATTERNS}<main>"
+        f"{_headline(content)}<p class=soft>{size}, {escape(problem.specification.semantics)} task</p>"
         f"<p class=task><code>{escape(_cut(task, LONGEST_TASK))}</code></p>"
         f"{_answer(content)}{''.join(sections)}</main>"
         f"{_data('data', content.to_dict())}{_data('episodes', _episodes(content))}<script>{PLAYER}</script>"
-        "</body></html>\n"
+        f"{_explorer_script(content)}</body></html>\n"
     )
 
 
@@ -104,6 +119,44 @@ def _cut(words: str, most: int) -> str:
 
 def _verdict(word: str) -> str:
     return f'<span class="verdict {escape(word)}">{escape(word)}</span>'
+
+
+def _headline(content: ReportContent) -> str:
+    """Return the head of the page: the name, or first of all that the claim failed, or that it claims nothing."""
+    name = escape(content.certificate.problem.name)
+    word = HEADLINES.get(content.verdict)
+    return f"<h1>{name}</h1>" if word is None else f'<h1 class="alarm">{word}</h1><p class=big>{name}</p>'
+
+
+def _explorer(content: ReportContent) -> str:
+    """Return the value explorer, which its script fills; nothing where there is nothing to explore."""
+    if content.explored is None:
+        return ""
+    problem = content.certificate.problem
+    shown = panels(problem)[:MOST_PANELS]
+    drawings = "".join(
+        _figure("", empty_panel(panel, problem.horizon, k), _names(panel)) for k, panel in enumerate(shown)
+    )
+    height = 320 if len(content.explored.axes) == 2 else 120
+    body = (
+        '<div class="explorer" hidden><p class=soft>Drag the ring, or move it with the arrow keys. The stronger the '
+        "colour, the larger the certified bound at that point; the paths are ten episodes from there. The others start "
+        "where the problem says.</p>"
+        '<div class=controls><span class=later><label>automaton <select><option value="start">at the start</option>'
+        '</select></label> <label><span class=when></span> <input type="range" min="0" value="0"></label></span></div>'
+        "<p class=read aria-live=polite></p><div class=row><figure>"
+        f'<svg class="map" viewBox="0 0 360 {height}" role="group" aria-label="map of starts"></svg></figure>{drawings}'
+        "</div></div>"
+    )
+    return _section("Explore", body)
+
+
+def _explorer_script(content: ReportContent) -> str:
+    """Return the data and the script of the explorer, if there is one."""
+    if content.explored is None:
+        return ""
+    data = explorer_data(content.explored, content.certificate.problem)
+    return f"{_data('explorer', data)}<script>{EXPLORER}</script>"
 
 
 def _answer(content: ReportContent) -> str:
@@ -167,10 +220,13 @@ def _episodes(content: ReportContent) -> dict[str, Any]:
     return episodes_of(content, panels(content.certificate.problem)[:MOST_PANELS_DRAWN])
 
 
-def _looks(panel: Panel) -> str:
-    """Return what the colours of the regions of a panel mean."""
+def _names(panel: Panel) -> str:
+    """Return the agents of a panel with their colours, and what the colours of its regions mean."""
+    agents = [f'<span class="key k-agent{c.number % len(AGENTS)}"></span>{escape(c.name)}' for c in panel.curves[:12]]
+    rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
     shown = dict.fromkeys(region.role for region in panel.regions if LOOKS[region.role].word)
-    return "".join(f"; {_key(role)}{LOOKS[role].word}" for role in shown)
+    looks = "".join(f"; {_key(role)}{LOOKS[role].word}" for role in shown)
+    return ", ".join(agents) + rest + looks
 
 
 def _about(tubes: Iterable[Tube]) -> str:
@@ -185,13 +241,9 @@ def _rollouts(content: ReportContent) -> str:
     lost = int((~content.success).sum())
     figures = []
     for number, panel in enumerate(shown[:MOST_PANELS_DRAWN]):
-        names = ", ".join(
-            f'<span class="key k-agent{c.number % len(AGENTS)}"></span>{escape(c.name)}' for c in panel.curves[:12]
-        )
-        rest = f" and {len(panel.curves) - 12} more" if len(panel.curves) > 12 else ""
         tubes = {c.number: tube for c in panel.curves if (tube := tube_along(content.certificate, c.rows)) is not None}
         drawing = rollouts_picture(panel, content.states, content.success, number, tubes)
-        figures.append(_figure("", drawing, names + rest + _looks(panel) + _about(tubes.values())))
+        figures.append(_figure("", drawing, _names(panel) + _about(tubes.values())))
     words = f"{counted(len(content.success), 'rollout')} of the continuous system"
     words += f"; the {lost} with broken lines did not satisfy the task." if lost else ", which all satisfied the task."
     if len(shown) > MOST_PANELS_DRAWN:
@@ -203,7 +255,7 @@ def _rollouts(content: ReportContent) -> str:
         )
         + '</select><input type="range" min="0" value="0" aria-label="control step"><output></output></div>'
     )
-    figures += [_drawing(task) for task in _tasks(content.certificate)]
+    figures += [f"<div>{_drawing(task)}{_automaton(task)}</div>" for task in _tasks(content.certificate)]
     return _section("Rollouts", f"<p class=soft>{words}</p>{player}<div class=row>{''.join(figures)}</div>")
 
 
@@ -279,11 +331,6 @@ def _drawing(problem: Problem) -> str:
     dead = f" Red: acceptance can no longer be reached.{left_out}" if automaton.dead.any() else ""
     note = f"The task automaton. Double circle: accepting.{dead}"
     return _figure("", automaton_picture(automaton, edges(problem)), note)
-
-
-def _task(certificate: AnyCertificate) -> str:
-    """Return the section of the letters that take each transition."""
-    return _section("When the automaton moves", "".join(_automaton(task) for task in _tasks(certificate)))
 
 
 def _automaton(problem: Problem) -> str:

@@ -1,6 +1,6 @@
 """Style sheet of a report page: light, dark, narrow and printed; and the script of its player.
 
-The page loads nothing. Without scripts it shows all that it says but single episodes.
+The page loads nothing. Without scripts it shows all that it says but single episodes and the explorer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ _COMMON = """
 body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,
 "DejaVu Sans",sans-serif}
 main{max-width:1000px;margin:0 auto;padding:28px 18px 60px}
-h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:44px 0 4px;padding-top:12px;border-top:1px solid var(--line)}
+h1{font-size:1.6rem;margin:0}.alarm{color:var(--bad);font-size:2.1rem;line-height:1.15}
+h2{font-size:1.15rem;margin:44px 0 4px;padding-top:12px;border-top:1px solid var(--line)}
 h3{font-size:.95rem;margin:0 0 4px}p{margin:4px 0;max-width:72ch}.soft{color:var(--soft);font-size:.88rem}
 .task{margin-top:8px}figure{margin:0;min-width:0}figcaption{color:var(--soft);font-size:.86rem;margin-top:4px}
 .row{display:grid;gap:24px;margin-top:12px;grid-template-columns:repeat(auto-fit,minmax(min(380px,100%),1fr))}
@@ -68,6 +69,7 @@ svg .region-name{font-size:9.5px;fill:var(--soft)}.path{stroke-width:1;stroke-op
 _PRINT = """@media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}.player{display:none}
 figure,.answer{break-inside:avoid}h2{break-after:avoid}details{display:none}}
 """
+
 _LINES = {"/": "M0 8L8 0", "x": "M0 8L8 0M0 0L8 8", "-": "M0 4H8", "|": "M4 0V8"}
 """The lines of one tile of a hatch, 8 units wide and high."""
 

@@ -1,0 +1,131 @@
+"""What the value explorer of a report shows is what the certificate says at the same points, rounded down."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.synthesis.checking import CheckReport
+from certigym.validation.reports.explorer import EPISODES, UNIT, _down, explored
+from certigym.validation.simulation import task_tracks
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+# Reads every point by keys and some by pointer and touch, at the start and at later times.
+PROBE = """
+<script>
+var home=document.querySelector(".explorer"),map=home.querySelector(".map"),ring=home.querySelector(".x-handle"),
+pick=home.querySelector("select"),slide=home.querySelector("input[type=range]"),out={errors:window.errors,read:[],later:[]};
+function said(){var b=home.querySelector(".read b");return [+b.dataset.point,+b.dataset.units,b.textContent]}
+function key(name){ring.dispatchEvent(new KeyboardEvent("keydown",{key:name,bubbles:true,cancelable:true}))}
+function each(list){for(var k=0;k<99;k++){key("ArrowLeft");key("ArrowDown")}
+for(var i=0;i<SIDE;i++){for(var j=0;j<DEPTH;j++){list.push(said());if(j<DEPTH-1)key("ArrowUp")}
+for(j=0;j<99;j++)key("ArrowDown");for(j=0;j<=i;j++)key(FLAT?"none":"ArrowRight");if(!FLAT){for(j=0;j<99;j++)key("ArrowLeft");
+for(j=0;j<=i;j++)key("ArrowRight")}}}
+each(out.read);
+out.paths=document.querySelectorAll(".x-paths .x-path").length;
+function touch(kind,x,y){map.dispatchEvent(new PointerEvent(kind,{clientX:x,clientY:y,pointerId:7,pointerType:"touch",
+bubbles:true,cancelable:true}))}
+var r=map.getBoundingClientRect(),s=r.width/360;
+touch("pointerdown",r.left+51*s,r.top+(FLAT?40:275)*s);out.corner=said()[0];
+touch("pointermove",r.left+345*s,r.top+(FLAT?40:15)*s);out.opposite=said()[0];
+touch("pointerup",0,0);touch("pointermove",r.left+51*s,r.top+40*s);out.released=said()[0];
+if(!home.querySelector(".later").hidden)for(var t=0;t<=+slide.max;t++)for(var q=1;q<pick.options.length;q++){
+pick.value=pick.options[q].value;pick.dispatchEvent(new Event("change"));slide.value=t;
+slide.dispatchEvent(new Event("input"));out.later.push([t,q-1].concat(said()))}
+var box=document.createElement("pre");box.id="seen";box.textContent=JSON.stringify(out);document.body.append(box);
+</script>
+"""
+
+
+def dragged(page: Path, folder: Path, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Load a report, move the ring of its explorer, and return what it said."""
+    side, depth = (1, shape[0]) if len(shape) == 1 else shape
+    probe = PROBE.replace("SIDE", str(side)).replace("DEPTH", str(depth)).replace("FLAT", str(int(len(shape) == 1)))
+    text = page.read_text(encoding="utf-8")
+    text = text.replace("<head>", "<head><script>window.errors=[];onerror=function(m){errors.push(m)}</script>")
+    probed = folder / "probed.html"
+    probed.write_text(text.replace("</body>", probe + "</body>"), encoding="utf-8")
+    command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
+    command += ["--host-resolver-rules=MAP * ~NOTFOUND", "--window-size=390,900", "--dump-dom", probed.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    found = re.search(r'<pre id="seen">(.*?)</pre>', done.stdout, re.S)
+    assert found, done.stderr[-500:]
+    return dict(json.loads(html.unescape(found.group(1))))
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+@pytest.mark.parametrize(("id", "cells"), [("reach-avoid-v0", 40), ("patrol-robot-v0", 40), ("car-park-v0", 60)])
+def test_the_explorer_says_what_the_certificate_says(id: str, cells: int, tmp_path: Path) -> None:
+    certificate = cg.synthesize(cg.make_problem(id), cells).certificate
+    page = tmp_path / "r.html"
+    content = cg.report(certificate, page, 300)
+    shown = content.explored
+    assert shown is not None and shown.bounds.max() > 0.0 and len(np.unique(shown.bounds)) > 1
+    seen = dragged(page, tmp_path, shown.shape)
+    assert seen["errors"] == [] and seen["paths"] > 0
+    # Every point was reached by keys, and reads the bound there: never above it, and by one unit below it at most.
+    truth = certificate.at(shown.starts)
+    read = {point: (units, text) for point, units, text in seen["read"]}
+    assert set(read) == set(range(len(truth)))
+    for point, (units, text) in read.items():
+        assert units / UNIT <= truth[point] and truth[point] - units / UNIT < 2 / UNIT
+        assert float(text.removeprefix("P ≥ ")) <= truth[point]
+        assert truth[point] - float(text.removeprefix("P ≥ ")) < 1e-6
+    # Touch: from one corner to the other, and nothing moves once the finger is lifted.
+    assert seen["corner"] == 0 and seen["opposite"] == seen["released"] == len(truth) - 1
+    # Later: at the corner that was left, every time and automaton state.
+    values = cg.value_in_time(certificate)
+    assert len(seen["later"]) == len(shown.times) * certificate.problem.automaton.n_states > 0
+    for t, q, point, units, _ in seen["later"]:
+        bound = float(values.at(shown.starts[point], q, certificate.problem.horizon - shown.times[t])[0])
+        assert units / UNIT <= bound < (units + 2) / UNIT
+
+
+def test_the_episodes_of_a_point_begin_there_and_end_as_is_said() -> None:
+    certificate = cg.synthesize(cg.make_problem("patrol-robot-v0"), 40).certificate
+    shown = explored(certificate, seed=3)
+    count = len(shown.starts)
+    assert shown.axes == (0, 1) and shown.states.shape[1] == EPISODES * count
+    for r in range(EPISODES * count):
+        assert np.array_equal(shown.states[0, r], shown.starts[r % count])
+    # The paths themselves tell who succeeded.
+    read, _ = task_tracks(certificate.problem, shown.states)
+    assert np.array_equal(certificate.problem.automaton.accepting[read[-1]], shown.success)
+    assert shown.success.any() and not shown.success.all()
+
+
+def test_bounds_are_rounded_down_also_where_products_are_rounded_up() -> None:
+    rng = np.random.default_rng(0)
+    whole = rng.integers(1, UNIT, 200_000)
+    below = np.nextafter(whole / UNIT, 0.0)  # the largest number that is less than so many units
+    assert np.all(_down(below) / UNIT <= below)
+    assert np.all(_down(np.array([0.0, 1.0])) == [0, UNIT])
+    assert np.any(np.floor(below * UNIT) / UNIT > below), "without the second step some would be rounded up"
+
+
+def test_what_failed_or_says_nothing_is_the_headline(tmp_path: Path) -> None:
+    problem = cg.make_problem("reach-avoid-v0", horizon=3)
+    sound = cg.synthesize(problem, 30).certificate
+    page = tmp_path / "r.html"
+    cg.report(sound, page, 300)
+    assert "<h1>reach-avoid-v0</h1>" in page.read_text(encoding="utf-8")
+    refused = CheckReport(False, sound.lower_bound, float("nan"), ("the kernel is not that of the problem",))
+    content = cg.report(sound, page, 300, checked=refused)
+    text = page.read_text(encoding="utf-8")
+    assert '<h1 class="alarm">Not certified</h1>' in text and content.explored is None
+    assert 'id="explorer"' not in text
+    hopeless = problem.replace(initial_state={"agent_0": [-3.0], "agent_1": [-18.0]})
+    nothing = cg.synthesize(hopeless, 30).certificate
+    assert nothing.lower_bound == 0.0
+    cg.report(nothing, page, 300)
+    assert '<h1 class="alarm">Nothing is claimed</h1>' in page.read_text(encoding="utf-8")

@@ -1,0 +1,184 @@
+"""The value explorer of a report: a map of starts with what is certified at each, and ten episodes from each of them.
+
+Everything that the page can show is computed before it is written, at the points of a grid: lower bounds at every time
+and automaton state, and the paths of episodes from the start. The page itself computes nothing, so that what it shows
+is what ``Certificate.at`` and ``value_in_time`` say at the same points, rounded down.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.pictures import AGENTS, Panel, coordinate_name, panels
+from ...envs.problem import Problem
+from ...synthesis.certificates import Certificate
+from ...synthesis.checking import ValueInTime, claimed_values
+from ..simulation import Loop, paths
+from ..verdicts import slice_axes, slice_starts
+from .inline_pictures import panel_axes
+
+EPISODES = 10
+"""Episodes that are shown from each start."""
+
+LINE_POINTS = 41
+"""Starts along a line."""
+
+MAP_POINTS = (17, 15, 13, 11, 9, 7, 5)
+"""Starts along each axis of a map: the first number is taken with which the page stays small."""
+
+MOST_NUMBERS = 300_000
+"""Coordinates of episodes, and values: each of both adds less than two megabytes to a page."""
+
+MOST_PANELS = 4
+"""Panels in which episodes are drawn."""
+
+UNIT = 1_000_000_000
+"""Bounds are handed over as whole numbers of this part, rounded down."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """What the explorer of a page shows.
+
+    Parameters
+    ----------
+    axes : tuple of int
+        Joint coordinates that vary, one or two.
+    starts : (N, D) array
+        Joint starts, the last axis varying fastest.
+    shape : tuple of int
+        Points per axis.
+    bounds : (N,) array
+        Lower bounds from these starts, at the start of an episode.
+    times : tuple of int
+        Times of ``values``: all of them, or evenly many if there are too many; none for independent tasks.
+    values : (len(times), Q, N) array
+        Lower bounds in the middle of a run: at a time, in an automaton state, at a joint state.
+    states : (T + 1, N * EPISODES, D) array
+        Episodes; number ``r`` begins at start ``r`` modulo N. NaN after their decision.
+    success : (N * EPISODES,) bool array
+    """
+
+    axes: tuple[int, ...]
+    starts: NDArray[Any]
+    shape: tuple[int, ...]
+    bounds: NDArray[Any]
+    times: tuple[int, ...]
+    values: NDArray[Any]
+    states: NDArray[Any]
+    success: NDArray[np.bool_]
+
+
+def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> Explored:
+    """Return what can be explored of a certificate that speaks of many starts."""
+    problem = certificate.problem
+    chosen = _axes(problem) if axes is None else slice_axes(problem, axes)
+    shape = _shape(problem, len(chosen))
+    starts = slice_starts(problem, chosen, shape)
+    count = EPISODES * len(starts)
+    states, success = paths(Loop(problem, certificate.controller, seed, count, starts), count)
+    times, values = _in_time(certificate, starts)
+    return Explored(chosen, starts, shape, certificate.at(starts), times, values, states, success)
+
+
+def _axes(problem: Problem) -> tuple[int, ...]:
+    """Return both coordinates of the first agent on a map if it has one, otherwise those of `slice_axes`."""
+    first = panels(problem)[0]
+    rows = first.curves[0].rows
+    if first.is_map and all(np.count_nonzero(row) == 1 and row.max() == 1.0 for row in rows):
+        return tuple(int(np.argmax(row)) for row in rows)
+    return slice_axes(problem, None)
+
+
+def _shape(problem: Problem, axes: int) -> tuple[int, ...]:
+    """Return how many starts there are along each axis."""
+    if axes == 1:
+        return (LINE_POINTS,)
+    curves = sum(len(panel.curves) for panel in panels(problem)[:MOST_PANELS])
+    numbers = 2 * EPISODES * curves * (problem.horizon + 1)
+    points = next((n for n in MAP_POINTS if n * n * numbers <= MOST_NUMBERS), MAP_POINTS[-1])
+    return points, points
+
+
+def _in_time(certificate: Any, starts: NDArray[Any]) -> tuple[tuple[int, ...], NDArray[Any]]:
+    """Return times, and lower bounds (times, Q, N) in the middle of a run; none of either for independent tasks."""
+    if not isinstance(certificate, Certificate):
+        return (), np.zeros((0, 0, len(starts)))
+    horizon, n_states = certificate.problem.horizon, certificate.problem.automaton.n_states
+    most = max(2, MOST_NUMBERS // (n_states * len(starts)))
+    times = tuple(sorted(set(np.linspace(0, horizon - 1, min(horizon, most)).astype(int).tolist())))
+    value = ValueInTime(certificate, claimed_values(certificate))
+    table = [[value.at(starts, q, horizon - time) for q in range(n_states)] for time in times]
+    return times, np.array(table).reshape(len(times), n_states, len(starts))
+
+
+def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
+    """Return what the script of the page reads: bounds as whole numbers, rounded down, and points of pictures."""
+    grid = [np.unique(content.starts[:, k]) for k in content.axes]
+    half = [0.5 * (x[1] - x[0]) for x in grid]
+    shown = panels(problem)[:MOST_PANELS]
+    return {
+        "names": [coordinate_name(problem, k) for k in content.axes],
+        "grid": [x.tolist() for x in grid],
+        "low": [float(x[0] - h) for x, h in zip(grid, half)],
+        "high": [float(x[-1] + h) for x, h in zip(grid, half)],
+        "unit": UNIT,
+        "bounds": _packed(_down(content.bounds), "<u4"),
+        "times": list(content.times),
+        "states": list(problem.automaton.state_names) if content.times else [],
+        "values": _packed(_down(content.values), "<u4"),
+        "episodes": EPISODES,
+        "length": len(content.states),
+        "success": content.success.astype(int).tolist(),
+        "middle": [_nearest(x, content.axes[k], problem) for k, x in enumerate(grid)],
+        "regions": _regions(content.axes, shown[0]),
+        "panels": [_curves(panel, content, problem.horizon) for panel in shown],
+    }
+
+
+def _nearest(line: NDArray[Any], axis: int, problem: Problem) -> int:
+    """Return the number of the point on a line of starts that is nearest to the middle of the problem's start."""
+    i = next(i for i, columns in enumerate(problem.columns) if axis < columns.stop)
+    start, k = problem.agents[i].initial, axis - problem.columns[i].start
+    return int(np.argmin(np.abs(line - 0.5 * (start.low[k] + start.high[k]))))
+
+
+def _regions(axes: tuple[int, ...], panel: Panel) -> list[dict[str, Any]]:
+    """Return the regions of the map if its axes are those of a panel."""
+    rows = panel.curves[0].rows
+    if not panel.is_map or axes != tuple(int(np.argmax(row)) for row in rows):
+        return []
+    return [{"name": r.name, "role": r.role, "low": r.low, "high": r.high} for r in panel.named if r.time is None]
+
+
+def _curves(panel: Panel, content: Explored, horizon: int) -> list[dict[str, Any]]:
+    """Return the points of every curve of a panel, in tenths of picture units, as text; -1 after the decision."""
+    axes = panel_axes(panel, horizon)
+    curves = []
+    for curve in panel.curves:
+        track = np.clip(content.states @ curve.rows.T, panel.low, panel.high)
+        across = track[..., 0] if panel.is_map else np.broadcast_to(np.arange(len(track))[:, None], track.shape[:2])
+        x, y = axes.at(across, track[..., -1])  # type: ignore[arg-type]
+        points = np.stack([x, y], axis=-1)
+        whole = np.where(np.isnan(points).any(axis=-1, keepdims=True), -1, np.nan_to_num(np.round(10 * points)))
+        # Episode by episode, so that the script reads what it draws in one piece.
+        curves.append({"role": f"agent{curve.number % len(AGENTS)}", "points": _packed(whole.swapaxes(0, 1), "<i2")})
+    return curves
+
+
+def _down(bounds: NDArray[Any]) -> NDArray[Any]:
+    """Return bounds as whole numbers of `UNIT`, rounded down."""
+    whole = np.floor(bounds * UNIT)
+    # The product is rounded: one unit less where it was rounded up.
+    return np.where(whole / UNIT > bounds, whole - 1, whole)
+
+
+def _packed(numbers: NDArray[Any], kind: str) -> str:
+    """Return whole numbers as text, little end first."""
+    return b64encode(np.ascontiguousarray(numbers).astype(kind).tobytes()).decode("ascii")
