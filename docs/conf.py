@@ -1,14 +1,20 @@
 """Sphinx settings: MyST Markdown, furo, docstrings by autodoc; build with ``make docs``, warnings are errors."""
 
+import sys
+from pathlib import Path
+
 import certigym
+
+sys.path.insert(0, str(Path(__file__).parent))  # the extension `mathml`
 
 project = "certigym"
 author = "certigym contributors"
 copyright = "certigym contributors"
 version = release = certigym.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-myst_enable_extensions = ["dollarmath", "amsmath"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
+html_math_renderer = "mathml"
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_certificates"]
 default_role = "code"
@@ -24,5 +30,8 @@ nitpick_ignore_regex = [("py:.*", ".*")]
 
 html_theme = "furo"
 html_title = f"certigym {version}"
+html_static_path = ["_static"]
+html_css_files = ["certigym.css"]
+html_js_files = ["gallery.js"]
 html_copy_source = False
 html_show_copyright = False

@@ -1,0 +1,39 @@
+// Filters the cards of the gallery by what their last line says: agents, states of an agent, dynamics, and by the bound.
+document.addEventListener("DOMContentLoaded", function () {
+  var home = document.querySelector("#cards > .table-wrapper");
+  if (!home) return;
+  function number(text, pattern) { var m = text.match(pattern); return m ? +m[1] : NaN; }
+  var cards = Array.from(home.querySelectorAll("tbody tr")).map(function (row) {
+    var text = row.textContent;
+    return { row: row, agents: number(text, /(\d+) agents? ·/), states: number(text, /· (\d+) states? each/),
+             dynamics: /· nonlinear ·/.test(text) ? "nonlinear" : "linear", bound: number(text, /certified ([\d.]+)/) };
+  });
+  var within = function (key, low, high) { return function (c) { return c[key] >= low && c[key] <= high; }; };
+  var all = function () { return true; };
+  var kinds = {
+    agents: { any: all, one: within("agents", 1, 1), "2 to 4": within("agents", 2, 4), "5 and more": within("agents", 5, 1e9) },
+    "states of an agent": { any: all, one: within("states", 1, 1), two: within("states", 2, 2), "3 and more": within("states", 3, 1e9) },
+    dynamics: { any: all, linear: function (c) { return c.dynamics === "linear"; },
+                nonlinear: function (c) { return c.dynamics === "nonlinear"; } },
+    "certified": { any: all, "above .99": function (c) { return c.bound > .99; },
+                   ".5 to .99": within("bound", .5, .99), "below .5": function (c) { return !(c.bound >= .5); } }
+  };
+  var bar = document.createElement("div"), said = document.createElement("output"), picks = [];
+  bar.className = "gallery-filter";
+  Object.keys(kinds).forEach(function (kind) {
+    var label = document.createElement("label"), pick = document.createElement("select");
+    Object.keys(kinds[kind]).forEach(function (name) { pick.add(new Option(name, name)); });
+    pick.name = kind; label.append(kind, pick); bar.append(label); picks.push(pick);
+    pick.addEventListener("change", show);
+  });
+  bar.append(said); home.before(bar);
+  function show() {
+    var shown = 0;
+    cards.forEach(function (card) {
+      var fits = picks.every(function (pick) { return kinds[pick.name][pick.value](card); });
+      card.row.hidden = !fits; shown += fits;
+    });
+    said.textContent = shown + " of " + cards.length;
+  }
+  show();
+});
