@@ -1,4 +1,4 @@
-"""Write the table of ``trusted-base.md``: ``python3 docs/trusted_base.py``. A test compares the two.
+"""Write the tables of ``trusted-base.md``: ``python3 docs/trusted_base.py``. A test compares the two.
 
 What the check imports is read from the sources, so that a module which joins it must be put into one of the lists here.
 """
@@ -11,6 +11,10 @@ from pathlib import Path
 PAGE = Path(__file__).with_name("trusted-base.md")
 ROOT = PAGE.parents[1]
 BEGIN, END = "<!-- trusted base, written by docs/trusted_base.py -->", "<!-- end of trusted base -->"
+FIRST_BEGIN, FIRST_END = (
+    "<!-- what to read first, written by docs/trusted_base.py -->",
+    "<!-- end of what to read first -->",
+)
 
 CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.balls.rigorous"
 
@@ -75,6 +79,58 @@ TRUSTED = {
     ),
 }
 """Modules in which a mistake could let a false claim pass."""
+
+FIRST = {
+    "synthesis.checking.certificate_check": "the order of the steps; nothing is called valid before all have passed",
+    "synthesis.certificates.part": "what a certificate holds of each agent: grid, labels, menu, policy, relation",
+    "synthesis.certificates.certificate": "what it holds of all of them: guards, tree, value, bound",
+    "synthesis.checking.grid_check": "cells tile the workspace, and each has the labels that hold in all of it",
+    "synthesis.checking.geometry": "the boxes behind that: half-open, exact comparisons, no tolerance",
+    "synthesis.checking.guard_check": "guards are disjoint products that lead where the automaton leads",
+    "synthesis.checking.relation_check": "inputs are admissible in the whole cell, and lead to the claimed mean",
+    "synthesis.checking.execution": "how far a controller in floating point can be off, from the matrices",
+    "synthesis.checking.carrying_out": "the controllers themselves, run on thousands of points of their cells",
+    "synthesis.certificates.checked_kernel": "masses of cells, from below: the only probabilities that there are",
+    "synthesis.checking.readings": "how a factor is taken one step back, through these masses",
+    "synthesis.checking.regrown_tree": "the recursion over time; a term that is dropped only lowers the sum",
+    "synthesis.checking.forward_mass": "the same sum from the start on, for the upper end",
+    "synthesis.checking.upper_end": "the upper end, where one is claimed",
+    "synthesis.cells.lookup": "in which cell a state is",
+    "synthesis.controllers.agent_controller": "which input the policy plays there",
+    "synthesis.controllers.controller": "all agents, and the automaton that reads letters as they run",
+}
+"""What proves an ordinary certificate (cells, relation `exact`, a tree), in the order of reading, and what to ask."""
+
+THEN = {
+    "the problem itself": "envs.agents.agent envs.agents.noise envs.agents.proposition envs.agents.labeling "
+    "envs.problem.specification envs.problem.record",
+    "the formula": "envs.logic.automaton envs.logic.parser envs.logic.normal_form envs.logic.obligations "
+    "envs.logic.translation envs.logic.minimal",
+    "files": "synthesis.certificates.certificate_file synthesis.certificates.certificate_reader "
+    "envs.problem.problem_file",
+    "linear cells": "synthesis.checking.linear_check synthesis.checking.linear_tables "
+    "synthesis.checking.written_linear synthesis.relations.affine_means",
+    "mean boxes": "synthesis.checking.boxes_check synthesis.checking.mean_spans synthesis.checking.aim_spans "
+    "synthesis.relations.boxes synthesis.relations.solved_means synthesis.relations.written_means",
+    "networks": "synthesis.checking.network_spans synthesis.relations.networks",
+    "tubes and ellipsoids": "synthesis.relations.coupled synthesis.relations.ellipsoid_facts "
+    "synthesis.controllers.abstract_state",
+    "noise of other laws": "envs.agents.laws envs.agents.composed_laws synthesis.certificates.checked_laws "
+    "synthesis.checking.uniform_noise",
+    "tensor trains": "synthesis.checking.train_check",
+    "paths": "synthesis.path_checking.path_check synthesis.path_checking.linear_deviations "
+    "synthesis.path_checking.nonlinear_check synthesis.path_checking.own_intervals "
+    "synthesis.path_checking.own_bends synthesis.path_checking.gaussian_inequalities "
+    "synthesis.path_checking.law_moments synthesis.certificates.path_certificate "
+    "synthesis.controllers.path_controller",
+    "pairs of agents, teams": "synthesis.checking.pairs_check synthesis.checking.team_check "
+    "synthesis.path_checking.pair_limits_check envs.agents.pair",
+    "regions and dynamics in time": "synthesis.checking.timed_check envs.problem.writing_out",
+}
+"""What to read next, by what the certificate in hand is about."""
+
+LINES_A_MINUTE = 15
+"""How quickly code is read that is meant to be doubted."""
 
 VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
@@ -153,35 +209,73 @@ def lines_of(modules: str) -> list[tuple[str, int]]:
     return [(module, len(_path(module).read_text(encoding="utf-8").splitlines())) for module in modules.split()]
 
 
-def table() -> str:
-    """Return the table as it should stand on the page."""
-    rows = ["| part | modules | lines |", "|---|---|---:|"]
-    total = 0
-    for part, modules in TRUSTED.items():
-        counted = lines_of(modules)
-        total += sum(n for _, n in counted)
-        rows.append(f"| {part} | {_listed(counted)} | {sum(n for _, n in counted):,} |")
-    rows.append(
-        f"| **trusted** | {sum(len(modules.split()) for modules in TRUSTED.values())} modules | **{total:,}** |"
-    )
-    for part, modules in (("loaded, and verified", VERIFIED), ("loaded, not used for a lower bound", BESIDE)):
-        counted = lines_of(modules)
-        rows.append(f"| {part} | {_listed(counted)} | {sum(n for _, n in counted):,} |")
-    extra = lines_of(BALLS)
-    rows.append(f"| `check --rigorous`, on top | {_listed(extra)} | {sum(n for _, n in extra):,} |")
+def first() -> str:
+    """Return the table of what to read first, and that of what to read next."""
+    counted = [(module, lines) for module in FIRST for _, lines in lines_of(module)]
+    rows = ["| | module | lines | ask whether it is so |", "|---:|---|---:|---|"]
+    for number, (module, lines) in enumerate(counted, 1):
+        rows.append(f"| {number} | `{_short(module)}` | {lines} | {FIRST[module]} |")
+    total = sum(lines for _, lines in counted)
+    rows.append(f"| | **together** | **{total:,}** | at {LINES_A_MINUTE} lines a minute {_hours(total)} |")
+    rows += ["", "| where your certificate is about | read next | lines |", "|---|---|---:|"]
+    for kind, modules in THEN.items():
+        names = ", ".join(f"`{_short(module)}`" for module in modules.split())
+        rows.append(f"| {kind} | {names} | {sum(lines for _, lines in lines_of(modules)):,} |")
     return "\n".join(rows)
 
 
-def _listed(counted: list[tuple[str, int]]) -> str:
-    """Return modules with their lines, by their last two names."""
-    return ", ".join(f"`{'.'.join(module.split('.')[-2:])}` {n}" for module, n in counted)
+def _hours(lines: int) -> str:
+    """Return how long lines take to read, in half hours."""
+    return f"{round(lines / LINES_A_MINUTE / 30) / 2:g} hours"
+
+
+def table() -> str:
+    """Return the lists of all modules as they should stand on the page: sums first, then one table for each part."""
+    parts = {
+        **TRUSTED,
+        "Loaded, and verified": VERIFIED,
+        "Loaded, not used for a lower bound": BESIDE,
+        "`check --rigorous`, on top": BALLS,
+    }
+    rows = ["| part | modules | lines |", "|---|---:|---:|"]
+    for part, modules in parts.items():
+        rows.append(f"| {part} | {len(modules.split())} | {_sum(modules):,} |")
+        if part == list(TRUSTED)[-1]:
+            count, total = (sum(f(modules) for modules in TRUSTED.values()) for f in (_count, _sum))
+            rows.append(f"| **trusted** | **{count}** | **{total:,}** |")
+    for part, modules in parts.items():
+        rows += ["", f"### {part.replace('`', '')}", "", "| module | what it is | lines |", "|---|---|---:|"]
+        rows += [f"| `{_short(module)}` | {_sentence(module)} | {lines} |" for module, lines in lines_of(modules)]
+    return "\n".join(rows)
+
+
+def _count(modules: str) -> int:
+    return len(modules.split())
+
+
+def _sum(modules: str) -> int:
+    return sum(lines for _, lines in lines_of(modules))
+
+
+def _short(module: str) -> str:
+    """Return the last two names of a module."""
+    return ".".join(module.split(".")[-2:])
+
+
+def _sentence(module: str) -> str:
+    """Return the first sentence that a module says of itself, as a cell of a table."""
+    text = ast.get_docstring(ast.parse(_path(module).read_text(encoding="utf-8"))) or ""
+    sentence = " ".join(text.split("\n\n")[0].split())
+    return sentence.replace("``", "`").replace("|", "\\|")
 
 
 def page(text: str) -> str:
-    """Return the page with the table of today."""
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{table()}\n{END}{after}"
+    """Return the page with the tables of today."""
+    for begin, end, body in ((FIRST_BEGIN, FIRST_END, first()), (BEGIN, END, table())):
+        before, _, rest = text.partition(begin)
+        _, _, after = rest.partition(end)
+        text = f"{before}{begin}\n{body}\n{end}{after}"
+    return text
 
 
 if __name__ == "__main__":
