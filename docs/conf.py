@@ -32,6 +32,6 @@ html_theme = "furo"
 html_title = f"certigym {version}"
 html_static_path = ["_static"]
 html_css_files = ["certigym.css"]
-html_js_files = ["gallery.js"]
+html_js_files = ["gallery.js", "leaderboard.js"]
 html_copy_source = False
 html_show_copyright = False

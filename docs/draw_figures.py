@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import certigym as cg
+import environment_pages
+from certigym.envs.pictures import AGENTS
 from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes
 from certigym.validation.figures.figure_style import SOFT, new_figure
@@ -60,7 +62,45 @@ def automaton() -> Any:
 
 
 def suite() -> Any:
-    """Success on every problem of the suite, from the leaderboard."""
+    """Success on every problem of the suite, by domain, from the leaderboard; wide enough for a phone."""
+    rates = _rates()
+    kinds = {
+        "random": ("x", SOFT, "random inputs"),
+        "ppo": ("D", AGENTS[4], "PPO without help"),
+        "warm-ppo": ("s", AGENTS[5], "PPO from a certified clone"),
+        "certified": ("o", AGENTS[0], "certified controllers"),
+    }
+    # From the top: the name of a domain, its problems, a gap.
+    heights, names, y = {}, [], 0.0
+    for domain, (title, _, _) in environment_pages.DOMAINS.items():
+        names.append((y, title))
+        for id in [id for id in environment_pages.members(domain) if id in rates]:
+            y -= 1.0
+            heights[id] = y
+        y -= 1.7
+    order = list(heights)
+    figure, (plot,) = new_figure(5.2, 0.2 * -y + 1.1)
+    for policy, (mark, color, name) in kinds.items():
+        points = [(rates[id][policy], heights[id]) for id in order if policy in rates[id]]
+        face = color if mark in "ox" else "white"
+        style: Any = {"marker": mark, "markerfacecolor": face, "markeredgecolor": color, "linestyle": "none"}
+        plot.plot(*zip(*points), label=name, markersize=5.5, **style)
+    lengths = [rates[id]["bound"] for id in order]
+    places = [heights[id] for id in order]
+    plot.barh(places, lengths, height=0.7, color="#cfe0f4", label="certified bound", zorder=0)
+    plot.set_yticks(places, [id.removesuffix("-v0") for id in order], fontsize=9.5)
+    for height, title in names:
+        plot.text(-0.01, height, title, fontsize=9.5, fontweight="bold", va="center", ha="left")
+    plot.set_ylim(y + 1.1, 0.8)
+    plot.set_xlim(-0.02, 1.02)
+    plot.set_xlabel("probability of success")
+    plot.grid(axis="y", visible=False)
+    figure.legend(loc="outside upper center", ncols=2, fontsize=9, frameon=False)
+    return figure
+
+
+def _rates() -> dict[str, dict[str, float]]:
+    """Return by problem the success rates of its policies, and the bound that is certified."""
     rows = json.loads((FOLDER.parent / "leaderboard.json").read_text(encoding="utf-8"))["rows"]
     rates: dict[str, dict[str, float]] = {}
     for row in rows:
@@ -68,30 +108,7 @@ def suite() -> Any:
         here[row["policy"]] = sum(row["successes"]) / (row["episodes"] * max(1, len(row["successes"])))
         if row["policy"] == "certified":
             here["bound"] = row["lower_bound"]
-    order = sorted(rates, key=lambda id: (rates[id].get("bound", 0.0), id))
-    kinds = {
-        "random": ("x", SOFT, "random inputs"),
-        "ppo": ("D", "#d98a3d", "PPO without help"),
-        "warm-ppo": ("s", "#7b5ea7", "PPO from a clone of the certified controllers"),
-        "certified": ("o", "#1f5fae", "certified controllers"),
-    }
-    figure, (plot,) = new_figure(8.6, 0.235 * len(order) + 1.3)
-    for policy, (mark, color, name) in kinds.items():
-        points = [(rates[id][policy], k) for k, id in enumerate(order) if policy in rates[id]]
-        face = color if mark in "ox" else "white"
-        style: Any = {"marker": mark, "markerfacecolor": face, "markeredgecolor": color, "linestyle": "none"}
-        plot.plot(*zip(*points), label=name, **style)
-    bounds = [(rates[id]["bound"], k) for k, id in enumerate(order)]
-    plot.barh(
-        range(len(order)), [b for b, _ in bounds], height=0.62, color="#cfe0f4", label="certified bound", zorder=0
-    )
-    plot.set_yticks(range(len(order)), order, fontsize=8)
-    plot.set_ylim(-0.7, len(order) - 0.3)
-    plot.set_xlim(-0.02, 1.02)
-    plot.set_xlabel("probability of success")
-    plot.grid(axis="x", alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
-    return figure
+    return rates
 
 
 FIGURES: dict[str, Callable[[], Any]] = {

@@ -65,6 +65,37 @@ WHY_NOT = {
 }
 """Why the learner without help misses .8 of the certified share, where it does."""
 
+DOMAINS = {
+    "robots": (
+        "Robots that share a floor",
+        "They meet, pass doors, keep watch and stay out of each other's way.",
+        "corridor door-formation meeting patrol-recharge patrol-robot rendezvous swarm",
+    ),
+    "deliveries": (
+        "Deliveries",
+        "Loads are picked up together and delivered together, through corridors and wind.",
+        "package-delivery-single package-delivery package-delivery-eased package-delivery-kinematic cyclic-delivery "
+        "windy-delivery",
+    ),
+    "vehicles": (
+        "Vehicles",
+        "Cars that park and turn, platoons, a fleet on a circle, a quadrotor: most of them cannot move sideways.",
+        "car-park car-park-planar car-slalom dubins-team fleet platoon platoon-distance quadrotor",
+    ),
+    "plants": (
+        "Buildings and oscillators",
+        "Temperatures, circuits and chains of integrators that have to stay within their bounds.",
+        "building-automation room-network van-der-pol integrator-chain",
+    ),
+    "scaling": (
+        "Benchmarks that scale",
+        "Simple agents, up to a hundred of them: the size is what is hard.",
+        "reach-avoid reach-avoid-planar reach-avoid-kinematic reach-avoid-n reach-avoid-20 invariance invariance-4 "
+        "invariance-20 invariance-b-20 invariance-b-100 decoupled-chain decoupled-chain-14",
+    ),
+}
+"""Environments by domain: title, sentence, ids without their versions, in the order in which they are read."""
+
 USE = """```python
 import certigym as cg
 
@@ -84,6 +115,7 @@ def pages() -> dict[str, str]:
     """Return the text of every file of the folder but the measured numbers."""
     measured = json.loads(MEASURED.read_text(encoding="utf-8")) if MEASURED.exists() else {}
     result = {"README.md": _index(measured)}
+    result |= {f"{domain}.md": _domain(domain, measured) for domain in DOMAINS}
     for id in cg.problem_ids():
         problem = cg.make_problem(id)
         drawn = edges(problem)
@@ -462,23 +494,60 @@ def _rate(rollouts: dict[str, Any]) -> str:
 
 def _index(measured: dict[str, Any]) -> str:
     lines = [
-        "# Environments\n",
-        "One page for every problem of the suite. All are cooperative, with Gaussian noise and a temporal-logic "
-        "task; agents are linear, or move as expressions say.\n",
+        "# Gallery\n",
+        "One page for every problem of the suite. All are cooperative, with noise and a temporal-logic task; agents "
+        "are linear, or move as expressions say. Each picture is some episodes under the controllers that `certigym "
+        "run` finds when it is given the id alone; its page has a film of one of them.\n",
+        PALETTE,
+        "## Cards\n",
+        *_cards([id for domain in DOMAINS for id in members(domain)], measured),
+        "\n## Use\n",
         USE,
-        "Each picture is an episode under the controllers that `certigym run` finds when it is given the id alone.\n",
-        "| | |\n|---|---|",
     ]
-    for id in cg.problem_ids():
+    lines += ["## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
+    return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
+
+
+PALETTE = """In every picture of the package **green** with rising lines is what has to be reached, **vermilion** with
+crosses what has to be avoided, **blue** with level lines what has to be kept, and **yellow** with upright lines what is
+one at some times and another at others: the task automaton says which. Agents have colours of their own. Episodes begin
+at a ring and end at a dot; one that fails ends in a cross.
+"""
+
+
+def members(domain: str) -> list[str]:
+    """Return the ids of a domain."""
+    return [f"{name}-v0" for name in DOMAINS[domain][2].split()]
+
+
+def _domain(domain: str, measured: dict[str, Any]) -> str:
+    """Return the page of a domain: its cards, and below them in the sidebar the pages of its environments."""
+    title, about, _ = DOMAINS[domain]
+    tree = "\n".join(members(domain))
+    lines = [f"# {title}\n", f"{about}\n", "## Cards\n", *_cards(members(domain), measured)]
+    lines += [f"\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n", "*Written by `python docs/environment_pages.py`.*\n"]
+    return "\n".join(lines)
+
+
+def _cards(ids: list[str], measured: dict[str, Any]) -> list[str]:
+    """Return a table with a card for each environment: the style sheet lays it out, a script filters it."""
+    lines = ["| | |\n|---|---|"]
+    for id in ids:
         problem = cg.make_problem(id)
         certificate = (measured.get(id) or {}).get("certificate")
         bound = "none yet" if certificate is None else f"{np.floor(certificate['lower_bound'] * 1e4) / 1e4:.4f}"
         name, about, *_ = _docstring(id)
-        size = f"{counted(problem.n_agents, 'agent')}, {counted(problem.horizon, 'step')}, certified {bound}"
-        film = f"[![{name}]({id}.gif)]({id}.md)" if (FOLDER / f"{id}.gif").exists() else ""
-        lines.append(f"| {film} | **[{name}]({id}.md)** `{id}`<br>{about}.<br>{size} |")
-    lines += ["\n## Measured\n", MEASURED_WITH, *_measured_rows(measured)]
-    return "\n".join(lines) + "\n\n*Written by `python docs/environment_pages.py`.*\n"
+        linear = all(isinstance(agent, LinearAgent) for agent in problem.agents)
+        facts = [
+            counted(problem.n_agents, "agent"),
+            f"{counted(max(agent.n_states for agent in problem.agents), 'state')} each",
+            "linear" if linear else "nonlinear",
+            counted(problem.horizon, "step"),
+            f"certified {bound}",
+        ]
+        picture = f"[![{name}]({id}.png)]({id}.md)"
+        lines.append(f"| {picture} | **[{name}]({id}.md)**<br>{about}.<br>{' · '.join(facts)} |")
+    return lines
 
 
 MEASURED_WITH = """Certified lower bounds against rollouts of the same controllers from the same start: estimate and

@@ -23,9 +23,10 @@ def texts() -> dict[str, str]:
 
 def test_pages_have_not_drifted(texts: dict[str, str]) -> None:
     present = {path.name for path in environment_pages.FOLDER.iterdir()} - {environment_pages.MEASURED.name}
-    films = {name for name in present if name.endswith(".gif")}
+    films, cards = ({name for name in present if name.endswith(ending)} for ending in (".gif", ".png"))
     assert films == {f"{id}.gif" for id in cg.problem_ids()}, "run `python docs/draw_gallery.py`"
-    assert present - films == set(texts)
+    assert cards == {f"{id}.png" for id in cg.problem_ids()}, "run `python docs/draw_cards.py`"
+    assert present - films - cards == set(texts)
     for name, text in texts.items():
         written = (environment_pages.FOLDER / name).read_text(encoding="utf-8")
         assert written == text, f"{name} has drifted; run `python docs/environment_pages.py`"

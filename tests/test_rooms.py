@@ -63,8 +63,8 @@ MAY_IMPORT = {
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.permissions "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
-    "validation.paper": f"{EVIDENCE} envs.suite synthesis synthesis.models synthesis.nominal_paths synthesis.search "
-    "synthesis.bounds synthesis.checking validation.verdicts",
+    "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models synthesis.nominal_paths "
+    "synthesis.search synthesis.bounds synthesis.checking validation.verdicts",
 }
 """Rooms that the files of a room may import, lazily or for types alone, too; ``synthesis`` is its hall, the verbs."""
 

@@ -1,6 +1,6 @@
 """The paper's figures and tables, recomputed by the paper's own method."""
 
-from .judged_lines import RECORDED, lines_text
+from .judged_lines import RECORDED, lines_text, summary_text
 from .refutation import refute_published
 from .reproduce import silent
 from .targets import TARGETS, reproduced
@@ -12,4 +12,5 @@ __all__ = [
     "refute_published",
     "reproduced",
     "silent",
+    "summary_text",
 ]

@@ -1,4 +1,4 @@
-"""Published numbers beside ours: the difference, a verdict on each, and whether all are as they were recorded.
+"""Published numbers beside ours: expected and found, a verdict on each, and whether all are as they were recorded.
 
 A reproduction is a list of lines. What the lines gave when the page about published results was written is kept in
 ``recorded.json``; a line that gives less, or another verdict, fails. So what is lost is seen by whoever runs the
@@ -15,7 +15,7 @@ The kind of a line says how it is judged:
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +77,14 @@ class Line:
         elif self.kind in ("claim", "measured") and abs(self.ours - recorded[0]) > NEAR * abs(recorded[0]):
             wrong = f"far from the recorded {recorded[0]:.6g}"
         difference = None if self.published is None else self.ours - self.published
-        return {**asdict(self), "difference": difference, "verdict": self.verdict, "wrong": wrong}
+        expected = None if recorded is None else recorded[0]
+        return {
+            **asdict(self),
+            "expected": expected,
+            "difference": difference,
+            "verdict": self.verdict,
+            "wrong": wrong,
+        }
 
 
 def judged_lines(
@@ -91,20 +98,36 @@ def judged_lines(
     before = {name: (float(value), str(verdict)) for name, (value, verdict) in recorded.items()}
     found = [line.judged(before.get(line.name)) for line in lines]
     missing = [] if only is not None else sorted(set(before) - {line.name for line in lines})
-    nothing = {"published": None, "ours": None, "difference": None, "verdict": "missing", "wrong": "was recorded"}
-    return [*found, *({"name": name, **nothing} for name in missing)]
+    nothing = {"published": None, "ours": None, "difference": None, "verdict": "missing", "wrong": "not computed"}
+    return [*found, *({"name": name, "expected": before[name][0], **nothing} for name in missing)]
 
 
 def lines_text(judged: Sequence[dict[str, Any]]) -> str:
-    """Return judged lines as a table: what, published, ours, difference, verdict."""
-    rows = [("what", "published", "ours", "difference", "verdict")]
+    """Return judged lines as a table: what, published, expected, found, verdict on the published, pass or fail.
+
+    Expected is what was recorded; bounds may be higher.
+    """
+    rows = [("what", "published", "expected", "found", "published number", "")]
     for line in judged:
-        numbers = [_shown(line[name]) for name in ("published", "ours")]
-        wrong = f", WRONG: {line['wrong']}" if line["wrong"] else ""
-        difference = "-" if line["difference"] is None else f"{line['difference']:+.3g}"
-        rows.append((line["name"], *numbers, difference, line["verdict"] + wrong))
-    widths = [max(len(row[k]) for row in rows) for k in range(4)]
-    return "\n".join("  ".join([*(f"{row[k]:<{widths[k]}}" for k in range(4)), row[4]]) for row in rows)
+        numbers = [_shown(line[name]) for name in ("published", "expected", "ours")]
+        rows.append((line["name"], *numbers, line["verdict"], f"FAIL: {line['wrong']}" if line["wrong"] else "pass"))
+    return _aligned(rows)
+
+
+def summary_text(judged: Mapping[str, Sequence[dict[str, Any]]]) -> str:
+    """Return how many lines of each target are as they were recorded, and how many of all."""
+    rows = [("target", "lines", "pass", "fail")]
+    for target, lines in judged.items():
+        wrong = sum(line["wrong"] is not None for line in lines)
+        rows.append((target, str(len(lines)), str(len(lines) - wrong), str(wrong)))
+    sums = [str(sum(int(row[k]) for row in rows[1:])) for k in (1, 2, 3)]
+    return _aligned([*rows, ("all", *sums)])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as text, their columns below each other."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return "\n".join("  ".join(f"{word:<{width}}" for word, width in zip(row, widths)).rstrip() for row in rows)
 
 
 def _shown(number: float | None) -> str:

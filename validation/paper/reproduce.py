@@ -13,6 +13,7 @@ reproduces a published number:
 from __future__ import annotations
 
 import csv
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from io import BytesIO, StringIO
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.agents import write_bytes, write_text
+from ...envs.pictures import AGENTS
 from ...envs.suite import make_problem
 from ...synthesis.models import abstract, join, start_of
 from ...synthesis.search import start_value
@@ -84,7 +86,8 @@ def fig3(
         )
         progress(f"T = {t}: exact {exact.lower_bound:.6f}")
     _write(out / "fig3.csv", rows)
-    _curves(out / "fig3.png", rows, "T", "lower bound, mean over the region", "Reach-avoid, two agents")
+    title = "Reach-avoid, two agents"
+    _curves(out / "fig3.png", rows, "T", "lower bound, mean over the region", title, less="published")
     return rows
 
 
@@ -193,21 +196,68 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
     write_text(path, file.getvalue())
 
 
-def _curves(path: Path, rows: Sequence[Row], x: str, label: str, title: str) -> None:
-    """Draw every column against ``x``, if matplotlib is installed."""
+WORDS = {
+    "published": "published: robust tree",
+    "a_posteriori_published": "published: a-posteriori",
+    "robust_tree_variance_as_std": "published computation, variance as deviation (no bound)",
+    "robust_tree": "published computation, stated noise (no bound)",
+    "robust_tree_certified": "certified: robust tree",
+    "a_posteriori": "certified: a-posteriori",
+    "exact": "certified: exact relation",
+}
+"""What the columns of Fig. 3 are called in its figure."""
+
+LOOKS_OF_CURVES = {
+    "published": {"color": "#1b1f24", "marker": "x", "linestyle": "none", "markersize": 6},
+    "a_posteriori_published": {"color": "#1b1f24", "marker": "+", "linestyle": "none", "markersize": 7},
+    "robust_tree_variance_as_std": {"color": "#8a8f98", "linestyle": (0, (4, 2))},
+    "robust_tree": {"color": "#8a8f98", "linestyle": (0, (1, 1.5))},
+}
+"""What is published is black, what is no bound is grey and broken; certificates have colours."""
+
+
+def words_of(column: str) -> str:
+    """Return what a column is called in a figure.
+
+    Examples
+    --------
+    >>> words_of("exact"), words_of("robust_tree_A_20")
+    ('certified: exact relation', 'robust tree, setting A, 20 agents')
+    """
+    if column in WORDS:
+        return WORDS[column]
+    kind, _, case = column.partition("_A_") if "_A_" in column else column.partition("_B_")
+    setting = "A" if "_A_" in column else "B"
+    name = {"exact": "certified: exact relation"}.get(kind, kind.replace("_", " "))
+    return f"{name}, setting {setting}, {case} agents" if case else name
+
+
+def _curves(path: Path, rows: Sequence[Row], x: str, label: str, title: str, less: str | None = None) -> None:
+    """Draw every column against ``x``, if matplotlib is installed; below, how much they are above the one ``less``."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
         return
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    axes = figure.subplots()
-    styles = {"published": "kx", "a_posteriori_published": "k+"}
-    for name in [key for key in rows[0] if key != x]:
-        values = [np.nan if row[name] is None else row[name] for row in rows]
-        axes.plot([row[x] for row in rows], values, styles.get(name, "o-"), markersize=4, linewidth=1.2, label=name)
-    axes.set(xlabel="horizon T (steps)", ylabel=label, title=title, ylim=(-0.02, 1.02))
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, loc="best")
+    names = [key for key in rows[0] if key != x]
+    table = {name: np.array([np.nan if row[name] is None else row[name] for row in rows], float) for name in names}
+    steps, count = [row[x] for row in rows], 1 if less is None else 2
+    figure = Figure(figsize=(7, 4.6 if less is None else 7.4), layout="constrained")
+    plots = figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]
+    certified = iter(itertools.cycle(AGENTS))
+    for name, values in table.items():
+        look = LOOKS_OF_CURVES.get(name) or {"color": next(certified), "marker": "o", "markersize": 3.5}
+        plots[0].plot(steps, values, label=words_of(name), linewidth=1.4, **look)
+        if less is not None and name != less:
+            plots[1].plot(steps, values - table[less], linewidth=1.4, **look)
+    plots[0].set(ylabel=label, title=title, ylim=(-0.02, 1.02))
+    if less is not None:
+        plots[1].axhline(0.0, color=LOOKS_OF_CURVES[less]["color"], linewidth=0.8)
+        plots[1].set(ylabel=f"more than {words_of(less)}")
+    plots[-1].set(xlabel="horizon T (control steps)")
+    for plot in plots:
+        plot.grid(alpha=0.3)
+        plot.spines[["top", "right"]].set_visible(False)
+    figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     image = BytesIO()
     figure.savefig(image, format=path.suffix[1:], dpi=150)
     write_bytes(path, image.getvalue())

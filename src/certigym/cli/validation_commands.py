@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -18,7 +19,7 @@ from ..envs.problem import Problem
 from ..synthesis.certificates import StartHull, load_certificate, rounded_down
 from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
-from ..validation.paper import TARGETS, lines_text, reproduced, silent
+from ..validation.paper import TARGETS, lines_text, reproduced, silent, summary_text
 from ..validation.reports import report as write_report
 from ..validation.simulation import Mismatch
 from ..validation.verdicts import (
@@ -138,7 +139,8 @@ def reproduce(options: Namespace) -> int:
         raise ValueError(f"`--out`: expected a folder, got the file {options.out!r}; name a folder, it is made")
     if options.row is not None and options.what != "arch":
         raise ValueError("`--row`: expected only with arch; leave it out")
-    folder, told, wrong = Path(options.out or "reproduced"), {}, 0
+    began, folder, wrong = time.perf_counter(), Path(options.out or "reproduced"), 0
+    told: dict[str, dict[str, Any]] = {}
 
     def say(text: str) -> None:
         if options.json != "-":
@@ -152,7 +154,10 @@ def reproduce(options: Namespace) -> int:
         say(f"{target}\n{lines_text(lines)}")
         if target.startswith("fig") and not (folder / f"{target}.png").exists():
             print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
-    say(f"written to {folder}; " + ("every number is as it was recorded" if not wrong else f"{wrong} are NOT"))
+    if options.what == "all":
+        say(f"all\n{summary_text({target: of_target['lines'] for target, of_target in told.items()})}")
+    end = "PASS: every number is as it was recorded" if not wrong else f"FAIL: {wrong} numbers are not as recorded"
+    say(f"{end}; {(time.perf_counter() - began) / 60:.1f} minutes; written to {folder}")
     write_json(options, told if options.what == "all" else told[options.what])
     return int(wrong > 0)
 
