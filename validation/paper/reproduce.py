@@ -207,7 +207,7 @@ WORDS = {
 }
 """What the columns of Fig. 3 are called in its figure."""
 
-LOOKS_OF_CURVES = {
+LOOKS_OF_CURVES: dict[str, dict[str, Any]] = {
     "published": {"color": "#1b1f24", "marker": "x", "linestyle": "none", "markersize": 6},
     "a_posteriori_published": {"color": "#1b1f24", "marker": "+", "linestyle": "none", "markersize": 7},
     "robust_tree_variance_as_std": {"color": "#8a8f98", "linestyle": (0, (4, 2))},
