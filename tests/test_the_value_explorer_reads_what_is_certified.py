@@ -123,7 +123,7 @@ def test_what_failed_or_says_nothing_is_the_headline(tmp_path: Path) -> None:
     content = cg.report(sound, page, 300, checked=refused)
     text = page.read_text(encoding="utf-8")
     assert '<h1 class="alarm">Not certified</h1>' in text and content.explored is None
-    assert 'id="explorer"' not in text
+    assert 'id="explorer"' not in text and "the certified bound" not in text and ">claimed</text>" in text
     hopeless = problem.replace(initial_state={"agent_0": [-3.0], "agent_1": [-18.0]})
     nothing = cg.synthesize(hopeless, 30).certificate
     assert nothing.lower_bound == 0.0

@@ -139,6 +139,11 @@ def rollouts_panel(
                 mark = {"color": FAILURE, "marker": "X", "ms": 7, "mew": 0.7}
             plot.plot(x, here[:, -1], color=color, **line)
             plot.plot(x[-1:], here[-1:, -1], mec="white", zorder=4, clip_on=False, **mark)
+    _name_axes(plot, panel)
+
+
+def _name_axes(plot: Axes, panel: Panel) -> None:
+    """Give a panel its limits, the names of its axes, and a legend where its agents are few."""
     if panel.is_map:
         plot.set_xlim(panel.low[0], panel.high[0])
         plot.set_aspect("equal")

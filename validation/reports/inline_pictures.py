@@ -42,8 +42,10 @@ def bound_curve(bounds: NDArray[Any], estimate: tuple[float, float, float] | Non
     return svg.picture(axes, shapes, "Certified bound against the number of steps")
 
 
-def meter(bound: tuple[float, float | None], estimate: tuple[float, float, float]) -> str:
+def meter(bound: tuple[float, float | None], estimate: tuple[float, float, float], word: str = "certified") -> str:
     """Draw what is certified (lower bound, upper bound or None) above what rollouts gave (mean, limits), on one scale.
+
+    The ``word`` stands beside it: a bound whose check failed is not certified.
 
     The scale ends at what is drawn: bounds of .99998 and .99999 are to be told apart.
     """
@@ -63,9 +65,9 @@ def meter(bound: tuple[float, float | None], estimate: tuple[float, float, float
     shapes.append(svg.line(axes.at(low, 0.5), axes.at(high, 0.5), "estimate"))
     shapes += [svg.line(axes.at(x, 0.36), axes.at(x, 0.64), "estimate") for x in (low, high)]
     shapes.append(svg.circle(axes.at(mean, 0.5), 4.0, "estimate-dot"))
-    names = ((1.5, "certified"), (0.5, "rollouts"))
+    names = ((1.5, word), (0.5, "rollouts"))
     shapes += [svg.text(axes.left - 10, axes.at(left, y)[1] + 4, name, "end") for y, name in names]
-    return svg.picture(axes, shapes, "Certified bound and rollouts on one scale")
+    return svg.picture(axes, shapes, f"{word.capitalize()} bound and rollouts on one scale")
 
 
 def margin_pictures(problem: Problem, field: FieldReport, axes_shown: tuple[int, ...]) -> dict[str, str]:

@@ -195,9 +195,10 @@ def _answer(content: ReportContent) -> str:
         f"{v.successes} of {counted(v.episodes, 'episode')} satisfied the task: {v.estimate:.6f}, "
         f"{100 * v.confidence:g} % limits [{v.ci_low:.6f}, {v.ci_high:.6f}]."
     )
-    blue = "from the lower to the upper bound" if upper is not None else "the certified bound, and what lies above it"
+    word = "certified" if content.checked else "claimed"
+    blue = "from the lower to the upper bound" if upper is not None else f"the {word} bound, and what lies above it"
     caption = f"{_key('bound')}{blue}. {_key('run')}{escape(rates)}"
-    drawing = meter((v.lower_bound, upper), (v.estimate, v.ci_low, v.ci_high))
+    drawing = meter((v.lower_bound, upper), (v.estimate, v.ci_low, v.ci_high), word)
     left = f"<div>{claim}<ul class=tests>{items}</ul></div>"
     return f'<section class="answer is-{escape(content.verdict)}">{left}{_figure("", drawing, caption)}</section>'
 
