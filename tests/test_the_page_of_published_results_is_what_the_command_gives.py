@@ -148,7 +148,7 @@ def test_a_number_that_falls_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         wrong = [line["wrong"] for line in judged_lines("own", changed, record)]
         assert word in str(wrong[k]) and wrong.count(None) == 2
     missing = judged_lines("own", lines[:2], record)
-    assert missing[-1]["wrong"] == "was recorded"
+    assert missing[-1]["wrong"] == "not computed"
     assert "higher" in lines_text(judged_lines("own", lines, record))
     # A row whose check fails certifies nothing, and the command says so by its status.
     failed = {"check": "NOT valid", "certified": 1.0, "published": None, "starts": None, "row": "bas-7"}
