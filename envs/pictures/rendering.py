@@ -188,15 +188,14 @@ class Picture:
         place = self._image.new("L", image.size, 0)
         has_shape = panel.is_map and region.outline is not None
         fills, edges = region.polygons if has_shape else ((), ())
-        corners = [self._points(panel, cell, polygon) for polygon in fills]
-        for polygon in corners:
-            self._draw(place).polygon(polygon, fill=255)
+        for fill in fills:
+            self._draw(place).polygon(self._points(panel, cell, fill), fill=255)
         if not has_shape:
             self._draw(place).rectangle((x0, y0, x1, y1), fill=255)
         image.paste(look.rgb, mask=place.point([v * _TINT // 255 for v in range(256)]))
         image.paste(look.rgb, mask=self._multiply(place, self._hatches[look.hatch]))
-        for polygon in edges:
-            self._draw(image).line(self._points(panel, cell, np.concatenate([polygon, polygon[:1]])), fill=look.rgb)
+        for edge in edges:
+            self._draw(image).line(self._points(panel, cell, np.concatenate([edge, edge[:1]])), fill=look.rgb)
         if not has_shape and (panel.is_map or region.time is None):
             self._draw(image).rectangle((x0, y0, x1, y1), outline=look.rgb)
 
