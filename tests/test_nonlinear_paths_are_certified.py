@@ -265,7 +265,7 @@ def test_sabotage_of_the_search_is_refused_by_the_check(
     path = AgentPath(found.nominal.inputs, feedback.gains[0], found.nominal.states, spreads.slabs)
     forged = replace(certificate, paths=(path,), failure=float(worth.failures()[0]))
     report = cg.check(forged)
-    assert not report.valid and forged.failure < 0.99 * found.failure
+    assert not report.valid and forged.failure < found.failure
 
 
 @pytest.mark.parametrize("slab", [3.5, np.inf])
@@ -278,7 +278,7 @@ def test_what_is_forgotten_of_scales_is_refused(
     found = search.quick(certificate.letters)
     assert found is not None
     slabs = found.feedback.slabs.copy()
-    slabs[:, 3:] = slab
+    slabs[:, :, 3:] = slab
     feedback = replace(found.feedback, slabs=slabs)
 
     def claimed() -> PathCertificate:
