@@ -8,6 +8,9 @@ import pytest
 
 import certigym as cg
 from certigym.cli.main import main
+from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.choosing import first_cells, linear_work
+from certigym.synthesis.models import Settings
 from certigym.synthesis.synthesize import ways_ahead
 
 OWN = Path(__file__).parent.parent / "examples" / "own"
@@ -29,6 +32,23 @@ def test_no_one_is_asked_for_fewer_of_what_nobody_gave(capsys: pytest.CaptureFix
     for file in sorted(OWN.glob("*.toml")):
         for line in said(capsys, str(file)):
             assert "fewer `cells`" not in line, (file.name, line)
+
+
+def test_cells_that_nobody_gave_fit() -> None:
+    """Four states, of which narrow cells would be a thousand million: refused in words, or default cells."""
+    axes = {"state_low": [-3, -3, -1, -3], "state_high": [3, 3, 1, 3], "input_low": [-2], "input_high": [2]}
+    cart = cg.Agent(
+        name="cart", states=["x", "v", "th", "w"], inputs=["u"], initial_state=[0, 0, 0, 0], **axes,
+        dynamics=["x + 0.1*v", "v + 0.1*u", "th + 0.1*w", "w + 0.1*(sin(th) - u*cos(th))"],
+        noise=[{"law": "gaussian", "std": 0.01}] * 4,
+    )  # fmt: skip
+    goal = cg.Proposition("cart", [2, -3, -1, -3], [3, 3, 1, 3])
+    task = cg.Specification("F goal", "co-safe")
+    problem = cg.Problem(name="far", horizon=5, agents=[cart], propositions={"goal": goal}, specification=task)
+    with pytest.raises(RelationRefused, match=r"grids hold 2e\+07 at most") as refusal:
+        linear_work(problem, Settings(), lambda *models: cg.synthesize(problem))
+    assert "fewer" not in str(refusal.value)
+    assert first_cells(problem) is None
 
 
 def test_who_asks_for_cells_is_told_to_ask_for_fewer() -> None:

@@ -1,6 +1,14 @@
 """A workspace cut into cells along the edges of regions."""
 
-from .agent_grids import DEFAULT_TARGETS, CellCounts, agent_grid, cells_of_agent, label_room, region_boundaries
+from .agent_grids import (
+    DEFAULT_TARGETS,
+    MOST_CELLS,
+    CellCounts,
+    agent_grid,
+    cells_of_agent,
+    label_room,
+    region_boundaries,
+)
 from .axes_of_lattices import LatticeAxis, cell_points, deviations_of, lattice_axes
 from .corners import corner_sides, hat_share_of, hats, of_cells, spread, to_places
 from .grid import FloatArray, Grid, start_share
@@ -19,6 +27,7 @@ __all__ = [
     "Grid",
     "GridDynamics",
     "LatticeAxis",
+    "MOST_CELLS",
     "NoRunFound",
     "RelationRefused",
     "agent_grid",

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ...envs.problem import Problem
-from ..cells import RelationRefused, deviations_of, region_boundaries
+from ..cells import MOST_CELLS, RelationRefused, deviations_of, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
     Abstraction,
@@ -182,7 +182,9 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
     cells = {
         agent.name: fitting[agent.name].shape
         for agent in problem.agents
-        if not reached[agent.model_key] and (isinstance(agent, Agent) or agent.n_states == 2)
+        if not reached[agent.model_key]
+        and (isinstance(agent, Agent) or agent.n_states == 2)
+        and math.prod(fitting[agent.name].shape) <= MOST_CELLS  # others have default cells, which always fit
     }
     return cells or None
 
@@ -332,8 +334,15 @@ class _Levels:
         return None
 
     def models(self, width: float) -> Abstraction:
-        """Return finite models with cells of about this width."""
-        return abstraction_of(self.problem, self.cells_of(width), self.kinds, self.settings)
+        """Return finite models with cells of about this width; refuse more than an agent may have."""
+        cells = self.cells_of(width)
+        for name, shape in cells.items():
+            if math.prod(shape) > MOST_CELLS:
+                raise RelationRefused(
+                    f"agent `{name}`: cells {width:g} standard deviations wide are {math.prod(shape):.2g} in all, and "
+                    f"grids hold {MOST_CELLS:.2g} at most"
+                )
+        return abstraction_of(self.problem, cells, self.kinds, self.settings)
 
     def work(self, abstraction: Abstraction) -> float:
         """Return an estimate of the work of a level."""
