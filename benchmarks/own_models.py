@@ -1,7 +1,8 @@
 """What a stranger's models get without any option: certify, check and simulate every file of ``examples/own``.
 
-``python benchmarks/own_models.py [FILE ...]`` prints a line for each file; without files, all of them, and the page
-``docs/own_models.md`` is written anew. Seconds are processor seconds of search and check.
+``python benchmarks/own_models.py [FILE ...]`` prints a line for each file; without files, all of them. Rows of files in
+``examples/own`` are written to the page ``docs/own_models.md``, beside those of earlier runs. Seconds are processor
+seconds of search and check.
 """
 
 from __future__ import annotations
@@ -89,10 +90,12 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 if __name__ == "__main__":
     files = [Path(name) for name in sys.argv[1:]] or sorted(FOLDER.glob("*.toml"))
-    found = []
+    rows = {row["file"]: row for row in json.loads(NUMBERS.read_text(encoding="utf-8"))}
+    known = {file.name for file in FOLDER.glob("*.toml")}
     for file in files:
-        found.append(measured(file))
-        print(json.dumps(found[-1]), flush=True)
-    if not sys.argv[1:]:
-        write_json(NUMBERS, found)
-        write_text(PAGE, page(found))
+        found = measured(file)
+        print(json.dumps(found), flush=True)
+        rows |= {file.name: found} if file.resolve().parent == FOLDER else {}
+    kept = [rows[name] for name in sorted(known & {*rows})]
+    write_json(NUMBERS, kept)
+    write_text(PAGE, page(kept))

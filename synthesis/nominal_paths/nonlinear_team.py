@@ -239,7 +239,7 @@ def nonlinear_certificate(
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= WORTHLESS:
         failure, weakest = 1.0, best.weakest
-        best = _calm_run(problem, best, plans, segmented)
+        best = _calm_run(problem, best, (plans, segmented), is_over)
         best = replace(best, weakest=weakest)
     faces = np.full(best.letters.shape, -1)
     for one in best.found:
@@ -282,7 +282,7 @@ def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], is_over: Callab
     return team.tried, best
 
 
-def _calm_run(problem: Problem, best: Refined, plans: PlansOf, segmented: PlansOf) -> Refined:
+def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], is_over: Callable[[], bool]) -> Refined:
     """Return a plan whose run without noise satisfies the task; raise NoRunFound if none was found.
 
     Where nothing is left of the bound a plan keeps so far from all limits that it may miss the task itself. With hardly
@@ -291,7 +291,7 @@ def _calm_run(problem: Problem, best: Refined, plans: PlansOf, segmented: PlansO
     if satisfies(problem, best.states):
         return best
     calm = problem.replace(disturbance_scale=CALM)
-    _, again = _searched(calm, (plans(calm), segmented(calm)), lambda: False)
+    _, again = _searched(calm, [plans(calm) for plans in sources], is_over)
     if not satisfies(problem, again.states):
         raise NoRunFound(f"{NO_PATH}: {most_missed(problem, again.letters, again.states) or again.weakest}")
     return again
