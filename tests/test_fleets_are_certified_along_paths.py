@@ -288,5 +288,5 @@ def test_nominal_paths_stay_in_the_workspaces() -> None:
         propositions={"near": cg.Pair(["first", "second"], [-0.5], [0.5])},
         specification=cg.Specification("G !near", "finite-trace"),
     )  # fmt: skip
-    with pytest.raises(RelationRefused, match="inside the workspaces"):
+    with pytest.raises(RelationRefused, match="agent `first` leaves its workspace at step"):
         cg.synthesize(problem, relation="path")

@@ -104,7 +104,6 @@ BAD = [
     ),
     (TOML.replace("all(safe) U p1", "all(safe) U p2"), "task.toml: [specification]: `formula`: "),
     (TOML.replace("all(safe) U p1", "(all(safe) U p1"), "of the formula)"),
-    (TOML.replace('semantics = "co-safe"', ""), "task.toml: [specification]: `semantics` is missing"),
     (TOML.replace('"co-safe"', '"safe"'), "[specification]: `semantics`: expected 'co-safe' or 'finite-trace'"),
     (
         TOML.replace('formula = "all(safe) U p1"', ""),

@@ -25,11 +25,17 @@ KNOTS = 6
 FIRST_SPREAD, LEAST_SPREAD, WIDER, NARROWER = 0.3, 0.01, 1.3, 0.8
 """Size of the moves at first and at last, and what it is multiplied with after a batch that helps, or does not."""
 
+MOST_SPREAD = 1.0
+"""Largest size."""
+
+SLABS = (0.1, 100.0)
+"""Slabs are between these, in deviations."""
+
 MOVED = 0.1
 """Moves of inputs, as a share of half their range, against those of logarithms."""
 
-ENOUGH = 1e-6
-"""Failure from which nothing is touched any more."""
+ENOUGH, HOPELESS = 1e-6, 0.9999
+"""Failures below and above which nothing is touched any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +61,7 @@ def polished(search: NonlinearSearch, found: Found, is_over: Callable[[], bool])
     """Return a path that fails at most as often, after small moves of all that is free."""
     spread, last = FIRST_SPREAD, None
     for _ in range(GENERATIONS):
-        if found.failure <= ENOUGH or spread < LEAST_SPREAD or is_over():
+        if not ENOUGH < found.failure < HOPELESS or spread < LEAST_SPREAD or is_over():
             break
         moves = _drawn(search, found, spread)
         # What helped may help again, and farther.
@@ -64,7 +70,7 @@ def polished(search: NonlinearSearch, found: Found, is_over: Callable[[], bool])
         is_better = best.score < found.score
         last = moves.scaled(c, np.array([0.5, 1.0, 2.0])) if is_better else None
         found = best if is_better else found
-        spread *= WIDER if is_better else NARROWER
+        spread = min(MOST_SPREAD, spread * (WIDER if is_better else NARROWER))
     return found
 
 
@@ -97,7 +103,8 @@ def _best_moved(search: NonlinearSearch, found: Found, moves: Moves) -> tuple[Fo
     paths = [NominalPath(search.model, found.nominal.limits, states[c], inputs[c]) for c in fine]
     which = np.arange(len(paths))
     gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains
-    feedback = Feedback(gains, found.feedback.slabs * np.exp(moves.slabs[fine]))
+    slabs = np.clip(found.feedback.slabs * np.exp(np.clip(moves.slabs[fine], -3.0, 3.0)), *SLABS)
+    feedback = Feedback(gains, np.where(np.isinf(found.feedback.slabs), np.inf, slabs))
     worth, spreads = worth_of(paths, feedback, which)
     search.tried += len(paths)
     scores = np.where(np.isfinite(worth.scores()), worth.scores(), np.inf)
