@@ -59,9 +59,17 @@ def test_files_may_be_written_as_they_are_spoken() -> None:
         ("noise_std = [0.05, 0.05]", "noise_std = [0.1, 0.1]\nnoise_covariance = [[0.1, 0.0], [0.0, 0.1]]"),
         ("[agents.robot]", '[agents.robot]\nname = "other"'),
         ("[agents.robot]", "[agents]"),
+        ("noise_std = [0.05, 0.05]", "noise_std = [0.05, 0.05, 0.05]"),
     ):
         text = FILE.format(name="try", formula="F goal", horizon=6, std=0.05, high=9.0, wall=2.75).replace(wrong, words)
         with pytest.raises(ValueError, match=r"noise_std|noise_covariance|agents"):
+            problem_from_toml(text)
+    # Semantics that are given are never guessed.
+    written = FILE.format(name="try", formula="F goal", horizon=6, std=0.05, high=9.0, wall=2.75)
+    for wrong in ('""', "false", '"soon"'):
+        table = f'[specification]\nformula = "F goal"\nsemantics = {wrong}\n'
+        text = written.replace('specification = "F goal"\n', "") + table
+        with pytest.raises(ValueError, match="`semantics`: expected 'co-safe' or 'finite-trace'"):
             problem_from_toml(text)
 
 

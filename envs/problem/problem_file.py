@@ -180,7 +180,9 @@ def _with_covariance(table: Any) -> Any:
         if other in table:
             raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
     deviations = float_array(table["noise_std"], "noise_std", (None,), "[0.1, 0.1]")
-    if np.any(deviations < 0.0):
+    states = table.get("state_low")
+    wrong_length = isinstance(states, list) and len(states) != len(deviations)
+    if wrong_length or np.any(deviations < 0.0):
         raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(table['noise_std'])}")
     rest = {key: value for key, value in table.items() if key != "noise_std"}
     return {**rest, "noise_covariance": np.diag(deviations**2).tolist()}
@@ -237,8 +239,8 @@ def _specification(
         raise ValueError(f"{where}: expected exactly one of {', '.join(_ALTERNATIVES)}, got {got}")
     if written_as == ["formula"]:
         _check_keys(table, where, ("formula",), ("semantics",))
-        semantics = table.get("semantics") or _usual_semantics(table["formula"], propositions, agents)
-        return _prefixed(where, lambda: Specification(table["formula"], semantics))
+        usual = None if "semantics" in table else _usual_semantics(table["formula"], propositions, agents)
+        return _prefixed(where, lambda: Specification(table["formula"], table.get("semantics", usual)))
     # Automata are stated over single propositions, so families are expanded.
     names, families = expand(propositions, [agent.name for agent in agents])
     if written_as == ["hoa"]:

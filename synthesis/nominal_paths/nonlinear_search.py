@@ -18,6 +18,7 @@ from ..cells import FloatArray
 from ..certificates import AgentPath
 from .coarse_ways import guesses
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
+from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
 from .nonlinear_model import NonlinearModel
 from .path_limits import limits_along, sides_of
@@ -312,18 +313,30 @@ def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[
     worth, spreads = worth_of(paths, feedback, which)
     scores = worth.scores()
     scores = np.where(np.isfinite(scores), scores, np.inf)
-    failures, result = worth.failures(), []
+    judged, failures, result = (worth, spreads, feedback), worth.failures(), []
     for k, (search, nominal, thetas) in enumerate(tasks):
         search.tried += len(thetas)
         here = np.flatnonzero(which == k)
         own = scores[here]
         best = int(np.argmin(own))
         c = int(here[best])
-        alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
-        one = spreads.of(c)
-        result.append((Found(float(own[best]), float(failures[c]), nominal, alone, thetas[best], faces, one,
-                             worth.weakest(c)), own))  # fmt: skip
+        values = float(own[best]), float(failures[c])
+        result.append((found_of(judged, c, values, nominal, thetas[best], faces), own))
     return result
+
+
+def found_of(
+    judged: tuple[Worth, Spreads, Feedback],
+    c: int,
+    values: tuple[float, float],
+    nominal: NominalPath,
+    theta: FloatArray,
+    faces: NDArray[np.int64],
+) -> Found:
+    """Return candidate c of those that were judged together, with its score and failure."""
+    worth, spreads, feedback = judged
+    alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
+    return Found(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
 
 
 def feedback_of(

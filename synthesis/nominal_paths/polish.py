@@ -14,7 +14,7 @@ import numpy as np
 
 from ..cells import FloatArray
 from .feedback_bounds import Feedback, NominalPath, worth_of
-from .nonlinear_search import Found, NonlinearSearch, feedback_of
+from .nonlinear_search import Found, NonlinearSearch, feedback_of, found_of
 
 GENERATIONS, BATCH = 100, 24
 """Batches of candidates at most, and candidates in each."""
@@ -100,6 +100,8 @@ def _best_moved(search: NonlinearSearch, found: Found, moves: Moves) -> tuple[Fo
     """Return the best of some candidates, and which it is."""
     states, inputs = _rolled(search, found, moves.inputs)
     fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
+    if not len(fine):
+        return found, 0  # unstable agents may leave the numbers there are
     paths = [NominalPath(search.model, found.nominal.limits, states[c], inputs[c]) for c in fine]
     which = np.arange(len(paths))
     gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains
@@ -109,10 +111,8 @@ def _best_moved(search: NonlinearSearch, found: Found, moves: Moves) -> tuple[Fo
     search.tried += len(paths)
     scores = np.where(np.isfinite(worth.scores()), worth.scores(), np.inf)
     c = int(np.argmin(scores))
-    alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
-    theta = found.theta + moves.weights[fine[c]]
-    best = Found(float(scores[c]), float(worth.failures()[c]), paths[c], alone, theta, found.faces, spreads.of(c),
-                 worth.weakest(c))  # fmt: skip
+    judged, values = (worth, spreads, feedback), (float(scores[c]), float(worth.failures()[c]))
+    best = found_of(judged, c, values, paths[c], found.theta + moves.weights[fine[c]], found.faces)
     return best, int(fine[c])
 
 
