@@ -178,7 +178,10 @@ def is_problem_or_one_line(make: Any) -> None:
     try:
         problem = make()
     except ValueError as error:
-        assert str(error) and len(str(error).splitlines()) == 1 and len(str(error)) < 2000, str(error)
+        # Below the line there may be an expression, with a caret under the mistake.
+        said, _, below = str(error).partition("\n    ")
+        assert len(said.splitlines()) == 1 and len(str(error)) < 2000, str(error)
+        assert not below or below.endswith("^"), str(error)
     else:
         assert isinstance(problem, cg.Problem)
         assert problem.initial_q is None or 0 <= problem.initial_q < problem.automaton.n_states
