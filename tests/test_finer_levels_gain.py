@@ -12,7 +12,7 @@ from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
 from certigym.synthesis.choosing.cell_budget import axis_weights
 from certigym.synthesis.models import Settings, abstraction_of
-from certigym.synthesis.relations import CoupledRelation
+from certigym.synthesis.relations import BoxRelation, CoupledRelation
 
 
 def coordinate(name: str) -> cg.LinearAgent:
@@ -56,6 +56,22 @@ def test_inputs_stay_the_same_on_finer_cells(kind: str) -> None:
         apart = np.abs(old[choices[..., cell]] - new[carried])
         nearest = np.abs(old[choices[..., cell]][..., None, :] - new).min(axis=-2)
         np.testing.assert_array_equal(apart, nearest)
+
+
+def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
+    """Feedback inside cells is offered where cells leave enough of the inputs for it: menus differ from grid to grid."""
+    problem = crossing(1)
+    plain, fed = (abstraction_of(problem, cells, ["boxes"], Settings()) for cells in ((40, 2), (80, 32)))
+    menus = [model.relation for model in (plain.models[0], fed.models[0])]
+    assert all(isinstance(relation, BoxRelation) for relation in menus)
+    assert len(menus[0].menu) < len(menus[1].menu)
+    for coarse, fine in ((plain, fed), (fed, plain)):
+        before, after = coarse.models[0], fine.models[0]
+        choices = np.full((1, 2, before.n_cells), before.relation.n_choices - 1, dtype=np.int32)
+        (carried,) = carried_over(coarse, fine, (choices,))
+        wanted, got = before.relation.menu[-1], after.relation.menu[carried[0, 0]]
+        np.testing.assert_allclose(got, np.full_like(got, wanted[0]), atol=0.2)
+        assert after.choices.read(np.ones((1, np.prod(after.choices.shape))), carried[0, 0]).shape == (1, after.n_cells)
 
 
 def test_policies_without_a_choice_rest_on_finer_cells() -> None:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models import Abstraction, AgentModel, CornerChoices, InputMenu, Policies, StepPolicy, TargetWindows
-from ..relations import CoupledRelation
+from ..models import Abstraction, AgentModel, CornerChoices, Policies, StepPolicy, TargetWindows
+from ..relations import BoxRelation, CoupledRelation
 
 
 def carried_over(coarse: Abstraction, fine: Abstraction, policies: Policies) -> Policies:
@@ -30,13 +30,11 @@ def _carried(before: AgentModel, after: AgentModel, policy: NDArray[np.int32]) -
         aims = _each_time(lambda chosen: _targets(coarse, fine, chosen), np.where(choices < first, -1, choices - first))
         aimed = np.where(aims >= 0, aims + new.n_inputs, new.resting_choice)
         return np.where((choices < 0) | (choices >= first), aimed, choices).astype(np.int32)
-    if isinstance(old, InputMenu) and isinstance(new, InputMenu):
-        # Each input becomes the nearest one of the other menu.
-        assert isinstance(before.relation, CoupledRelation) and isinstance(after.relation, CoupledRelation)
-        apart = before.relation.inputs[:, None] - after.relation.inputs[None]
-        same = np.argmin(np.sum(apart**2, axis=2), axis=1)
-        choices = np.where(choices >= 0, same[np.maximum(choices, 0)], -1)
-    # Menus of linear cells and of mean boxes are the same on all grids.
+    if isinstance(before.relation, CoupledRelation | BoxRelation):
+        # Which inputs are offered, and with which feedback, may depend on the cells.
+        alike = after.relation.nearest_choices(before.relation)
+        choices = np.where(choices >= 0, alike[np.maximum(choices, 0)], -1)
+    # Menus of linear cells are the same on all grids.
     return np.where(choices >= 0, choices, new.resting_choice).astype(np.int32)
 
 

@@ -141,11 +141,12 @@ class BoxChoices:
     def read(self, table: FloatArray, policy: StepPolicy) -> FloatArray:
         """Return the least values (n, S), over the boxes of a policy, of the interpolants of numbers (n, Z).
 
-        They are 0 where there is no choice, or a box leaves the lattice.
+        They are 0 where there is no choice, or one that is not admissible, or a box leaves the lattice.
         """
         values = np.zeros((len(table), len(policy)))
-        chosen = np.maximum(policy, 0)
-        cells = np.flatnonzero((policy >= 0) & (self.low[np.arange(len(policy)), chosen, 0] >= 0))
+        every, chosen = np.arange(len(policy)), np.maximum(policy, 0)
+        usable = (self.size[every, chosen] >= 0) & (self.low[every, chosen, 0] >= 0)
+        cells = np.flatnonzero((policy >= 0) & usable)
         low, high = (side[cells, chosen[cells]] for side in (self.low, self.high))
         values[:, cells] = np.maximum(least_over_boxes(table, self.shape, low, high), 0.0)
         return values

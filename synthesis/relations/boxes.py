@@ -35,6 +35,9 @@ from .written_means import WrittenMeans
 ROUNDED_TWICE = 2.0
 """Factor on the rounding of a mean: it is computed here, and by the agent itself."""
 
+AS_FAR_AS = 1e-3
+"""Square of the share of the input box by which inputs may differ before feedback, or none, counts for less."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeanBoxes:
@@ -233,6 +236,18 @@ class BoxRelation(ReadsCoordinates):
                 if self._moves[j, k]:
                     component += self._gain_columns[j, k].take(choices, mode="clip") * offset
         return inputs
+
+    def nearest_choices(self, other: BoxRelation) -> NDArray[np.intp]:
+        """Return the choice of this relation that does most nearly what each choice (A',) of another one does.
+
+        Inputs count first, as shares of their box, then whether there is feedback.
+        """
+        if np.array_equal(self.menu, other.menu) and np.array_equal(self.gains, other.gains):
+            return np.arange(len(other.menu))
+        width = np.where(self.input_high > self.input_low, self.input_high - self.input_low, 1.0)
+        apart = np.sum(((other.menu[:, None] - self.menu) / width) ** 2, axis=2)
+        feeds = [np.any(relation.gains, axis=(1, 2)) for relation in (other, self)]
+        return np.argmin(apart + AS_FAR_AS * (feeds[0][:, None] != feeds[1]), axis=1)
 
     @cached_property
     def _columns(self) -> FloatArray:

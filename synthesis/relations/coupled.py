@@ -97,6 +97,11 @@ class CoupledRelation:
         ]
         return tree_text(f"CoupledRelation {self.kind!r}: {counted(d, 'state')}, {counted(m, 'input')}", rows)
 
+    def nearest_choices(self, other: CoupledRelation) -> NDArray[np.intp]:
+        """Return the abstract input that is nearest to each one (A',) of another relation of the agent."""
+        apart = other.inputs[:, None] - self.inputs[None]
+        return np.argmin(np.sum(apart**2, axis=2), axis=1)
+
     @property
     def has_state_coordinates(self) -> bool:
         """Whether grid coordinates are the state itself."""
