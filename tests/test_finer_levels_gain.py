@@ -59,7 +59,7 @@ def test_inputs_stay_the_same_on_finer_cells(kind: str) -> None:
 
 
 def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
-    """Feedback inside cells is offered where cells leave enough of the inputs for it: menus differ from grid to grid."""
+    """Feedback inside cells is offered where they leave enough of the inputs for it: menus differ from grid to grid."""
     problem = crossing(1)
     plain, fed = (abstraction_of(problem, cells, ["boxes"], Settings()) for cells in ((40, 2), (80, 32)))
     menus = [model.relation for model in (plain.models[0], fed.models[0])]
