@@ -315,6 +315,7 @@ def _uneven(agent: dict[str, Any], x: np.ndarray, u: np.ndarray, rng: np.random.
             "gaussian": lambda n, law=law: law["std"] * rng.standard_normal(n),
             "laplace": lambda n, law=law: rng.laplace(0.0, law["scale"], n),
             "logistic": lambda n, law=law: rng.logistic(0.0, law["scale"], n),
+            "student-t": lambda n, law=law: law["scale"] * rng.standard_t(law["df"], n),
             "uniform": lambda n, law=law: rng.uniform(law["low"], law["high"], n),
             "triangular": lambda n, law=law: rng.triangular(law["low"], law["mode"], law["high"], n),
         }[law["law"]](x.shape[1])

@@ -310,14 +310,18 @@ def _nonlinear(rng: np.random.Generator) -> Spec:
             agent["written"]["noise"] = agent["laws"]
         elif rng.random() < 0.4:
             del agent["noise_covariance"], agent["written"]["noise_covariance"]
-            agent["scales"], agent["laws"] = [1.0] * d, [_light_law(rng, float(size)) for size in agent["state_high"]]
+            agent["scales"], agent["laws"] = [1.0] * d, [_other_law(rng, float(size)) for size in agent["state_high"]]
             agent["written"]["noise"] = agent["laws"]
     return _told_starts(_problem(rng, agents, {"relation": "path"}, (1, 2, 3, 5)))
 
 
-def _light_law(rng: np.random.Generator, size: float) -> Spec:
-    """A law whose tails are below those of a normal one; its mean need not be 0."""
+def _other_law(rng: np.random.Generator, size: float) -> Spec:
+    """A law that is not normal, with a mean that need not be 0, or with heavier tails."""
     half, off = size * float(rng.uniform(0.05, 0.25)), size * float(rng.choice([0.0, 0.05, -0.1]))
+    if rng.random() < 0.35:
+        scale = 0.3 * half
+        heavy = ({"law": "laplace"}, {"law": "logistic"}, {"law": "student-t", "df": float(rng.choice([3.0, 6.0]))})
+        return {**heavy[int(rng.integers(3))], "scale": scale}
     if rng.random() < 0.6:
         return {"law": "uniform", "low": off - half, "high": off + half}
     return {"law": "triangular", "low": off - half, "mode": off + half * float(rng.uniform(-1.0, 1.0)),

@@ -22,7 +22,7 @@ TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
-        "envs.agents.labeling "
+        "envs.agents.labeling envs.agents.majorants "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair envs.agents.pieces "
         "envs.agents.products envs.agents.proposition envs.agents.shapes envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "

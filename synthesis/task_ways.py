@@ -24,6 +24,7 @@ from .choosing import (
     Run,
     Way,
     best_of,
+    box_work,
     finer_levels,
     first_cells,
     has_linear_cells,
@@ -46,6 +47,9 @@ MOST_GRID_STATES = 3
 
 PATH = 1.0 / 300.0
 """Work of a path for each agent, state and input, and for each pair of steps: it is a linear program after another."""
+
+MOST_STEPS_OF_PROGRAM = 30
+"""Steps from which work grows with their number alone: programs of long paths are sparse."""
 
 PATH_ENDS = 0.99
 """Bound of a path from which no grid is tried: grids take minutes for what is left."""
@@ -201,7 +205,7 @@ def _path(problem: Problem, plan: Plan) -> Way:
     except RelationRefused as error:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
-    work = PATH * problem.horizon**2 * sizes
+    work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
     run = partial(path_certificate, problem, lambda: plan.effort.is_over)
     return Way("path", lambda results: run(), work, enough=GOOD, ends=PATH_ENDS)
 
@@ -274,11 +278,12 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         ]
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
+    work = 0.0 if is_scalar(problem) else max(COMPARED, box_work(problem, cells or {}))
 
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
 
-    return Way("others", run, 0.0 if is_scalar(problem) else COMPARED, enough=SOLVED if scalar or not linear else GOOD)
+    return Way("others", run, work, enough=SOLVED if scalar or not linear else GOOD)
 
 
 def _finer(problem: Problem, plan: Plan) -> Way:

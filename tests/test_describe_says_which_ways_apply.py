@@ -60,12 +60,15 @@ def test_laws_without_paths_are_named(capsys: pytest.CaptureFixture[str], tmp_pa
     text = (
         (OWN / "heat_pump.toml")
         .read_text()
-        .replace('law = "uniform", low = -0.4, high = 0.4', 'law = "laplace", scale = 0.2')
+        .replace(
+            'law = "uniform", low = -0.4, high = 0.4',
+            'law = "scipy", name = "gumbel_r", scale = 0.2, cdf_error = 1e-9, variation = 4.0',
+        )
     )
-    file = tmp_path / "laplace.toml"
+    file = tmp_path / "scipy.toml"
     file.write_text(text)
     (line,) = [line for line in said(capsys, str(file)) if line.startswith("not along a path")]
-    assert "tails are below those of a normal law, got laplace" in line
+    assert "exponential moments are known, got scipy" in line
 
 
 def test_what_is_said_is_what_is_tried() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
 from certigym.synthesis.choosing.cell_budget import axis_weights
-from certigym.synthesis.models import Settings, abstraction_of
+from certigym.synthesis.models import BoxChoices, Settings, abstraction_of
 from certigym.synthesis.relations import BoxRelation, CoupledRelation
 
 
@@ -62,16 +64,17 @@ def test_a_menu_that_finer_cells_shorten_or_lengthen_carries_over() -> None:
     """Feedback inside cells is offered where they leave enough of the inputs for it: menus differ from grid to grid."""
     problem = crossing(1)
     plain, fed = (abstraction_of(problem, cells, ["boxes"], Settings()) for cells in ((40, 2), (80, 32)))
-    menus = [model.relation for model in (plain.models[0], fed.models[0])]
-    assert all(isinstance(relation, BoxRelation) for relation in menus)
-    assert len(menus[0].menu) < len(menus[1].menu)
     for coarse, fine in ((plain, fed), (fed, plain)):
         before, after = coarse.models[0], fine.models[0]
+        assert isinstance(before.relation, BoxRelation) and isinstance(after.relation, BoxRelation)
+        assert isinstance(after.choices, BoxChoices)
+        assert len(before.relation.menu) != len(after.relation.menu)
         choices = np.full((1, 2, before.n_cells), before.relation.n_choices - 1, dtype=np.int32)
         (carried,) = carried_over(coarse, fine, (choices,))
         wanted, got = before.relation.menu[-1], after.relation.menu[carried[0, 0]]
         np.testing.assert_allclose(got, np.full_like(got, wanted[0]), atol=0.2)
-        assert after.choices.read(np.ones((1, np.prod(after.choices.shape))), carried[0, 0]).shape == (1, after.n_cells)
+        read = after.choices.read(np.ones((1, math.prod(after.choices.shape))), carried[0, 0])
+        assert read.shape == (1, after.n_cells)
 
 
 def test_policies_without_a_choice_rest_on_finer_cells() -> None:

@@ -1,4 +1,4 @@
-"""Paths of agents whose noise is not Gaussian, but below a normal law: moments, bounds, and what the check refuses."""
+"""Paths of agents whose noise is not Gaussian: moments, bounds, and what the check refuses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import pytest
 from scipy.special import ndtri
 
 import certigym as cg
-from certigym.envs.agents import Law
+from certigym.envs.agents import Law, Tail
 from certigym.synthesis.certificates import PathCertificate
-from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities, light_tails
+from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
+from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities, moment_tails
+from certigym.synthesis.path_checking.law_moments import LONG as LONG_TAIL
 from certigym.synthesis.path_checking.law_moments import moments_of
 from certigym.synthesis.path_checking.nonlinear_check import Noise
 
@@ -116,29 +118,112 @@ def test_tails_are_above_sums_of_uniform_numbers() -> None:
     sums = rng.uniform(-1.0, 1.0, (10**6, 12)) @ weights
     variance = float(np.sum(weights**2)) / 3.0
     for distance in np.linspace(0.1, 4.0, 14) * np.sqrt(variance):
-        tail = float(light_tails(np.array([distance]), np.array([variance]))[0])
+        tail = float(moment_tails(np.array([distance]), np.array([variance]))[0])
         met = float(np.mean(sums > distance))
         assert tail >= met - 5.0 * np.sqrt(met / 1e6 + 1e-12)
-    assert light_tails(np.array([-0.1, 0.0, np.inf]), np.array([1.0, 1.0, 1.0])).tolist() == [1.0, 1.0, 0.0]
-    assert light_tails(np.array([0.1, -np.inf]), np.array([0.0, 0.0])).tolist() == [0.0, 1.0]
+    assert moment_tails(np.array([-0.1, 0.0, np.inf]), np.array([1.0, 1.0, 1.0])).tolist() == [1.0, 1.0, 0.0]
+    assert moment_tails(np.array([0.1, -np.inf]), np.array([0.0, 0.0])).tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        {"law": "laplace", "scale": 0.02},
-        {"law": "student-t", "scale": 0.02, "df": 5.0},
-        {"law": "mixture", "parts": [{"weight": 1.0, "law": "logistic", "scale": 0.02}]},
-    ],
-)
-def test_heavier_tails_are_refused(law: dict[str, Any]) -> None:
-    problem = around(robot(law))
-    with pytest.raises(ValueError, match="tails are below those of a normal law"):
+LONG: dict[str, dict[str, Any]] = {
+    "laplace": {"law": "laplace", "scale": 0.02},
+    "logistic": {"law": "logistic", "scale": 0.02},
+    "student-t": {"law": "student-t", "scale": 0.01, "df": 4.0},
+    "mixture with laplace": {
+        "law": "mixture",
+        "parts": [
+            {"weight": 0.3, "mean": -0.02, "law": "laplace", "scale": 0.02},
+            {"weight": 0.7, "mean": 0.01, "law": "gaussian", "std": 0.03},
+        ],
+    },
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_laplace_laws_are_above_heavier_exponential_moments(name: str) -> None:
+    """Against sums over a million quantiles, without the rarest noise where it is given up; search and check agree."""
+    law = law_of(LONG[name])
+    found, searched = moments_of(law), law.majorant
+    assert found is not None and searched is not None and law.sub_gaussian is None
+    assert found.tail == searched.tail == Tail.LONG
+    np.testing.assert_allclose((found.mean, found.deviation), searched[:2], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.lost, searched.lost, rtol=1e-4)
+    assert float(law.tails(np.array([-found.cut]))[0][0]) <= 0.5 * found.lost
+    n = 10**6
+    numbers = law.from_normal(ndtri((np.arange(n) + 0.5) / n))
+    numbers = numbers[np.abs(numbers) <= found.cut]
+    assert abs(numbers.mean() - found.mean) <= 1e-6
+    for share in np.linspace(-1.3, 1.3, 27):
+        moment = float(np.mean(np.exp(share / found.deviation * (numbers - found.mean))))
+        assert moment <= (1.0 + 1e-6) / (1.0 - 0.5 * share * share)
+
+
+def test_long_tails_are_above_sums_of_laplace_numbers() -> None:
+    """Weights that are even, and one that outweighs all others, against a million draws; one number is the worst."""
+    rng = np.random.default_rng(6)
+    for weights in (np.ones(10), np.linspace(0.1, 1.0, 10), np.array([3.0, 1.0, 1.0])):
+        sums = rng.laplace(size=(10**6, len(weights))) @ weights
+        variances = 2.0 * weights**2
+        whole, most = np.array([variances.sum()]), np.array([variances.max()])
+        for distance in np.linspace(0.2, 6.0, 12) * np.sqrt(whole[0]):
+            at = np.array([distance])
+            tail, rough = (float(moment_tails(at, whole, LONG_TAIL, part)[0]) for part in (most, None))
+            met = float(np.mean(sums > distance))
+            assert rough >= tail >= met - 5.0 * np.sqrt(met / 1e6 + 1e-12)
+    one = np.array([1.0])
+    assert float(moment_tails(np.array([-0.1]), one, LONG_TAIL, one)[0]) == 1.0
+    # Many small steps come near the tail of normal moments.
+    many = float(moment_tails(np.array([4.0]), one, LONG_TAIL, 1e-4 * one)[0])
+    np.testing.assert_allclose(many, float(moment_tails(np.array([4.0]), one)[0]), rtol=0.01)
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_paths_of_heavier_tails_are_valid_and_below_their_rollouts(name: str) -> None:
+    problem = around(robot(LONG[name]))
+    certificate = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(certificate, PathCertificate) and certificate.lower_bound > 0.9
+    assert cg.check(certificate, problem)
+    rate = cg.validate(certificate, 20_000, seed=3, confidence=1.0 - FALSE_ALARM)
+    assert rate.ci_high >= certificate.lower_bound
+    # The same numbers for wider noise, and with a smaller failure.
+    wider = around(robot({**LONG[name], "scale": 0.05} if "scale" in LONG[name] else LONG["laplace"] | {"scale": 0.1}))
+    assert not cg.check(replace(certificate, problem=wider), wider)
+    assert not cg.check(replace(certificate, failure=0.9 * certificate.failure), problem)
+
+
+@pytest.mark.parametrize("tail", [Tail.NORMAL, Tail.LIGHT])
+def test_lighter_tails_than_those_of_the_noise_are_refused(tail: Tail, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that takes Laplace noise for lighter noise claims more than the check proves."""
+    monkeypatch.setattr(NonlinearModel, "tail", tail)
+    problem = around(robot({"law": "laplace", "scale": 0.06}))
+    claimed = cg.synthesize(problem, relation="path").certificate
+    assert claimed.lower_bound > 0.0
+    assert not cg.check(claimed, problem)
+
+
+def test_noise_that_is_given_up_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heavy tails cost what they are cut by; a search that forgets it claims more than the check proves."""
+    problem = around(robot({"law": "student-t", "scale": 0.002, "df": 5.0}, noise=[
+        {"law": "student-t", "scale": 0.002, "df": 5.0}, {"law": "gaussian", "std": 0.001}]))  # fmt: skip
+    honest = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(honest, PathCertificate) and len(honest.letters) > 2
+    assert 1e-7 < honest.failure < 2e-6
+    assert cg.check(honest, problem)
+    monkeypatch.setattr(NonlinearModel, "lost", 0.0)
+    claimed = cg.synthesize(problem, relation="path").certificate
+    assert isinstance(claimed, PathCertificate) and claimed.failure < honest.failure
+    assert not cg.check(claimed, problem)
+
+
+def test_laws_without_moments_are_refused() -> None:
+    """Nothing is known of the moments of a law of scipy."""
+    problem = around(robot({"law": "scipy", "name": "gumbel_r", "scale": 0.02, "cdf_error": 1e-9, "variation": 40.0}))
+    with pytest.raises(ValueError, match="exponential moments are known, got scipy"):
         cg.synthesize(problem, relation="path")
     light = cg.synthesize(around(robot(LAWS["uniform"])), relation="path").certificate
     assert isinstance(light, PathCertificate)
     report = cg.check(replace(light, problem=problem), problem)
-    assert not report and "no normal law" in str(report)
+    assert not report and "no moments" in str(report)
 
 
 def test_paths_of_another_law_are_refused() -> None:
@@ -153,9 +238,7 @@ def test_paths_of_another_law_are_refused() -> None:
 
 def test_gaussian_tails_for_other_noise_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that takes the noise for Gaussian claims more than the check proves."""
-    from certigym.synthesis.nominal_paths.nonlinear_model import NonlinearModel
-
-    monkeypatch.setattr(NonlinearModel, "is_light", False)
+    monkeypatch.setattr(NonlinearModel, "tail", Tail.NORMAL)
     problem = around(robot({"law": "uniform", "low": -0.5, "high": 0.5}))
     claimed = cg.synthesize(problem, relation="path").certificate
     assert not cg.check(claimed, problem)
@@ -163,17 +246,17 @@ def test_gaussian_tails_for_other_noise_are_refused(monkeypatch: pytest.MonkeyPa
 
 def test_the_check_reads_the_noise_itself() -> None:
     noise = Noise.of(robot(LAWS["uniform with a mean"]))
-    assert noise.is_light
+    assert noise.tail == Tail.LIGHT
     np.testing.assert_allclose(noise.means, [0.1, 0.0])
     np.testing.assert_allclose(noise.deviations, [0.1 / np.sqrt(3.0), 0.03])
-    rows = Inequalities(is_light=True)
+    rows = Inequalities(tail=Tail.LIGHT)
     rows.add(np.array([0.3]), np.array([0.3]), np.array([np.inf]), np.array([0.01]))
     np.testing.assert_allclose(rows.failure(), 2.0 * np.exp(-4.5), rtol=1e-9)
 
 
 def test_claims_are_proved_in_balls() -> None:
     pytest.importorskip("flint")
-    for name in LAWS:
-        result = cg.synthesize(around(robot(LAWS[name])), relation="path")
+    for law in (*LAWS.values(), *LONG.values()):
+        result = cg.synthesize(around(robot(law)), relation="path")
         report = cg.check_rigorous(result.certificate)
         assert report, str(report)

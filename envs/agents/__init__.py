@@ -17,6 +17,7 @@ from .declared_names import MOST_STATES
 from .expression_agent import Agent
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
+from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion
 from .pieces import Combined, Form, Frame, Limit, Piece
@@ -40,6 +41,7 @@ __all__ = [
     "Limit",
     "LinearAgent",
     "MOST_AGENTS",
+    "Majorant",
     "MOST_STATES",
     "MOVING_REFUSAL",
     "Pair",
@@ -50,6 +52,7 @@ __all__ = [
     "REFUSAL",
     "SHAPES",
     "TIME",
+    "Tail",
     "Uniform",
     "UnknownArgument",
     "box_text",

@@ -14,6 +14,7 @@ from scipy.special import ndtr
 from ..arrays import namespace, special
 from .checks import shown
 from .laws import BENT, Law, Tails
+from .majorants import Majorant, Tail
 
 BISECTIONS = 60
 """Halvings of the interval between the quantiles of the parts of a mixture."""
@@ -118,14 +119,19 @@ class Mixture(Law):
 
     @property
     def sub_gaussian(self) -> tuple[float, float] | None:
-        parts = [law.sub_gaussian for law in self.laws]
-        if any(part is None for part in parts):
+        found = self.majorant
+        return None if found is None or found.tail == Tail.LONG else (found.mean, found.deviation)
+
+    @property
+    def majorant(self) -> Majorant | None:
+        known = [part for law in self.laws if (part := law.majorant) is not None and part.lost == 0.0]
+        if len(known) < len(self.laws):
             return None
-        known = [part for part in parts if part is not None]
-        means = [m + own for m, (own, _) in zip(self.means, known)]
+        means = [m + part.mean for m, part in zip(self.means, known)]
         # The part is drawn first, a bounded number, and then its noise.
-        half, widest = 0.5 * (max(means) - min(means)), max(deviation for _, deviation in known)
-        return sum(w * m for w, m in zip(self.weights, means)), math.hypot(half, widest)
+        half, widest = 0.5 * (max(means) - min(means)), max(part.deviation for part in known)
+        mean = sum(w * m for w, m in zip(self.weights, means))
+        return Majorant(mean, math.hypot(half, widest), max(Tail.LIGHT, *(part.tail for part in known)))
 
     @property
     def height(self) -> float:

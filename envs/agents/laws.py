@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import expit, ndtr, stdtr, stdtrit
 
 from ..arrays import namespace, special
+from .majorants import RARE, Majorant, Tail, cut_majorant
 
 CLOSED_FORM = 2e-15
 """Error of tails in closed form: a few units in the last place of 1, from their arguments and their functions."""
@@ -134,6 +135,12 @@ class Law(ABC):
         """
         return None
 
+    @property
+    def majorant(self) -> Majorant | None:
+        """A law whose exponential moments are above those of this one (rounded); None where none is known."""
+        known = self.sub_gaussian
+        return None if known is None else Majorant(*known, Tail.LIGHT)
+
     def charge(self, pitch: float) -> float:
         """Return an upper bound on what interpolation between lattice points ``pitch`` apart adds to a value."""
         straight = 0.25 * pitch * self.jumps + 0.125 * pitch * pitch * self.bend
@@ -199,6 +206,10 @@ class Gaussian(Law):
     @property
     def sub_gaussian(self) -> tuple[float, float] | None:
         return 0.0, self.std
+
+    @property
+    def majorant(self) -> Majorant | None:
+        return Majorant(0.0, self.std, Tail.NORMAL)
 
     @property
     def height(self) -> float:
@@ -386,6 +397,10 @@ class Laplace(Law):
         return math.sqrt(2.0) * self.scale
 
     @property
+    def majorant(self) -> Majorant | None:
+        return Majorant(0.0, self.std, Tail.LONG)
+
+    @property
     def height(self) -> float:
         return 0.5 / self.scale
 
@@ -430,6 +445,10 @@ class Logistic(Law):
         return math.pi * self.scale / math.sqrt(3.0)
 
     @property
+    def majorant(self) -> Majorant | None:
+        return Majorant(0.0, self.std, Tail.LONG)
+
+    @property
     def height(self) -> float:
         return 0.25 / self.scale
 
@@ -471,6 +490,12 @@ class StudentT(Law):
     @property
     def std(self) -> float:
         return self.scale * math.sqrt(self.df / (self.df - 2.0))
+
+    @property
+    def majorant(self) -> Majorant | None:
+        # No exponential moment is finite: noise larger than this is given up.
+        most = -float(stdtrit(self.df, 0.5 * RARE))
+        return cut_majorant(self.std, self.scale * most, 2.0 * float(stdtr(self.df, -most)) + 4.0 * STUDENT)
 
     @property
     def _peak(self) -> float:

@@ -61,11 +61,40 @@ def light(memory: Memory, z: FloatArray, values: FloatArray) -> Proof:
     return len(pairs), ["the tail of a path was not proved"] if wrong else []
 
 
-def moments(memory: Memory, law: Any, mean: float, off: float, deviation: float) -> Proof:
-    """A number is off the mean of a law by no more than ``off``, and a normal law of a deviation is above the law."""
-    at, least = _moments(law.to_dict())
-    is_proved = abs(at - arb(mean)) <= off and least <= deviation
+def long(memory: Memory, z: FloatArray, powers: FloatArray, values: FloatArray) -> Proof:
+    """Powers of ``(1 + r) exp(1 - r) / 2`` with ``r^2 = 1 + 4 z^2`` are at most some numbers; 1 unless z is above 0."""
+    triples = {*zip(*(np.ravel(part).tolist() for part in (z, powers, values)), strict=True)}
+
+    def tail(x: float, power: float) -> Any:
+        root = (1 + 4 * arb(x) ** 2).sqrt()
+        return (arb(power) * (((1 + root) / 2).log() + 1 - root)).exp()
+
+    wrong = [x for x, power, value in triples if value < 1.0 and not (x > 0.0 and tail(x, power) <= value)]
+    return len(triples), ["the tail of a path was not proved"] if wrong else []
+
+
+def moments(memory: Memory, law: Any, found: Any) -> Proof:
+    """A number is off the mean of a law by no more than ``off``, and a law of a deviation is above it.
+
+    Above its noise up to ``cut``, if it has one, which fails with a probability of at most ``lost``.
+    """
+    data = law.to_dict()
+    if data["law"] == "student-t":
+        at, least, lost = arb(0), _cut_deviation(data, found.cut), 2 * law.exact_above(arb(found.cut))
+    else:
+        (at, least), lost = _moments(data), arb(0)
+    is_proved = abs(at - arb(found.mean)) <= found.off and least <= found.deviation and lost <= found.lost
     return 1, [] if is_proved else [f"the moments of the law `{law.name}` were not proved"]
+
+
+def _cut_deviation(data: dict[str, Any], cut: float) -> Any:
+    """Return a ball around the deviation of a Laplace law that is above Student's law without what exceeds ``cut``."""
+    scale, df, most = arb(float(data["scale"])), arb(float(data["df"])), arb(cut)
+    shares, far = scale**2 * df / ((df - 2) * most**2), 60
+    # Beyond the last order the share counts as 1, and factorials alone make it smaller.
+    each = [(shares / arb(2 * j + 1).gamma()) ** (arb(1) / j) for j in range(1, far)]
+    each.append((1 / arb(2 * far + 1).gamma()) ** (arb(1) / far))
+    return most * (2 * max(each, key=float)).sqrt()
 
 
 def _moments(data: dict[str, Any]) -> tuple[Any, Any]:
@@ -88,6 +117,10 @@ def _moments(data: dict[str, Any]) -> tuple[Any, Any]:
             a, b, root = low / spread, high / spread, arb(2).sqrt()
             share = ((b / root).erf() - (a / root).erf()) / 2
             return spread * ((-a * a / 2).exp() - (-b * b / 2).exp()) / ((2 * arb.pi()).sqrt() * share), half
+        case "laplace":
+            return arb(0), arb(2).sqrt() * number["scale"]
+        case "logistic":
+            return arb(0), arb.pi() / arb(3).sqrt() * number["scale"]
     parts = [_moments(part) for part in data["parts"]]
     weights = [arb(float(part["weight"])) for part in data["parts"]]
     means = [arb(float(part["mean"])) + own for part, (own, _) in zip(data["parts"], parts, strict=True)]

@@ -12,13 +12,14 @@ from collections.abc import Callable
 
 from .ball_masses import hats, lost, masses, near
 from .ball_memory import Proof
-from .ball_numbers import angles, any_of, charge, error_function, function, light, moments, spans, start, tails
+from .ball_numbers import angles, any_of, charge, error_function, function, light, long, moments, spans, start, tails
 from .ball_relations import aims, disturbance, ellipsoid, ellipsoid_support, targets, tube
 from .ball_sums import differences, spare, sums
 
 PROOFS: dict[str, Callable[..., Proof]] = {
     "masses": masses, "lost": lost, "hats": hats, "near": near, "charge": charge, "erf": error_function,
-    "tails": tails, "light": light, "moments": moments, "any": any_of, "function": function, "spans": spans,
+    "tails": tails, "light": light, "long": long, "moments": moments, "any": any_of, "function": function,
+    "spans": spans,
     "aims": aims, "targets": targets,
     "disturbance": disturbance, "tube": tube, "ellipsoid support": ellipsoid_support, "ellipsoid": ellipsoid,
     "spare": spare, "angles": angles, "start": start, "sums": sums, "differences": differences,

@@ -3,7 +3,7 @@
 from .cell_choice import Budget, refine
 from .effort import Effort
 from .given_start import policies_from, settings_of
-from .levels import Run, finer_levels, first_cells, linear_levels, linear_work, work_of
+from .levels import Run, box_work, finer_levels, first_cells, linear_levels, linear_work, work_of
 from .relation_choice import Tries, groups_of, has_linear_cells
 from .ways import GOOD, SOLVED, Results, Way, best_of, in_order, leading, refused, with_settings
 
@@ -17,6 +17,7 @@ __all__ = [
     "Tries",
     "Way",
     "best_of",
+    "box_work",
     "finer_levels",
     "first_cells",
     "groups_of",

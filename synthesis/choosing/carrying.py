@@ -30,9 +30,9 @@ def _carried(before: AgentModel, after: AgentModel, policy: NDArray[np.int32]) -
         aims = _each_time(lambda chosen: _targets(coarse, fine, chosen), np.where(choices < first, -1, choices - first))
         aimed = np.where(aims >= 0, aims + new.n_inputs, new.resting_choice)
         return np.where((choices < 0) | (choices >= first), aimed, choices).astype(np.int32)
-    if isinstance(before.relation, CoupledRelation | BoxRelation):
+    if isinstance(after.relation, CoupledRelation | BoxRelation):
         # Which inputs are offered, and with which feedback, may depend on the cells.
-        alike = after.relation.nearest_choices(before.relation)
+        alike = after.relation.nearest_choices(before.relation)  # type: ignore[arg-type]  # of one kind on all cells
         choices = np.where(choices >= 0, alike[np.maximum(choices, 0)], -1)
     # Menus of linear cells are the same on all grids.
     return np.where(choices >= 0, choices, new.resting_choice).astype(np.int32)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from ...envs.agents import Agent, AnyAgent
 from ...envs.problem import Problem
-from ..cells import MOST_CELLS, RelationRefused, deviations_of, region_boundaries
+from ..cells import MOST_CELLS, RelationRefused, agent_grid, deviations_of, grid_laws, region_boundaries
 from ..certificates import Synthesis
 from ..models import (
     Abstraction,
@@ -31,6 +31,7 @@ from ..models import (
     Settings,
     TargetWindows,
     abstraction_of,
+    points_per_cell,
     reaches_every_mean,
 )
 from .carrying import carried_over
@@ -43,6 +44,10 @@ FIRST_WIDTH = 2.5
 
 FIRST_TUBE_WIDTH = 2.0
 """The same for agents whose inputs do not reach every mean: tubes need narrower cells."""
+
+WIDER, MOST_FIRST_WORK = 1.25, 40.0
+"""By how much these first cells are widened until they take no more work than this: where noise is small against the
+workspace they would be many, and certify nothing, either."""
 
 FINER = (2.0, 1.5, 1.25)
 """By how much cells are made finer: the most that time allows for; less than the first is tried only once."""
@@ -178,15 +183,31 @@ def first_cells(problem: Problem) -> dict[str, tuple[int, ...]] | None:
             reached[agent.model_key] = reaches_every_mean(agent)
     if all(reached.values()):
         return None
-    fitting = cells_at(problem, 1.0 / FIRST_TUBE_WIDTH, ["tube"] * problem.n_agents)
-    cells = {
-        agent.name: fitting[agent.name].shape
-        for agent in problem.agents
-        if not reached[agent.model_key]
-        and (isinstance(agent, Agent) or agent.n_states == 2)
-        and math.prod(fitting[agent.name].shape) <= MOST_CELLS  # others have default cells, which always fit
-    }
-    return cells or None
+    width = FIRST_TUBE_WIDTH
+    while True:
+        fitting = cells_at(problem, 1.0 / width, ["tube"] * problem.n_agents)
+        cells = {
+            agent.name: fitting[agent.name].shape
+            for agent in problem.agents
+            if not reached[agent.model_key]
+            and (isinstance(agent, Agent) or agent.n_states == 2)
+            and math.prod(fitting[agent.name].shape) <= MOST_CELLS  # others have default cells, which always fit
+        }
+        if box_work(problem, cells) <= MOST_FIRST_WORK:
+            return cells or None
+        width *= WIDER
+
+
+def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
+    """Return an estimate of the work of boxes on the cells of some agents, before any model is made."""
+    total = 0.0
+    for agent in problem.agents:
+        if agent.name in cells:
+            grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
+            points = points_per_cell(grid, grid_laws(agent, coordinates))
+            lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
+            total += lattice / LATTICE_PER_SECOND + grid.n_cells / BOXES_PER_SECOND
+    return READINGS * problem.horizon * int((~problem.automaton.absorbing).sum()) * total
 
 
 class _Levels:

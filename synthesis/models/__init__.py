@@ -17,7 +17,7 @@ from .abstraction import (
 from .agent_models import SNAPPED_POINTS, has_full_rank, reaches_every_mean
 from .bends import Bends
 from .box_choices import BoxChoices
-from .box_kernel import BoxKernel
+from .box_kernel import BoxKernel, points_per_cell
 from .box_model import INPUT_LEVELS
 from .choices import BAND_BYTES, InputMenu, Policies, StepPolicy, TargetWindows
 from .common_choices import CommonGroup, common_inputs_of, with_number
@@ -62,6 +62,7 @@ __all__ = [
     "hat_table",
     "join",
     "models_of",
+    "points_per_cell",
     "network_abstraction",
     "network_tables",
     "relations_of",

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...envs.agents import Tail
 from ..cells import FloatArray
 from .limit_rows import INWARD, OUTWARD, PAIR, Worth
 from .nonlinear_model import NonlinearModel, remainders
@@ -166,8 +167,8 @@ class _Walk:
         starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
                   for p in paths]  # fmt: skip
         self.drifts[:, 0] = np.array(starts)[which]
-        self.covariance = np.zeros((self.n, d, d))
-        self.worth = Worth(is_light=self.model.is_light)
+        self.covariance, self.each_noise = np.zeros((self.n, d, d)), np.zeros((self.n, steps, d, d))
+        self.worth = Worth(tail=self.model.tail, lost=steps * self.model.lost)
         width = agent.state_high - agent.state_low
         self.least = LEAST * np.concatenate([width, np.maximum(agent.input_high - agent.input_low, 1e-9)])
         self.ends = self.model.ends
@@ -179,6 +180,15 @@ class _Walk:
         moved = np.abs(np.matmul(rows[:, None], self.products[:, : t + 1]))
         drift = np.einsum("nsjd,nsd->nj", moved, self.drifts[:, : t + 1])
         return drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
+
+    def largest(self, t: int, rows: FloatArray) -> FloatArray | None:
+        """Return what one step adds at most to these variances (N, J); None where no tail depends on it."""
+        if self.model.tail != Tail.LONG or t == 0:
+            return None
+        rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
+        moved = np.matmul(rows[:, None], self.products[:, 1 : t + 1])
+        each = np.sum(np.matmul(moved, self.each_noise[:, :t]) * moved, axis=3)
+        return np.asarray(each.max(axis=1)) * OUTWARD
 
     def walked(self) -> tuple[Worth, Spreads]:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
@@ -201,7 +211,9 @@ class _Walk:
                 low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
-                self.worth.add(x - low - size - drift, high - x - size - drift, slab, sd**2, names)
+                self.worth.add(
+                    x - low - size - drift, high - x - size - drift, slab, sd**2, names, self.largest(t, eye)
+                )
                 outputs[0, t], outputs[1, t] = self._outputs(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
@@ -230,7 +242,8 @@ class _Walk:
             size = INWARD * (np.abs(y) + 1e-3)
             names = [f"output {k} at step {t}" for k in here]
             rows = (y - low - size - drift)[:, here], (high - y - size - drift)[:, here]
-            self.worth.add(*rows, np.full((self.n, len(here)), np.inf), sd[:, here] ** 2, names)
+            nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
+            self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
         return sd, drift
 
     def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, FloatArray]:
@@ -258,7 +271,7 @@ class _Walk:
         low = np.where(moved, u - agent.input_low - drift - spare, np.inf)
         high = np.where(moved, agent.input_high - u - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
-        self.worth.add(low, high, slab, sd**2, names)
+        self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
         ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
         half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
         half = np.concatenate([half, np.zeros((agent.names_time * 1, self.n))])  # the time is known
@@ -273,7 +286,9 @@ class _Walk:
                 self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
             ).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
-            noise_slab = np.where(is_varied & (not self.model.is_light), self.feedback.slabs[:, t, d + m :], np.inf)
+            noise_slab = np.where(
+                is_varied & (self.model.tail == Tail.NORMAL), self.feedback.slabs[:, t, d + m :], np.inf
+            )
             is_bounded = np.isfinite(noise_slab)
             off = off + np.where(
                 is_bounded, varied * self.model.deviations * np.where(is_bounded, noise_slab, 0.0), 0.0
@@ -294,7 +309,7 @@ class _Walk:
         closed = A + np.matmul(B, gain)
         self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
         self.products[:, t + 1] = np.eye(d)
-        self.drifts[:, t + 1] = off
+        self.drifts[:, t + 1], self.each_noise[:, t] = off, noise
         covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + noise
         self.covariance = np.clip(covariance, -1e60, 1e60)
         return sd, drift, np.concatenate([slab, noise_slab], axis=1)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc, log_ndtr
 
+from ...envs.agents import Tail
 from ..cells import FloatArray
 
 OUTWARD = 1.0 + 1e-7
@@ -30,42 +31,60 @@ PAIR = "pair"
 
 @dataclass(eq=False)
 class Worth:
-    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J)."""
+    """Rows of inequalities of N candidates: distances, slabs and variances, lists of arrays (N, J).
+
+    ``largest`` is what the step that adds most adds to each variance, or all of it where nothing is known.
+    """
 
     low: list[FloatArray] = field(default_factory=list)
     high: list[FloatArray] = field(default_factory=list)
     slab: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
+    largest: list[FloatArray] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     shared: list[bool] = field(default_factory=list)
     """Whether rows are about this agent and another one."""
     stopped: NDArray[np.bool_] | None = None
     """Of which candidates (N,) variances are upper bounds, on noise whose size depends on the past; None for none."""
-    is_light: bool = False
-    """Whether some of the noise is not Gaussian: tails are those of exponential moments."""
+    tail: Tail = Tail.NORMAL
+    """What is known of the tails of the noise."""
+    lost: float = 0.0
+    """Probability of noise that is given up."""
 
     @property
     def own(self) -> Worth:
         """The rows that are about this agent alone."""
-        parts = zip(self.low, self.high, self.slab, self.variance, self.shared, strict=True)
-        kept = [rows for *rows, shared in parts if not shared]
+        kept = [rows for *rows, shared in zip(*self._parts, self.shared, strict=True) if not shared]
         names = [name for name in self.names if not name.startswith(PAIR)]
-        low, high, slab, variance = ([rows[k] for rows in kept] for k in range(4))
-        return Worth(low, high, slab, variance, names, [False] * len(kept), self.stopped, self.is_light)
+        low, high, slab, variance, largest = ([rows[k] for rows in kept] for k in range(5))
+        shared = [False] * len(kept)
+        return Worth(low, high, slab, variance, largest, names, shared, self.stopped, self.tail, self.lost)
 
-    def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray, names: list[str]) -> None:
+    @property
+    def _parts(self) -> tuple[list[FloatArray], ...]:
+        return self.low, self.high, self.slab, self.variance, self.largest
+
+    def add(
+        self,
+        low: FloatArray,
+        high: FloatArray,
+        slab: FloatArray,
+        variance: FloatArray,
+        names: list[str],
+        largest: FloatArray | None = None,
+    ) -> None:
         """Add rows (N, J)."""
         self.shared.append(bool(names) and names[0].startswith(PAIR))
         shape = variance.shape
-        for kept, new in zip((self.low, self.high, self.slab, self.variance), (low, high, slab, variance)):
+        for kept, new in zip(self._parts, (low, high, slab, variance, variance if largest is None else largest)):
             kept.append(np.broadcast_to(new, shape))
         self.names += names
 
     def extend(self, other: Worth) -> None:
         """Add the rows of another agent of a team."""
-        for name in ("low", "high", "slab", "variance", "names", "shared"):
+        for name in ("low", "high", "slab", "variance", "largest", "names", "shared"):
             getattr(self, name).extend(getattr(other, name))
-        self.is_light |= other.is_light
+        self.tail, self.lost = max(self.tail, other.tail), self.lost + other.lost
         if other.stopped is not None:
             self.stop(other.stopped)
 
@@ -75,11 +94,12 @@ class Worth:
 
     def flattened(self, owners: Sequence[str]) -> Worth:
         """Return the rows of N agents, with their names, as those of one team (1, N J)."""
-        parts = [[rows.reshape(1, -1) for rows in part] for part in (self.low, self.high, self.slab, self.variance)]
+        low, high, slab, variance, largest = ([rows.reshape(1, -1) for rows in part] for part in self._parts)
         names = self._by_rows()
         told = [f"agent `{owner}`, {name}" for rows in names for owner in owners for name in rows]
         stopped = None if self.stopped is None else np.array([bool(np.any(self.stopped))])
-        return Worth(parts[0], parts[1], parts[2], parts[3], told, [*self.shared], stopped, self.is_light)
+        lost = len(owners) * self.lost
+        return Worth(low, high, slab, variance, largest, told, [*self.shared], stopped, self.tail, lost)
 
     def _by_rows(self) -> list[list[str]]:
         """Return the names, part by part."""
@@ -93,7 +113,14 @@ class Worth:
 
     @cached_property
     def _all(self) -> tuple[FloatArray, ...]:
-        return tuple(np.concatenate(part, axis=1) for part in (self.low, self.high, self.slab, self.variance))
+        return tuple(np.concatenate(part, axis=1) for part in self._parts)
+
+    def _by_moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return both tails (N, J) of each row by exponential moments."""
+        low, high, slab, variance, largest = self._all
+        ends = (np.minimum(side, slab) for side in (low, high))
+        below, above = (_by_moments(end, variance, self.tail, largest) for end in ends)
+        return below, above
 
     def scores(self) -> FloatArray:
         """Return numbers (N,) that grow with the failure, also where that is 1: logarithms of sums of soft tails."""
@@ -102,9 +129,9 @@ class Worth:
     @cached_property
     def _soft(self) -> FloatArray:
         """What each row (N, J) adds to the failure; where the limit is broken it goes on to grow."""
-        low, high, slab, variance = self._all
-        if self.is_light:
-            return sum((_light(np.minimum(side, slab), variance) for side in (low, high)), np.zeros(low.shape))
+        low, high, slab, variance, _ = self._all
+        if self.tail:
+            return np.add(*self._by_moments())
         one, other, inner = (_soft(distance, variance) for distance in (low, high, slab))
         both = 2.0 * _soft(np.minimum(np.minimum(low, high), slab), variance)
         apart = 2.0 * inner + np.where(low < slab, one, 0.0) + np.where(high < slab, other, 0.0)
@@ -116,12 +143,10 @@ class Worth:
 
     def failures(self) -> FloatArray:
         """Return upper bounds (N,) on the probabilities that an inequality fails, up to rounding."""
-        low, high, slab, variance = self._all
-        if self.is_light:
-            total = sum(
-                np.sum(np.minimum(_light(np.minimum(side, slab), variance), 1.0), axis=1) for side in (low, high)
-            )
-            return np.asarray(np.minimum(1.0, total * OUTWARD))
+        low, high, slab, variance, _ = self._all
+        if self.tail:
+            below, above = (np.sum(np.minimum(side, 1.0), axis=1) for side in self._by_moments())
+            return np.asarray(np.minimum(1.0, (below + above + self.lost) * OUTWARD))
         both = np.minimum(2.0 * _tails(np.minimum(np.minimum(low, high), slab), variance), 1.0)
         inner = np.minimum(2.0 * _tails(slab, variance), 1.0)
         outer = np.where(low < slab, _tails(low, variance), 0.0) + np.where(high < slab, _tails(high, variance), 0.0)
@@ -154,8 +179,15 @@ def _tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
     return np.where(distance == np.inf, 0.0, np.where(variance > 0.0, tail, np.where(distance > 0.0, 0.0, 1.0)))
 
 
-def _light(distance: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return bounds on the tails of sub-Gaussian numbers; beyond 1 where a limit is broken, so that scores go on."""
+def _by_moments(distance: FloatArray, variance: FloatArray, kind: Tail, largest: FloatArray) -> FloatArray:
+    """Return bounds on tails by exponential moments; beyond 1 where a limit is broken, so that scores go on."""
     z = _quotient(distance, variance)
-    tail = np.where(z > 0.0, np.exp(-0.5 * z * z) + 2e-300, 1.0 + 0.5 * z * z)
+    if kind == Tail.LONG:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.clip(np.nan_to_num(largest / variance, nan=1.0), 1e-4, 1.0)
+        more = np.sqrt(1.0 + 2.0 * share * np.square(np.minimum(z, 1e3))) - 1.0
+        inside = np.exp((np.log1p(0.5 * more) - more) / share)
+    else:
+        inside = np.exp(-0.5 * z * z)
+    tail = np.where(z > 0.0, inside + 2e-300, 1.0 + 0.5 * z * z)
     return np.where(distance == np.inf, 0.0, np.where((variance > 0.0) | (distance <= 0.0), tail, 0.0))

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...envs.agents import TIME, Agent, AnyAgent, Gaussian, LinearAgent
+from ...envs.agents import TIME, Agent, AnyAgent, LinearAgent, Majorant, Tail
 from ...envs.expressions import Name, Number, Operation, Program, Tree
 from ..cells import FloatArray
 
@@ -68,9 +68,8 @@ class NonlinearModel:
 
     @cached_property
     def laws(self) -> tuple[FloatArray, FloatArray]:
-        """Means (d,) and deviations (d,) of the components of the noise, as far as normal laws are above them."""
-        laws = [law.sub_gaussian for law in self.agent.laws or ()]
-        known = np.array([law for law in laws if law is not None]).reshape(-1, 2)
+        """Means (d,) and deviations (d,) of laws that are above the components of the noise."""
+        known = np.array([(law.mean, law.deviation) for law in self.majorants]).reshape(-1, 2)
         return (known[:, 0], known[:, 1]) if self.agent.laws else (np.zeros(self.agent.n_states), np.zeros(0))
 
     @property
@@ -79,9 +78,20 @@ class NonlinearModel:
         return self.laws[1]
 
     @cached_property
-    def is_light(self) -> bool:
-        """Whether some of the noise is not Gaussian, so that tails are those of exponential moments."""
-        return not all(isinstance(law, Gaussian) for law in self.agent.laws or ())
+    def majorants(self) -> list[Majorant]:
+        """Laws above those of the components of the noise; none where it has a covariance."""
+        found = [law.majorant for law in self.agent.laws or ()]
+        return [law for law in found if law is not None]
+
+    @property
+    def tail(self) -> Tail:
+        """What is known of the tails of the noise."""
+        return max((law.tail for law in self.majorants), default=Tail.NORMAL)
+
+    @property
+    def lost(self) -> float:
+        """Probability of the noise of a step that is given up."""
+        return sum(law.lost for law in self.majorants)
 
     @cached_property
     def covariance(self) -> FloatArray:

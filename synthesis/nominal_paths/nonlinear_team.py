@@ -67,12 +67,12 @@ PlansOf = Callable[[Problem], Iterable[Plan]]
 
 
 def refuse_other_noise(agent: AnyAgent) -> None:
-    """Raise RelationRefused where no normal law is above the noise of an agent."""
+    """Raise RelationRefused where no law with exponential moments is known above the noise of an agent."""
     for law in agent.laws or ():
-        if law.sub_gaussian is None:
+        if law.majorant is None:
             raise RelationRefused(
-                f"agent `{agent.name}`: paths are for noise whose tails are below those of a normal law, "
-                f"got {law.name}; grids know it"
+                f"agent `{agent.name}`: paths are for noise of which exponential moments are known, got {law.name}; "
+                "grids know it"
             )
 
 

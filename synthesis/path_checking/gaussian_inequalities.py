@@ -11,7 +11,9 @@ random time that is at most the sum V of these bounds. By the reflection princip
 most twice the tail of a normal number with variance V; and all failures are added up.
 
 Noise of other laws whose exponential moments are below those of normal numbers has no slabs either: a form exceeds d
-with a probability of at most ``exp(-d^2 / (2 V))`` (Chernoff), also where its size depends on the past.
+with a probability of at most ``exp(-d^2 / (2 V))`` (Chernoff), also where its size depends on the past. Where these
+moments are below those of Laplace's law it is the power V / v of ``(1 + r) exp(1 - r) / 2`` with
+``r^2 = 1 + 2 v d^2 / V^2``, where no step adds more than v to V.
 """
 
 from __future__ import annotations
@@ -23,10 +25,15 @@ from scipy.special import erfc
 
 from ..cells import FloatArray
 from ..certificates import state
+from .law_moments import LIGHT, NORMAL
 from .roundings import SMALLEST, TAIL, UNIT
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 """Probabilities of all slabs for which the choice between slab and tails is made: 1 is best for small failures."""
+
+
+MOST_POWER = 1e4
+"""Most equal steps that a sum counts as: more make hardly a difference."""
 
 
 @dataclass(eq=False)
@@ -37,26 +44,40 @@ class Inequalities:
     high: list[FloatArray] = field(default_factory=list)
     slab: list[FloatArray] = field(default_factory=list)
     variance: list[FloatArray] = field(default_factory=list)
+    largest: list[FloatArray] = field(default_factory=list)
+    """What one step adds to the variances at most; all of it where nothing is known."""
     is_stopped: bool = False
     """Whether variances are upper bounds, on noise whose size depends on the past."""
-    is_light: bool = False
-    """Whether some of the noise is not Gaussian, and its exponential moments alone are bounded."""
+    tail: int = NORMAL
+    """What is known of the tails of the noise (``law_moments``)."""
+    lost: float = 0.0
+    """Probability of noise that is given up."""
 
-    def add(self, low: FloatArray, high: FloatArray, slab: FloatArray, variance: FloatArray) -> None:
+    def add(
+        self,
+        low: FloatArray,
+        high: FloatArray,
+        slab: FloatArray,
+        variance: FloatArray,
+        largest: FloatArray | None = None,
+    ) -> None:
         """Add inequalities; infinite where nothing is asked. What is no number is not kept."""
         for kept, new in zip((self.low, self.high, self.slab), (low, high, slab)):
             distance = np.atleast_1d(np.asarray(new, dtype=float))
             kept.append(np.where(np.isnan(distance), -np.inf, distance))
         self.variance.append(np.atleast_1d(np.asarray(variance, dtype=float)))
+        most = self.variance[-1] if largest is None else np.atleast_1d(np.asarray(largest, dtype=float))
+        self.largest.append(np.minimum(most, self.variance[-1]))
 
     def failure(self) -> float:
         """Return an upper bound on the probability that one of them fails."""
         if not self.low:
-            return 0.0
+            return self.lost
         low, high, slab, variance = map(np.concatenate, (self.low, self.high, self.slab, self.variance))
-        if self.is_light:
-            sides = light_tails(np.minimum(low, slab), variance) + light_tails(np.minimum(high, slab), variance)
-            return min(1.0, float(np.sum(sides)) * TAIL)
+        if self.tail != NORMAL:
+            largest = np.concatenate(self.largest)
+            each = [moment_tails(np.minimum(end, slab), variance, self.tail, largest) for end in (low, high)]
+            return min(1.0, (float(np.sum(each)) + self.lost) * TAIL)
         if self.is_stopped:
             # Either side on its own, each with twice its tail.
             sides = tails(np.minimum(low, slab), variance) + tails(np.minimum(high, slab), variance)
@@ -77,12 +98,27 @@ def _with_share(share: float, both: FloatArray, inner: FloatArray, outer: FloatA
     return (any_slab + float(np.sum(np.where(as_slab, 0.0, outer)))) * TAIL
 
 
-def light_tails(distance: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return upper bounds (J,) on the probabilities that sub-Gaussian numbers of mean 0 exceed distances."""
+def moment_tails(
+    distance: FloatArray, variance: FloatArray, kind: int = LIGHT, largest: FloatArray | None = None
+) -> FloatArray:
+    """Return upper bounds (J,) on the probabilities that numbers of mean 0 exceed distances, by exponential moments."""
     z = _quotients(distance, variance)
-    # Exponentials are off by some units in the last place of themselves.
-    tail = np.where(z <= 0.0, 1.0, np.minimum(1.0, np.exp(-np.square(z) * (1.0 - 4.0 * UNIT)) * TAIL + SMALLEST))
-    state("light", z, tail)
+    if kind == LIGHT:
+        # Exponentials are off by some units in the last place of themselves.
+        tail = np.exp(-np.square(z) * (1.0 - 4.0 * UNIT)) * TAIL + SMALLEST
+        tail = np.where(z <= 0.0, 1.0, np.minimum(1.0, tail))
+        state("light", z, tail)
+        return _known(tail, distance, variance)
+    # Any bounds will do, as long as that on what one step adds is not above that on the whole.
+    power = np.ones(len(z))
+    if largest is not None:
+        power = np.clip(np.maximum(variance, SMALLEST) / np.maximum(largest, SMALLEST), 1.0, MOST_POWER)
+    z = z / np.sqrt(power)
+    root = np.sqrt(1.0 + 4.0 * np.square(z))
+    # The exponent is a small difference times a power: what it is off by is added.
+    exponent = power * (np.log1p(0.5 * (root - 1.0)) - (root - 1.0)) + 64.0 * UNIT * power * root
+    tail = np.where(z <= 0.0, 1.0, np.minimum(1.0, np.exp(np.minimum(exponent, 0.0)) * TAIL + SMALLEST))
+    state("long", z, power, tail)
     return _known(tail, distance, variance)
 
 

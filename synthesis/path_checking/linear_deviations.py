@@ -84,18 +84,24 @@ class Chain:
 
     def variances(self, rows: FloatArray) -> FloatArray:
         """Upper bounds (J,) on the variances of rows (J, d) of the linear deviation."""
+        return self.spreads(rows)[0]
+
+    def spreads(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Upper bounds (J,) on the variances of rows (J, d) of the linear deviation, and on what one step adds."""
         rows = rows * self.units
         lengths, d = np.linalg.norm(rows, axis=1) * TAIL, len(self.units)
         moved, wrong = self._moved(rows, lengths)
         if not self.noises:
-            return np.zeros(len(rows))
+            return np.zeros(len(rows)), np.zeros(len(rows))
         noises, parts = np.array(self.noises), moved[:, 1:].swapaxes(0, 1)
         sizes = np.sqrt(np.einsum("sij,sij->s", noises, noises)) * TAIL
         # One sum over states, then one over times: what is added rounds d and then t times.
-        total = np.sum(np.sum(np.matmul(parts, noises) * parts, axis=2), axis=0)
+        each = np.sum(np.matmul(parts, noises) * parts, axis=2)
+        total = np.sum(each, axis=0)
         length, off = np.sqrt(np.sum(parts**2, axis=2)) * TAIL, wrong[:, 1:].T
         error = 2.0 * length * off + off**2 + (2.0 * d + len(noises) + 4.0) * UNIT * length**2
-        return np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL)
+        variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL)
+        return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0)
 
     def _moved(self, rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows times products (J, t + 1, d) as computed, and bounds (J, t + 1) on the lengths of what they are off."""

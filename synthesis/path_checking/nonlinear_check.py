@@ -25,12 +25,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ...envs.agents import Agent, AnyAgent, Gaussian, LinearAgent, Proposition
+from ...envs.agents import Agent, AnyAgent, LinearAgent, Proposition
 from ...envs.expressions import Name, Number, Operation, Tree
 from ..cells import FloatArray
 from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
-from .law_moments import moments_of
+from .law_moments import NORMAL, moments_of
 from .linear_deviations import Chain
 from .own_bends import Expansion, expansion
 from .own_regions import RegionSpan
@@ -46,25 +46,26 @@ class Noise:
     """Noise of an agent: a covariance (d, d) that is above it, means (d,) of its sums, and how it is multiplied.
 
     ``deviations`` (d,) are those of its components, before they are multiplied; ``off`` (d,) is what means are off by.
-    ``is_light`` says that it is not Gaussian, and only its exponential moments are below those of normal numbers.
+    ``tail`` is what is known of its tails, and ``lost`` the probability of the noise of a step that is given up.
     """
 
     covariance: FloatArray
     deviations: FloatArray
     means: FloatArray
     off: FloatArray
-    is_light: bool
+    tail: int
+    lost: float
 
     @classmethod
     def of(cls, agent: AnyAgent) -> Noise:
-        """Read the noise of an agent, whose laws are sub-Gaussian."""
+        """Read the noise of an agent, of whose laws exponential moments are known."""
         d = agent.n_states
         if agent.laws is None:
-            return cls(agent.noise_covariance, np.zeros(d), np.zeros(d), np.zeros(d), False)
+            return cls(agent.noise_covariance, np.zeros(d), np.zeros(d), np.zeros(d), NORMAL, 0.0)
         laws = [moments_of(law) for law in agent.laws]
         known = [law for law in laws if law is not None]
         if len(known) < len(laws):
-            raise NothingKnownError(f"agent `{agent.name}`: no normal law is above its noise")
+            raise NothingKnownError(f"agent `{agent.name}`: no moments of its noise are known")
         axes, deviations = agent.noise_axes, np.array([law.deviation for law in known])
         means, off = np.array([law.mean for law in known]), np.array([law.off for law in known])
         moved, size = axes @ means, np.abs(axes) @ np.abs(means)
@@ -72,8 +73,8 @@ class Noise:
         covariance = (axes * deviations**2) @ axes.T
         length = np.sqrt(np.diag(np.abs(axes) * deviations**2 @ np.abs(axes).T))
         covariance = covariance + np.diag(d * (d + 4.0) * UNIT * length * length.max(initial=0.0))
-        is_light = not all(isinstance(law, Gaussian) for law in agent.laws)
-        return cls(covariance, deviations, moved, np.abs(axes) @ off + (d + 2.0) * UNIT * size, is_light)
+        tail, lost = max(law.tail for law in known), sum(law.lost for law in known)
+        return cls(covariance, deviations, moved, np.abs(axes) @ off + (d + 2.0) * UNIT * size, tail, lost)
 
     def moved(self, trees: tuple[Tree, ...], scales: tuple[Tree, ...]) -> tuple[Tree, ...]:
         """Return dynamics with the means of the noise in them."""
@@ -91,7 +92,7 @@ class Moving:
     """How an agent moves, as expressions.
 
     ``names`` are those of states, inputs and of what is unknown, in ``ranges`` (2, k). Means of noise are in ``trees``;
-    ``deviations`` (d,) of its components are those of normal laws above them.
+    ``deviations`` (d,) of its components are those of laws above them.
     """
 
     states: tuple[str, ...]
@@ -180,7 +181,7 @@ class Moment:
             merged[key] = [min(a, b) for a, b in zip(merged[key], (below, above, slab), strict=True)]
         forms, ends = np.array(order), np.array(list(merged.values()))
         drift = self.chain.drift(forms)
-        rows.add(ends[:, 0] - drift, ends[:, 1] - drift, ends[:, 2], self.chain.variances(forms))
+        rows.add(ends[:, 0] - drift, ends[:, 1] - drift, ends[:, 2], *self.chain.spreads(forms))
 
     def _regions(self, certificate: PathCertificate) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
         """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
@@ -303,7 +304,7 @@ def _inputs(
     here = moved
     rows.add(
         (u - low - taken)[here], (high - u - taken)[here], now.slab[:m][here] if now.t else np.full(here.sum(), np.inf),
-        chain.variances(gain)[here],
+        *(part[here] for part in chain.spreads(gain)),
     )  # fmt: skip
     return box, rounding
 
@@ -313,7 +314,7 @@ def _noise(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (d, d) of a step's noise, and what (d,) its scale on the tube adds to the remainder."""
     d, m, noise = agent.n_states, agent.n_inputs, moving.noise
-    rows.is_light |= noise.is_light
+    rows.tail, rows.lost = max(rows.tail, noise.tail), rows.lost + noise.lost
     if not moving.scales:
         return noise.covariance, noise.off
     names = (*moving.states, *moving.inputs, *moving.unknown)
@@ -327,7 +328,7 @@ def _noise(
     largest = np.where(is_known, np.abs(nominal), (np.abs(found.values).max(axis=0) + found.off) * TAIL)
     here = (varied != 0.0) & (noise.deviations != 0.0)
     # Slabs on the noise are for normal numbers.
-    slab = np.full(d, np.inf) if noise.is_light else now.slab[m:]
+    slab = np.full(d, np.inf) if noise.tail != NORMAL else now.slab[m:]
     # Without a slab on the noise its scale is anything up to the largest one on the tube.
     is_stopped = here & np.isinf(slab)
     rows.is_stopped |= bool(np.any(is_stopped))
@@ -349,7 +350,7 @@ def wrong_nonlinear_path(agent: AnyAgent, path: AgentPath, steps: int) -> list[s
     d, m = agent.n_states, agent.n_inputs
     name = f"agent `{agent.name}`"
     if any(moments_of(law) is None for law in agent.laws or ()):
-        return [f"no normal law is above the noise of {name}"]
+        return [f"no moments of the noise of {name} are known"]
     assert path.states is not None
     if path.slabs is None or path.gains.shape != (steps, m, d) or path.inputs.shape != (steps, m):
         return [f"the inputs of {name} do not fit"]
