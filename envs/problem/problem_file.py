@@ -7,7 +7,9 @@ Layout of a file:
     [[agents]]                        # the arguments of `LinearAgent`, or with `dynamics` those of `Agent`, where
                                       # others may be named: `leader.position` (a state), `boiler.heat` (an input);
                                       # `copies = 20` makes name_0 ... name_19; `[agents.left]` names the table itself;
-                                      # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`
+                                      # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`;
+                                      # `initial_state = [[0.0], [3.0]]` beside `copies = 2` is one start for each;
+                                      # numbers of boxes may be "pi / 2", those of the input box "2 + sin(0.3*t)"
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
     dock = { agent = "ship", disc = { centre = [1, 2], radius = 0.5 } }   # or another shape (see ``agents.shapes``)
@@ -30,8 +32,6 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..agents import (
     MOST_AGENTS,
     SHAPES,
@@ -41,7 +41,6 @@ from ..agents import (
     Pair,
     Proposition,
     checked_count,
-    float_array,
     shown,
 )
 from ..logic import (
@@ -55,6 +54,7 @@ from ..logic import (
 from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand, keys_of_shape, refuse_shape
 from .record import Problem
 from .specification import Specification
+from .spelling import spelled_out, starts_of_copies
 
 _BY_HAND = ("states", "initial", "accepting", "transitions")
 _ALTERNATIVES = ("formula", "hoa", "states", "automaton")
@@ -122,7 +122,7 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
         If anything is wrong. The message is one line that names table and field.
     """
     _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"))
-    agents = _agents(data["agents"])
+    agents = _agents(data["agents"], data["horizon"])
     propositions = _propositions(data["propositions"])
     expand(propositions, [agent.name for agent in agents])  # errors in patterns come before those of the task
     specification = _specification(data["specification"], propositions, agents, folder)
@@ -138,7 +138,7 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
         raise ValueError(f"[specification]: `formula`: {_line(error)}") from error
 
 
-def _agents(tables: Any) -> list[AnyAgent]:
+def _agents(tables: Any, horizon: Any) -> list[AnyAgent]:
     """Return the agents of the tables, those with `copies` repeated under numbered names."""
     if isinstance(tables, Mapping):
         tables = [_named(name, table) for name, table in tables.items()]
@@ -150,17 +150,23 @@ def _agents(tables: Any) -> list[AnyAgent]:
         where = f"[[agents]] number {position + 1}"
         if isinstance(table, Mapping) and isinstance(table.get("name"), str):
             where += f" ({shown(table['name'], 40)})"
-        kind = _kind(table)
-        table = _prefixed(where, lambda table=table: _with_covariance(table))
-        _check_keys(table, where, *_keys(kind))
-        copies, most = table.get("copies"), MOST_AGENTS - len(agents)
-        if copies is not None:
-            _prefixed(where, lambda copies=copies, most=most: checked_count(copies, "copies", most=most))
-        agent = _prefixed(
-            where, lambda kind=kind, table=table: kind(**{k: v for k, v in table.items() if k != "copies"})
-        )
-        agents.extend([agent] if copies is None else agent.copies(copies))
+        most = MOST_AGENTS - len(agents)
+        agents += _prefixed(where, lambda table=table, most=most: _of_table(table, horizon, tables, most))
     return agents
+
+
+def _of_table(table: Any, horizon: Any, tables: Sequence[Any], most: int) -> Sequence[AnyAgent]:
+    """Return the agents of one table, `most` at most."""
+    kind = _kind(table)
+    table = spelled_out(table, horizon, tables)
+    _check_keys(table, "", *_keys(kind))
+    copies = table.get("copies")
+    given = {key: value for key, value in table.items() if key != "copies"}
+    if copies is None:
+        return [kind(**given)]
+    checked_count(copies, "copies", most=most)
+    apart = starts_of_copies(given, copies)
+    return kind(**given).copies(copies) if apart is None else [kind(**own) for own in apart]
 
 
 def _named(name: str, table: Any) -> dict[str, Any]:
@@ -170,22 +176,6 @@ def _named(name: str, table: Any) -> dict[str, Any]:
     if "name" in table:
         raise ValueError(f"[agents.{shown(name, 40)}]: expected no `name` beside that of the table; leave it out")
     return {"name": name, **table}
-
-
-def _with_covariance(table: Any) -> Any:
-    """Return the table of an agent with a covariance where it has standard deviations."""
-    if not isinstance(table, Mapping) or "noise_std" not in table:
-        return table
-    for other in ("noise_covariance", "noise"):
-        if other in table:
-            raise ValueError(f"`noise_std`: expected no `{other}` beside it; leave one of them out")
-    deviations = float_array(table["noise_std"], "noise_std", (None,), "[0.1, 0.1]")
-    states = table.get("state_low")
-    wrong_length = isinstance(states, list) and len(states) != len(deviations)
-    if wrong_length or np.any(deviations < 0.0):
-        raise ValueError(f"`noise_std`: expected numbers >= 0, one for each state, got {shown(table['noise_std'])}")
-    rest = {key: value for key, value in table.items() if key != "noise_std"}
-    return {**rest, "noise_covariance": np.diag(deviations**2).tolist()}
 
 
 def _kind(table: Any) -> type[AnyAgent]:
@@ -322,16 +312,17 @@ def _check_strings(value: Any, key: str) -> None:
 def _check_keys(table: Any, where: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
     """Raise ValueError unless a table holds all required keys, and no others than these and the optional ones."""
     if not isinstance(table, Mapping):
-        raise ValueError(f"{where}: expected a table, got {shown(table)}")
+        raise ValueError(f"{where}: expected a table, got {shown(table)}".removeprefix(": "))
     required, allowed = list(required), [*required, *optional]
+    where = where and f"{where}: "
     for key in table:
         if key not in allowed:
             close = get_close_matches(str(key), allowed, n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"the keys are {', '.join(allowed)}"
-            raise ValueError(f"{where}: unknown key {shown(key)}; {remedy}")
+            raise ValueError(f"{where}unknown key {shown(key)}; {remedy}")
     for key in required:
         if key not in table:
-            raise ValueError(f"{where}: `{key}` is missing")
+            raise ValueError(f"{where}`{key}` is missing")
 
 
 def _prefixed(where: str, make: Any) -> Any:

@@ -1,0 +1,112 @@
+"""Shorthand of problem files: numbers as expressions, starts of copies, input boxes that move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import certigym as cg
+from certigym.envs.problem.problem_file import problem_from_dict, problem_from_toml
+
+FILE = """
+name = "short"
+horizon = 12
+[[agents]]
+name = "pump"
+copies = 2
+states = ["level"]
+inputs = ["flow"]
+dynamics = ["level + flow - 0.2*cos(flow)"]
+noise_scale = ["1 + 0.1*flow"]
+noise_std = ["pi / 100"]
+state_low = ["-2*pi"]
+state_high = ["2*pi"]
+input_low = ["-0.1*t"]
+input_high = ["max(0, sin(0.5*t))"]
+initial_state = [[0.0], ["pi / 2"]]
+[propositions]
+full = { agent = "pump_*", low = [1.0], high = [3.0] }
+[specification]
+formula = "F all(full)"
+"""
+
+
+def test_expressions_copies_and_moving_boxes_are_spelled_out() -> None:
+    problem = problem_from_toml(FILE)
+    first, second = problem.agents
+    assert isinstance(first, cg.Agent)
+    assert [agent.name for agent in problem.agents] == ["pump_0", "pump_1"]
+    assert first.initial.low.tolist() == [0.0] and second.initial.low.tolist() == [np.pi / 2.0]
+    assert first.state_low.tolist() == [-2.0 * np.pi] and first.state_high.tolist() == [2.0 * np.pi]
+    np.testing.assert_allclose(first.noise_covariance, [[(np.pi / 100.0) ** 2]])
+    assert first.laws is not None  # scales multiply laws
+    # The smallest box that holds those of steps 0 to 11.
+    assert first.input_low.tolist() == [-0.1 * 11.0]
+    assert first.input_high.tolist() == [float(np.sin(0.5 * np.arange(12)).max())]
+    clipped = "clip(flow, -0.1*t, max(0, sin(0.5*t)))"
+    assert first.dynamics == (f"level + {clipped} - 0.2*cos({clipped})",)
+    assert first.noise_scale == (f"1 + 0.1*{clipped}",)
+    # What is written is spelled out, and the same problem.
+    assert problem_from_dict(problem.to_dict()).fingerprint == problem.fingerprint
+
+
+def test_inputs_beyond_a_box_that_moves_count_as_its_end() -> None:
+    """A full input at every step, against a loop of ten lines without noise."""
+    text = FILE.replace('"pi / 100"', "0.0").replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]")
+    text = text.replace("pump_*", "pump").replace("all(full)", "full")
+    problem = problem_from_toml(text)
+    level, most = 0.0, float(problem.agents[0].input_high[0])
+    env = cg.parallel_env(problem)
+    env.reset(seed=0)
+    for t in range(3):
+        flow = min(most, max(0.0, float(np.sin(0.5 * t))))
+        level += flow - 0.2 * float(np.cos(flow))
+        env.step({"pump": np.array([most])})
+        np.testing.assert_allclose(env.state()[0], level, rtol=1e-6)
+
+
+def test_a_box_that_moves_is_certified_and_met() -> None:
+    text = FILE.replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]").replace("all(full)", "full")
+    problem = problem_from_toml(text.replace("pump_*", "pump"))
+    result = cg.synthesize(problem)
+    assert result.certificate.lower_bound > 0.99 and cg.check(result.certificate, problem)
+    verdict = cg.validate(result, 5000, seed=1, confidence=1.0 - 1e-6)
+    assert verdict.verdict != "refuted"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"-2*pi"', '"-2*t"', "`state_low`"),
+        ('"-2*pi"', '"-2*"', "`state_low`"),
+        ('"max(0, sin(0.5*t))"', '"1/t"', "`input_high`: expected numbers at all steps"),
+        ('"max(0, sin(0.5*t))"', '"level"', "`input_high`"),
+        ('[[0.0], ["pi / 2"]]', "[[0.0]]", "one for each of 2 copies, got 1"),
+        ('inputs = ["flow"]', 'inputs = ["flow", "other"]', "expected numbers of shape (2)"),
+    ],
+)
+def test_what_is_wrong_in_shorthand_is_named(old: str, new: str, said: str) -> None:
+    with pytest.raises(ValueError, match=r"number 1 .'pump'.") as caught:
+        problem_from_toml(FILE.replace(old, new))
+    assert said in str(caught.value)
+
+
+def test_a_box_that_moves_is_refused_where_others_name_the_input() -> None:
+    text = FILE.replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]").replace("all(full)", "full")
+    follower = """
+[[agents]]
+name = "tank"
+states = ["level"]
+inputs = ["flow"]
+dynamics = ["level + flow - 0.1*pump.flow"]
+noise_std = [0.1]
+state_low = [-3]
+state_high = [3]
+input_low = [-1]
+input_high = [1]
+initial_state = [0]
+[propositions]
+"""
+    text = text.replace("pump_*", "pump").replace("\n[propositions]\n", follower)
+    with pytest.raises(ValueError, match="another agent names that input"):
+        problem_from_toml(text)
