@@ -307,7 +307,7 @@ MUTANTS = [
             "corner = np.minimum(normal * pair.low, normal * pair.high)",
         ),
         ("drift[here] += now[i].chain.drift(matrix)", "drift[here] = now[i].chain.drift(matrix)"),
-        ("variance[here] += now[i].chain.variances(matrix)", "variance[here] = now[i].chain.variances(matrix)"),
+        ("variance[here] += own", "variance[here] = own"),
         ("rows.add(below - drift, above - drift,", "rows.add(below, above,"),
         (
             "        elif value < 0:\n            if not np.any(normal):",

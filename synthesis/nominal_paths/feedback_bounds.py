@@ -47,8 +47,8 @@ class Spreads:
     outputs: tuple[FloatArray, FloatArray]
     inputs: tuple[FloatArray, FloatArray]
     slabs: FloatArray
-    pairs: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
-    """By times: drifts and variances (.., J) of what pairs ask of the agent."""
+    pairs: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
+    """By times: drifts, variances and what one step adds to these (.., J), of what pairs ask of the agent."""
 
     def of(self, candidate: int) -> Spreads:
         """Return those of one candidate."""
@@ -56,7 +56,7 @@ class Spreads:
         def one(both: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
             return both[0][:, candidate], both[1][:, candidate]
 
-        pairs = {t: (drift[candidate], variance[candidate]) for t, (drift, variance) in self.pairs.items()}
+        pairs = {t: (a[candidate], b[candidate], c[candidate]) for t, (a, b, c) in self.pairs.items()}
         return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.slabs[:, candidate], pairs)
 
 
@@ -70,14 +70,15 @@ class OtherSides:
         Forms of the agent's outputs.
     low, high : (.., J) arrays
         Distances of the nominal differences from their limits, less the drifts of the others.
-    variance : (.., J) array
-        Variances that the others add.
+    variance, largest : (.., J) arrays
+        Variances that the others add, and what one step adds to these at most.
     """
 
     forms: FloatArray
     low: FloatArray
     high: FloatArray
     variance: FloatArray
+    largest: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +194,7 @@ class _Walk:
     def walked(self) -> tuple[Worth, Spreads]:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
         states, outputs = np.zeros((2, steps + 1, n, d)), np.zeros((2, steps + 1, n, self.agent.n_outputs))
-        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, FloatArray]]()
+        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, FloatArray, FloatArray]]()
         slabs = np.full((steps + 1, n, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
@@ -246,15 +247,21 @@ class _Walk:
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
         return sd, drift
 
-    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, FloatArray]:
-        """Add the limits of differences of this agent and others; return its own drifts and variances (N, J)."""
-        drift, variance = self.of_rows(t, np.matmul(asked.forms, self.C[t]))
+    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Add the limits of differences of this agent and others; return what it adds to them (N, J).
+
+        That are drifts, variances, and what one step adds to these.
+        """
+        rows = np.matmul(asked.forms, self.C[t])
+        (drift, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
+        largest = variance if largest is None else largest
         if np.any(self.model.bent_outputs):
             drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), self._off_outputs(t, reach)) * OUTWARD
         nothing = np.full(drift.shape, np.inf)
         names = [f"{PAIR} at step {t}"] * drift.shape[1]
-        self.worth.add(asked.low - drift, asked.high - drift, nothing, variance + asked.variance, names)
-        return drift, variance
+        both = variance + asked.variance, largest + asked.largest
+        self.worth.add(asked.low - drift, asked.high - drift, nothing, both[0], names, both[1])
+        return drift, variance, largest
 
     def _step(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises."""
@@ -321,13 +328,14 @@ def _padded(paths: Sequence[NominalPath], which: NDArray[np.int64]) -> dict[int,
     for t in sorted({t for path in paths for t in path.pairs}):
         most = max(len(path.pairs[t].low) for path in paths if t in path.pairs)
         p = paths[0].model.agent.n_outputs
-        forms, variance = np.zeros((len(paths), most, p)), np.zeros((len(paths), most))
+        forms = np.zeros((len(paths), most, p))
+        variance, largest = np.zeros((2, len(paths), most))
         low, high = np.full((len(paths), most), np.inf), np.full((len(paths), most), np.inf)
         for k, path in enumerate(paths):
             if t in path.pairs:
                 one = path.pairs[t]
                 count = len(one.low)
-                forms[k, :count], variance[k, :count] = one.forms, one.variance
+                forms[k, :count], variance[k, :count], largest[k, :count] = one.forms, one.variance, one.largest
                 low[k, :count], high[k, :count] = one.low, one.high
-        result[t] = OtherSides(forms[which], low[which], high[which], variance[which])
+        result[t] = OtherSides(forms[which], low[which], high[which], variance[which], largest[which])
     return result

@@ -13,8 +13,8 @@ from .feedback_bounds import OtherSides
 from .limit_rows import INWARD, Worth
 from .pair_costs import PairLimits
 
-Contributions = Mapping[int, tuple[FloatArray, FloatArray]]
-"""By times: drifts and variances (J,) that an agent adds to its rows."""
+Contributions = Mapping[int, tuple[FloatArray, FloatArray, FloatArray]]
+"""By times: what an agent adds to drifts, variances and what one step adds to these (J,) of its rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,23 +51,24 @@ class PairRows:
             asked = {}
             for t, side in sides.items():
                 rows = side.rows
-                drift, variance = (total[rows] for total in totals[t])
+                drift, variance, largest = (total[rows] for total in totals[t])
                 if t in own:
-                    drift, variance = (max_0(a - b[: len(rows)]) for a, b in zip((drift, variance), own[t]))
+                    parts = zip((drift, variance, largest), own[t], strict=True)
+                    drift, variance, largest = (max_0(a - b[: len(rows)]) for a, b in parts)
                 low, high = self.low[t][rows] - drift, self.high[t][rows] - drift
-                asked[t] = OtherSides(side.forms, low, high, variance)
+                asked[t] = OtherSides(side.forms, low, high, variance, largest)
             result.append(asked)
         return result
 
     def add_to(self, worth: Worth, contributions: Sequence[Contributions]) -> None:
         """Add all rows once, with what both agents add, to the rows (1, J) of a team."""
-        for t, (drift, variance) in self._totals(contributions).items():
+        for t, (drift, variance, largest) in self._totals(contributions).items():
             low, high = self.low[t] - drift, self.high[t] - drift
             names = [f"a pair at step {t}"] * len(low)
-            worth.add(low[None], high[None], np.full((1, len(low)), np.inf), variance[None], names)
+            worth.add(low[None], high[None], np.full((1, len(low)), np.inf), variance[None], names, largest[None])
 
-    def _totals(self, contributions: Sequence[Contributions]) -> dict[int, tuple[FloatArray, FloatArray]]:
-        totals = {t: (np.zeros(len(low)), np.zeros(len(low))) for t, low in self.low.items()}
+    def _totals(self, contributions: Sequence[Contributions]) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
+        totals = {t: (np.zeros(len(low)), np.zeros(len(low)), np.zeros(len(low))) for t, low in self.low.items()}
         for own, sides in zip(contributions, self.sides, strict=True):
             for t in own:
                 for total, part in zip(totals[t], own[t], strict=True):

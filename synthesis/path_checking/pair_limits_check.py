@@ -91,7 +91,8 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities)
     if not forms:
         return
     below = np.empty(len(forms))
-    above, drift, variance = np.full(len(forms), np.inf), np.zeros(len(forms)), np.zeros(len(forms))
+    above = np.full(len(forms), np.inf)
+    drift, variance, largest = np.zeros((3, len(forms)))
     of_agents: dict[int, list[tuple[int, FloatArray]]] = {}
     for k, form in enumerate(forms):
         least, most, off = 0.0, 0.0, 0.0
@@ -106,9 +107,11 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities)
     for i, members in of_agents.items():
         here, matrix = np.array([k for k, _ in members]), np.array([row for _, row in members])
         drift[here] += now[i].chain.drift(matrix)
-        variance[here] += now[i].chain.variances(matrix)
+        own, steps = now[i].chain.spreads(matrix)
+        variance[here] += own
+        largest[here] = np.maximum(largest[here], steps)
     drift, variance = drift * TAIL, variance * TAIL
-    rows.add(below - drift, above - drift, np.full(len(forms), np.inf), variance)
+    rows.add(below - drift, above - drift, np.full(len(forms), np.inf), variance, largest)
 
 
 def _of_agent(now: Moment, form: Form, sign: float) -> tuple[FloatArray, tuple[float, float], float]:
