@@ -82,6 +82,8 @@ class EllipsoidProgram:
             )
         self.scale = float(np.max(np.sum(self.labels**2, axis=1)))  # the solver sees numbers near 1
         self.programs = {uses: self._compile(uses) for uses in (False, True)}
+        # A pattern search comes back to where it was.
+        self.solved: dict[tuple[Any, ...], Answer | None] = {}
 
     def _compile(self, uses_feedback: bool) -> tuple[Any, Any, Any, Any]:
         """Return the program with or without a feedback, and its variables X, L, Q."""
@@ -117,6 +119,12 @@ class EllipsoidProgram:
 
         None is returned if the solver finds no answer. One that it calls inaccurate counts: it is verified anyway.
         """
+        question = (share, limits.tobytes(), *multipliers)
+        if question not in self.solved:
+            self.solved[question] = self._solve(share, limits, multipliers)
+        return self.solved[question]
+
+    def _solve(self, share: float | None, limits: FloatArray, multipliers: Sequence[float]) -> Answer | None:
         problem, *variables = self.programs[share is None or share > 0]
         self.squared_share.value = 1.0 if share is None else share**2
         largest = float(np.max(limits)) ** 2 / self.scale
