@@ -15,7 +15,7 @@ from hypothesis import settings
 
 import certigym as cg
 from certigym.synthesis.models import ellipsoid_search
-from certigym.synthesis.nominal_paths import polish
+from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
 from network_problems import RNG
 
 # A suite that draws anew fails by luck; `pytest --hypothesis-profile=anew` explores.
@@ -28,7 +28,11 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)),
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
     (ellipsoid_search, "LAST_STEP", 2e-2),
-    # Paths are moved a little a hundred times, of which the first few gain the most.
+    # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
+    (nonlinear_search, "GENERATIONS", 2),
+    (nonlinear_team, "MOST_MOVES", 2),
+    (nonlinear_team, "REFINED", 1),
+    (nonlinear_team, "TOUCHED_UP", 1),
     (polish, "GENERATIONS", 6),
 )
 """Modules, constants, and values with which searches end earlier."""
