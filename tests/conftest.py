@@ -14,8 +14,10 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
+from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
+from certigym.validation.policies import imitation, probing
 from network_problems import RNG
 
 # A suite that draws anew fails by luck; `pytest --hypothesis-profile=anew` explores.
@@ -24,6 +26,8 @@ settings.register_profile("anew", deadline=None)
 settings.load_profile("same")
 
 SMALLER: tuple[tuple[Any, str, Any], ...] = (
+    # Ways to certify are tried as long as effort is left, which is about a minute for users.
+    (effort, "EFFORT", 4.0),
     # A sixth of the semidefinite programs, of which each ellipsoid takes hundreds.
     (ellipsoid_search, "LABEL_SHARES", (2.0, 1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)),
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
@@ -34,6 +38,9 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (nonlinear_team, "REFINED", 1),
     (nonlinear_team, "TOUCHED_UP", 1),
     (polish, "GENERATIONS", 6),
+    # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.
+    (imitation, "ROUNDS", 600),
+    (probing, "CHOOSING", 1000),
 )
 """Modules, constants, and values with which searches end earlier."""
 

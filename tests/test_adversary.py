@@ -13,9 +13,9 @@ from forgeries import forgeries, opened
 from kind_trials import forged_cells, trial
 from small_problems import MAKERS
 
-CLAIMS, WRITTEN, FIRST, EPISODES = 16, 8, 900_000, 20_000
-FORGERIES, FORGED_SEEDS = 8, (910_001, 910_004)
-SMALL = 4
+CLAIMS, WRITTEN, FIRST, EPISODES = 10, 5, 900_000, 10_000
+FORGERIES = 6
+SMALL = 2
 """Small problems of every kind."""
 
 
@@ -71,8 +71,7 @@ def _certified(first: int, relation: str | None = None) -> tuple[dict, cg.Certif
     raise AssertionError("no problem was certified")
 
 
-@pytest.mark.parametrize("relation", [None, "written", "uneven"])
-@pytest.mark.parametrize("first", FORGED_SEEDS)
+@pytest.mark.parametrize(("first", "relation"), [(910_001, None), (910_004, "written"), (910_001, "uneven")])
 def test_forgeries_are_refused_or_true(first: int, relation: str | None, tmp_path: Path) -> None:
     spec, certificate = _certified(first, relation)
     file = tmp_path / "own.npz"

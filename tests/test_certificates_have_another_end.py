@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 
 import pytest
 from scipy.stats import binom
@@ -15,9 +16,16 @@ from written_problems import oscillator_reach
 FALSE_ALARM = 1e-6
 """Probability with which a statistical test here fails although all is right."""
 
+
+
+@cache
+def parked(cells: int, relation: str = "linear") -> cg.Synthesis:
+    return cg.synthesize("car-park-v0", cells, relation=relation)
+
+
 MADE = {
-    "linear": lambda: cg.synthesize("car-park-v0", 60, relation="linear"),
-    "boxes": lambda: cg.synthesize("car-park-v0", 120, relation="boxes"),
+    "linear": lambda: parked(60),
+    "boxes": lambda: parked(100, "boxes"),
     "expressions": lambda: cg.synthesize(oscillator_reach(8), 30, relation="linear"),
     "two agents": lambda: cg.synthesize(two_agents("F (a & F c)", horizon=5), 40, relation="linear"),
 }
@@ -44,7 +52,7 @@ def test_the_upper_end_is_near_that_of_exact_claims() -> None:
 
 def test_other_controllers_are_refused() -> None:
     """The upper end of better or worse controllers says nothing about these."""
-    good = cg.synthesize("car-park-v0", 60, relation="linear").certificate
+    good = parked(60).certificate
     assert isinstance(good, cg.Certificate)
     # Controllers made for the opposite task avoid what these reach, so that 1 - L' is far below the truth.
     worst = cg.synthesize(opposite_of(good.problem), 60, relation="linear").certificate
@@ -53,7 +61,7 @@ def test_other_controllers_are_refused() -> None:
     assert end.upper_bound < good.lower_bound and wrong_upper_end(end) == []
     assert "does not act as it does" in wrong_upper_end(end, good)[0]
     (part,) = good.agents
-    coarse = cg.synthesize("car-park-v0", 50, relation="linear").certificate
+    coarse = parked(40).certificate
     assert isinstance(coarse, cg.Certificate)
     assert wrong_upper_end(bound_above(coarse), good) != []
     changed = part.policy.copy()
@@ -65,7 +73,7 @@ def test_other_controllers_are_refused() -> None:
 
 def test_an_end_of_another_problem_is_refused() -> None:
     """Its controllers may be the same; what they are promised is not."""
-    first = cg.synthesize("car-park-v0", 40, relation="linear").certificate
+    first = parked(40).certificate
     assert isinstance(first, cg.Certificate)
     shorter = first.problem.replace(horizon=first.problem.horizon - 1)
     other = cg.synthesize(shorter, 40, relation="linear").certificate

@@ -13,6 +13,7 @@ import pytest
 import certigym as cg
 from certigym.envs.agents import UnknownArgument
 from certigym.envs.suite.ids import gymnasium_id
+from kinds import IDS_OF_KINDS
 
 FORMS = ("parallel", "aec", "central", "vector")
 
@@ -39,7 +40,7 @@ def infos_of(id: str, form: str, **options: Any) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("id", cg.problem_ids())
+@pytest.mark.parametrize("id", IDS_OF_KINDS)
 def test_infos_hold_numbers_and_arrays_of_fixed_shape(id: str, form: str) -> None:
     infos = infos_of(id, form)
     shapes: dict[str, set[tuple[int, ...]]] = {}

@@ -16,7 +16,7 @@ from scipy.stats import binom
 import certigym as cg
 from tuple_expressions import Expression, text_of, value_of
 
-SEEDS, EPISODES = 12, 4000
+SEEDS, EPISODES = 8, 4000
 
 FALSE_ALARM = 1e-6
 """Probability that one of all true claims is refuted here, divided among them; the seeds are fixed."""
@@ -138,7 +138,7 @@ def successes(certificate: Any, team: Team) -> int:
 def certified(seed: int) -> tuple[Team, Any]:
     """A random team and its certificate."""
     team = Team(seed)
-    found = cg.synthesize(team.problem, cells=12, relation="boxes", common=True, max_sweeps=1)
+    found = cg.synthesize(team.problem, cells=8, relation="boxes", common=True, max_sweeps=1)
     return team, found.certificate
 
 

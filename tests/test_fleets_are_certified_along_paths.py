@@ -156,9 +156,14 @@ def test_what_scales_directions_changes_nothing(certificates: dict[str, PathCert
     assert cg.check(again).recomputed == pytest.approx(cg.check(certificate).recomputed, rel=1e-9)
 
 
+@pytest.fixture(scope="module")
+def noisy() -> PathCertificate:
+    return path_of(swap(std=0.06))
+
+
 @pytest.mark.parametrize("left_out", ["drift", "variance"])
 def test_one_agent_left_out_of_a_pair_is_refused(
-    left_out: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
+    left_out: str, noisy: PathCertificate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     totals = PairRows._totals
 
@@ -168,8 +173,7 @@ def test_one_agent_left_out_of_a_pair_is_refused(
                 for t, parts in contributions[0].items()}  # fmt: skip
         return totals(self, [drop, *contributions[1:]])
 
-    honest = path_of(swap(std=0.06))
-    assert cg.check(honest)
+    assert cg.check(noisy)
     monkeypatch.setattr(PairRows, "_totals", without_the_first)
     forged = path_of(swap(std=0.06))
     assert not cg.check(forged)

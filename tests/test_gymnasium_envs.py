@@ -25,11 +25,13 @@ from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.central_env import CentralEnv
 from certigym.envs.interfaces.vector_env import ProblemVectorEnv
 from certigym.envs.suite.ids import gymnasium_id
+from kinds import IDS_OF_KINDS
 from problems import linear
 from sample_problems import mixed_problem
 
 FALSE_ALARM = 1e-6
 each = pytest.mark.parametrize("id", cg.problem_ids())
+each_kind = pytest.mark.parametrize("id", IDS_OF_KINDS)
 
 
 def episode(env: CentralEnv, seed: int | None) -> str:
@@ -52,7 +54,7 @@ def test_gymnasium_accepts_every_id(id: str, monkeypatch: pytest.MonkeyPatch) ->
     check_env(env.unwrapped)
 
 
-@each
+@each_kind
 def test_whole_episodes_repeat_with_a_seed_also_with_seed_zero(id: str) -> None:
     env = cg.central_env(id)
     digests = [episode(env, 0), episode(env, 1)]
@@ -79,7 +81,7 @@ def test_make_takes_arguments_and_matches_the_class() -> None:
     )
 
 
-@each
+@each_kind
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_one_world_of_the_batch_is_the_scalar_environment_across_resets(id: str, mode: AutoresetMode) -> None:
     ours = gymnasium.make_vec(gymnasium_id(id), num_envs=1, autoreset_mode=mode, horizon=6)
@@ -102,7 +104,7 @@ def test_one_world_of_the_batch_is_the_scalar_environment_across_resets(id: str,
     assert ends >= 3
 
 
-@each
+@each_kind
 def test_a_batch_is_the_core_until_a_world_ends(id: str) -> None:
     envs = cg.vector_env(id, 16, actions="input")
     dynamics = core.Dynamics.of(envs.problem)
@@ -128,7 +130,7 @@ def test_a_batch_is_the_core_until_a_world_ends(id: str) -> None:
     raise AssertionError
 
 
-@each
+@each_kind
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("reward", ["sparse", "shaped"])
 def test_rewards_and_observations_stay_in_bounds(id: str, mode: AutoresetMode, reward: str) -> None:
@@ -148,7 +150,7 @@ def test_rewards_and_observations_stay_in_bounds(id: str, mode: AutoresetMode, r
             assert (infos["_time"] == (terminated | truncated)).all()
 
 
-@each
+@each_kind
 def test_pickled_batches_go_on_alike(id: str) -> None:
     envs = cg.vector_env(id, 4, autoreset_mode="SameStep", reward="shaped")
     envs.action_space.seed(0)

@@ -299,6 +299,6 @@ def test_stored_factors_leave_room_for_the_rounding_of_means() -> None:
 @pytest.mark.parametrize("cells", [33, 118, 260, 261, 997])
 def test_cells_that_are_equal_up_to_the_rounding_of_edges_are_read_alike_by_the_check(cells: int) -> None:
     """Edges have eleven decimals here: whether cells count as equal must not depend on which code asks."""
-    problem = cg.make_problem("reach-avoid-n-v0", horizon=2)
+    problem = cg.make_problem("reach-avoid-n-v0", n_agents=1, horizon=2)
     certificate = cg.synthesize(problem, cells, relation="linear", max_sweeps=1).certificate
     assert cg.check(certificate), str(cg.check(certificate))

@@ -262,22 +262,22 @@ def test_what_subtraction_cannot_say_is_refused_in_words(changes: dict[str, Any]
 
 
 def test_claims_about_random_problems_survive_an_independent_simulation() -> None:
-    """24 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen.
+    """12 problems, fixed seeds, 3000 episodes each; false alarm 1e-6 over all claims; gaps of .03 would be seen.
 
     Claims are tested from both sides where they have two.
     """
     informative, two_sided = 0, 0
-    for seed in range(24):
+    for seed in range(12):
         problem = random_pairs(np.random.default_rng(seed))
         certificate: Any = cg.synthesize(problem, 12, relation="exact", max_sweeps=2).certificate
         assert cg.check(certificate), seed
         successes = simulated(problem, certificate.controller, 3000, seed)
-        least, most = clopper_pearson(successes, 3000, 1.0 - 1e-6 / 24)
+        least, most = clopper_pearson(successes, 3000, 1.0 - 1e-6 / 12)
         assert certificate.lower_bound <= most, seed
         assert certificate.gap is None or least <= certificate.lower_bound + certificate.gap, seed
         informative += 0.02 < certificate.lower_bound < 0.999
         two_sided += certificate.gap is not None and certificate.lower_bound + certificate.gap < 0.999
-    assert informative >= 6 and two_sided >= 3
+    assert informative >= 3 and two_sided >= 2
 
 
 def test_upper_ends_are_claimed_and_checked_where_pairs_can_save_nothing() -> None:

@@ -18,10 +18,12 @@ import certigym as cg
 from certigym.envs.dynamics import worlds as core
 from certigym.envs.interfaces.problem_env import ProblemEnv
 from certigym.envs.suite import reach_avoid_v0
+from kinds import IDS_OF_KINDS
 from sample_problems import mixed_problem, scalar
 
 PROBLEMS: dict[str, Any] = {**{id: id for id in cg.problem_ids()}, "mixed": mixed_problem()}
 each = pytest.mark.parametrize("name", PROBLEMS)
+each_kind = pytest.mark.parametrize("name", [*IDS_OF_KINDS, "mixed"])
 
 
 def actions_of(env: ProblemEnv, seed: int) -> Iterator[dict[str, np.ndarray]]:
@@ -56,7 +58,7 @@ def test_pettingzoo_parallel_api(name: str) -> None:
     parallel_api_test(cg.parallel_env(PROBLEMS[name]), num_cycles=60)
 
 
-@each
+@each_kind
 def test_pettingzoo_seed(name: str) -> None:
     parallel_seed_test(lambda: cg.parallel_env(PROBLEMS[name]))
 
@@ -81,7 +83,7 @@ def test_modules_offer_the_three_functions() -> None:
     assert reach_avoid_v0.parallel_env(render_mode="ansi").render_mode == "ansi"
 
 
-@each
+@each_kind
 def test_whole_episodes_repeat_with_a_seed_also_with_seed_zero(name: str) -> None:
     for seed in (0, 1):
         env = cg.parallel_env(PROBLEMS[name])
@@ -108,7 +110,7 @@ def test_two_processes_tell_the_same_story() -> None:
     assert said[0].stdout == said[1].stdout
 
 
-@each
+@each_kind
 def test_pickled_environments_go_on_alike(name: str) -> None:
     env = cg.parallel_env(PROBLEMS[name])
     env.reset(seed=3)
@@ -121,7 +123,7 @@ def test_pickled_environments_go_on_alike(name: str) -> None:
     assert twin.agents == []
 
 
-@each
+@each_kind
 def test_the_environment_is_the_core_with_one_world(name: str) -> None:
     env = cg.parallel_env(PROBLEMS[name])
     env.reset(seed=5)
@@ -149,7 +151,7 @@ def test_the_environment_is_the_core_with_one_world(name: str) -> None:
             return
 
 
-@each
+@each_kind
 def test_the_return_is_satisfaction(name: str) -> None:
     env = cg.parallel_env(PROBLEMS[name])
     for seed in range(20):

@@ -206,7 +206,7 @@ def test_paths_are_taken_where_grids_do_not_reach() -> None:
 def test_random_problems_are_not_refuted() -> None:
     """Random agents and regions; rollouts against each claim, false alarm 1e-6 for all of them together."""
     rng, certified = np.random.default_rng(7), 0
-    for number in range(25):
+    for number in range(12):
         d, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
         A = np.eye(d) + 0.3 * rng.standard_normal((d, d))
         A /= max(1.0, np.abs(np.linalg.eigvals(A)).max() / 1.05)
@@ -227,9 +227,9 @@ def test_random_problems_are_not_refuted() -> None:
         report = cg.check(certificate, problem)
         assert report.valid, report.failures
         certified += certificate.lower_bound > 0.05
-        verdict = cg.validate(certificate, 4000, seed=number, confidence=1.0 - FALSE_ALARM / 25)
+        verdict = cg.validate(certificate, 4000, seed=number, confidence=1.0 - FALSE_ALARM / 12)
         assert verdict.verdict != "refuted"
-    assert certified >= 8
+    assert certified >= 4
 
 
 def test_what_paths_do_not_do_is_said() -> None:

@@ -112,7 +112,7 @@ def test_learners_are_made_within_their_budget_and_kept(
     monkeypatch.setattr(imitation, "ROUNDS", 200)
     monkeypatch.setattr(probing, "CHOOSING", 200)
     policies = ["probe", "ppo", "warm-ppo", "sac"]
-    sources = Sources(folder, tmp_path, seconds=0.5, seeds=(0, 1))
+    sources = Sources(folder, tmp_path, seconds=0.1, seeds=(0, 1))
     board = cg.leaderboard(["reach-avoid-v0"], policies, 300, sources=sources)
     assert [row.policy for row in board.rows] == policies
     for row in board.rows:
