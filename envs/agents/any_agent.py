@@ -126,6 +126,12 @@ class AnyAgent(ABC):
     def output_range(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return bounds around the outputs of closed state boxes (S, d), rounded outwards: two arrays (S, p)."""
 
+    @cached_property
+    def output_ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds (p,) around the outputs on the whole workspace, rounded outwards; a fleet asks once for each pair."""
+        low, high = self.output_range(self.state_low[None], self.state_high[None])
+        return read_only(low[0]), read_only(high[0])
+
     @abstractmethod
     def output_axis(self, k: int) -> tuple[int, float] | None:
         """Return state and factor of output k if it is a multiple of a single state, or None."""

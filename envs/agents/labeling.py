@@ -362,7 +362,7 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyA
         )
     if proposition.moves:
         return  # it may pass beyond the workspace, and be empty at times
-    bottom, top = (bound[0] for bound in agent.output_range(agent.state_low[None], agent.state_high[None]))
+    bottom, top = (end.copy() for end in agent.output_ends)
     states = agent.state_outputs
     bottom[:states], top[:states] = agent.state_low[:states], agent.state_high[:states]
     outside = (proposition.low > top) | (proposition.high <= bottom)

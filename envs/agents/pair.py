@@ -196,8 +196,7 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
             raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
     region = PairRegion(i, j, outputs, pair.low, pair.high)
     # The difference lies between the outputs' extremes over both workspaces.
-    ranges = [agents[k].output_range(agents[k].state_low[None], agents[k].state_high[None]) for k in (i, j)]
-    (low_a, high_a), (low_b, high_b) = (tuple(bound[0] for bound in bounds) for bounds in ranges)
+    (low_a, high_a), (low_b, high_b) = (agents[k].output_ends for k in (i, j))
     least = np.array(region.difference(low_a, high_b))
     most = np.array(region.difference(high_a, low_b))
     outside = (pair.low > most) | (pair.high <= least)

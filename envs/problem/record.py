@@ -519,8 +519,7 @@ def _check_corners(labeling: Labeling, horizon: int) -> None:
         except ValueError as error:
             raise ValueError(f"`propositions.{name}`: {error}") from None
         agent = agents[region.agent]
-        ends = agent.output_range(agent.state_low[None], agent.state_high[None])
-        bottom, top = (end[0][:, None] for end in ends)
+        bottom, top = (end[:, None] for end in agent.output_ends)
         if region.moves and not ((low <= top) & (high > bottom) & (low < high)).all(axis=0).any():
             raise ValueError(
                 f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name} at some time "
