@@ -393,7 +393,7 @@ def checked(row: str, folder: Path) -> Claims:
 
 def rigorous(row: str, folder: Path) -> Claims:
     report = cg.check_rigorous(certificate_of(row))
-    assert report, report
+    assert report and report.numbers >= 10, report  # nothing is proved by a check that states nothing
     return Claims((float(report.low),))
 
 

@@ -28,7 +28,7 @@ def test_random_claims_are_true(seed: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["written", "uneven"])
-@pytest.mark.parametrize("seed", range(FIRST, FIRST + WRITTEN))
+@pytest.mark.parametrize("seed", range(FIRST + 4, FIRST + 4 + WRITTEN))
 def test_random_claims_about_written_agents_are_true(seed: int, kind: str) -> None:
     """The same for random expressions, whose values the simulator computes itself, in winds that jump.
 

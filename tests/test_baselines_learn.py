@@ -130,7 +130,7 @@ def test_rows_of_actions_reach_their_agents() -> None:
 @pytest.mark.parametrize("algorithm", ["ppo", "central-ppo", "sac"])
 def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: Path) -> None:
     settings: dict[str, Any] = {} if algorithm == "sac" else {"n_steps": 16}
-    training = cg.train(RA2, algorithm, 1200, 3, worlds=8, **settings)
+    training = cg.train(RA2, algorithm, 400, 3, worlds=8, **settings)
     view = SharedView(RA2) if algorithm == "ppo" else CentralView(RA2)
     rng = np.random.default_rng(0)
     joint = rng.uniform(-20.0, 5.0, (50, 2))
@@ -149,7 +149,7 @@ def test_the_actor_in_numbers_is_that_of_the_learner(algorithm: str, tmp_path: P
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_is_deterministic_under_a_seed(algorithm: str) -> None:
-    one, two, other = (cg.train(RA2, algorithm, 1100, seed, worlds=8) for seed in (0, 0, 1))
+    one, two, other = (cg.train(RA2, algorithm, 400, seed, worlds=8) for seed in (0, 0, 1))
     for a, b in zip(networks_of(one.actor)[0].weights, networks_of(two.actor)[0].weights):
         assert np.array_equal(a, b)
     assert not np.array_equal(networks_of(one.actor)[0].weights[0], networks_of(other.actor)[0].weights[0])
@@ -205,7 +205,7 @@ def test_wrong_arguments_are_refused(tmp_path: Path) -> None:
 
 
 def test_learners_start_from_certificates_about_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imitation, "ROUNDS", 1200)
+    monkeypatch.setattr(imitation, "ROUNDS", 300)
     problem = cg.make_problem("platoon-distance-v0", n_agents=2)
     made = cg.synthesize(problem)
     training = cg.train(problem, steps=640, warm_start=made.certificate, worlds=16)

@@ -82,7 +82,7 @@ def test_an_end_of_another_problem_is_refused() -> None:
 
 
 def test_what_has_no_single_certificate_is_refused_in_words() -> None:
-    along = cg.synthesize("car-park-v0", relation="path").certificate
+    along = cg.synthesize("integrator-chain-v0", relation="path").certificate
     assert not isinstance(along, cg.Certificate)
     with pytest.raises(ValueError, match="expected one of a single task on cells"):
         bound_above(along)

@@ -43,6 +43,7 @@ def test_a_window_of_eight_zones_has_few_states() -> None:
     assert alone.n_states**8 > groups.MOST_STATES
 
 
+@pytest.mark.thorough
 def test_its_bound_needs_no_options_and_holds_in_rollouts() -> None:
     """Fixed seed, n = 20,000, false alarm 1e-6."""
     result = cg.synthesize(EXAMPLE)

@@ -53,6 +53,7 @@ def tried_of(found: cg.Synthesis) -> dict[str, Any]:
     return dict(found.stats["tried"])  # type: ignore[call-overload]
 
 
+@pytest.mark.thorough
 def test_the_cheapest_is_first_and_the_best_is_kept(table: Table) -> None:
     found = best_of(
         [table.way("long", 0.5, 3.0), table.way("short", 0.6, 1.0), table.way("middle", 0.4, 2.0)], Effort()
@@ -85,6 +86,7 @@ def test_what_leaves_nothing_to_gain_ends_the_search(table: Table) -> None:
     assert found.certificate.lower_bound == 0.97 and "0.95 was certified already" in tried_of(found)["rare"]
 
 
+@pytest.mark.thorough
 def test_what_needs_another_way_comes_after_it(table: Table) -> None:
     ways = [table.way("finer", 0.7, after="coarse"), table.way("coarse", 0.5, 4.0), table.way("path", 0.1, 2.0)]
     best_of(ways, Effort())
@@ -155,6 +157,7 @@ def test_ctrl_c_keeps_the_best_level() -> None:
     assert "broken off by Ctrl-C" in str(tried_of(found))
 
 
+@pytest.mark.thorough
 def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
     told: list[tuple[str, float]] = []
     found = cg.synthesize("car-park-v0", progress=lambda text, value: told.append((text, value)))

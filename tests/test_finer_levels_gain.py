@@ -86,7 +86,7 @@ def test_policies_without_a_choice_rest_on_finer_cells() -> None:
     np.testing.assert_array_equal(carried[0, 0], fine.models[0].choices.resting_choice)
 
 
-def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_defaults_of_agents_with_velocities_are_refined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Default cells become finer where the first ones certify little; the bound rises and the certificate is valid."""
 
     def refused(problem: cg.Problem, *others: object) -> cg.Synthesis:
@@ -94,8 +94,8 @@ def test_defaults_of_three_agents_with_velocities_are_refined(monkeypatch: pytes
 
     monkeypatch.setattr(task_ways, "path_certificate", refused)
     monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
-    problem = crossing(3, horizon=4)
-    synthesis = cg.synthesize(problem, effort=task_ways.COMPARED + 4.0)
+    problem = crossing(2, horizon=4)
+    synthesis = cg.synthesize(problem, effort=task_ways.COMPARED + 0.5)
     levels = synthesis.certificate.settings["levels"]
     bounds = [level["lower_bound"] for level in levels]
     assert len(levels) > 1 and max(bounds) == synthesis.certificate.lower_bound > bounds[0] + 0.01
