@@ -17,6 +17,7 @@ import certigym as cg
 from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
+from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
 from network_problems import RNG
 
@@ -38,6 +39,8 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (nonlinear_team, "REFINED", 1),
     (nonlinear_team, "TOUCHED_UP", 1),
     (polish, "GENERATIONS", 6),
+    # Menus: the tolerance is found to a hundredth, not to 1e-4.
+    (permitting, "HALVINGS", 6),
     # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.
     (imitation, "ROUNDS", 600),
     (probing, "CHOOSING", 1000),
