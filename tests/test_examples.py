@@ -22,7 +22,10 @@ QUICKER: dict[str, dict[str, str]] = {
     "09_learn_and_certify.py": {"steps=10_000": "steps=3_000", "cells=500": "cells=120", "episodes=4_000": "episodes=1_000",
                                 "steps=1_000": "steps=500"},
     "12_horizons_and_deadlines.py": {"(5, 6, 7), 100": "(5, 6, 7), 40", "horizon=6), 100": "horizon=6), 40",
-                                     "longest=150": "longest=120", '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 60'},
+                                     "parking, 60, longest=150": "parking, 30, longest=60", "(parking)": "(parking, 40)",
+                                     '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 40', "rays=16": "rays=4"},
+    "05_cells_and_relations.py": {"(25, 100, 400)": "(25, 50, 100)",
+                                  "cells=100)": "cells=50)", "episodes=4_000": "episodes=1_000"},
 }  # fmt: skip
 """Numbers of examples that say how long something takes, and smaller ones with which it is run here."""
 
