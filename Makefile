@@ -23,10 +23,10 @@ test: .venv/test lint
 	$(BIN)/python -m mypy
 	$(PYTEST)
 
-# the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs one file
+# the inner loop: what is not marked slow; `make quick ARGS=tests/test_labeling.py` runs all of one file
 quick: .venv/test
 	$(BIN)/python -m ruff check --quiet .
-	$(PYTEST) -m "not slow" $(ARGS)
+	$(PYTEST) $(or $(ARGS),-m "not slow")
 
 lint: .venv/test
 	$(BIN)/python -m ruff check .

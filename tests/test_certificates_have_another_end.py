@@ -17,7 +17,6 @@ FALSE_ALARM = 1e-6
 """Probability with which a statistical test here fails although all is right."""
 
 
-
 @cache
 def parked(cells: int, relation: str = "linear") -> cg.Synthesis:
     return cg.synthesize("car-park-v0", cells, relation=relation)

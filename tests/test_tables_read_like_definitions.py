@@ -110,7 +110,9 @@ def test_leaving_settled_worlds_changes_no_outcome(
 ) -> None:
     """Chunks side by side, without the worlds that are settled, against each chunk to the end with all of them."""
     problem = cg.make_problem(name)
-    controller = synthesized(problem, 12 if "planar" in name or "door" in name else 30, relation="quick", max_sweeps=0).controller
+    controller = synthesized(
+        problem, 12 if "planar" in name or "door" in name else 30, relation="quick", max_sweeps=0
+    ).controller
     loop = Loop(problem, controller, seed=4, chunk=150, mismatch=mismatch)
     dynamics, policy = loop.arranged
     parts = list(stream(loop, 1000))
