@@ -39,6 +39,7 @@ MODULES = {
     "compare": "learning_commands",
     "save-policy": "learning_commands",
     "plot": "picture_commands",
+    "studio": "studio_commands",
     "reproduce": "validation_commands",
 }
 """The file of each command; the function in it has the command's name."""
@@ -311,7 +312,7 @@ def _add_comparing(commands: Any) -> None:
 
 
 def _add_pictures(commands: Any) -> None:
-    """Add the command for figures and moving pictures."""
+    """Add the commands for figures, moving pictures, and the page on which tasks are drawn."""
     kinds = "; ".join(f"{name}: {text}" for name, text in KINDS.items())
     plot = commands.add_parser("plot", help="draw a figure or an episode", epilog=f"KIND is one of: {kinds}.")
     plot.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help=", ".join(KINDS))
@@ -332,3 +333,10 @@ def _add_pictures(commands: Any) -> None:
     plot.add_argument("--steps", type=int, metavar="N", help="world steps of learners that --beside trains")
     plot.set_defaults(train_seeds=[0])
     plot.add_argument("--fps", type=int, default=4, metavar="F", help="control steps per second of `episode` (4)")
+
+    studio = commands.add_parser("studio", help="open a page on which a task is drawn, written and certified")
+    studio.add_argument(
+        "file", metavar="FILE", nargs="?", help="TOML problem file, which need not exist (default: a new one)"
+    )
+    studio.add_argument("--port", type=int, metavar="N", help="of this machine (default: 8642, or any that is free)")
+    studio.add_argument("--open", action="store_true", help="also open the page in the browser of this machine")

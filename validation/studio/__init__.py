@@ -1,0 +1,8 @@
+"""A local page on which a task is drawn, written and certified."""
+
+from .server import Studio, open_studio
+
+__all__ = [
+    "Studio",
+    "open_studio",
+]
