@@ -16,7 +16,7 @@ from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
-PATIENCE = 60.0
+PATIENCE = 30.0
 """Seconds after which what was waited for counts as failed."""
 
 
@@ -110,14 +110,14 @@ class Tab:
         assert "exceptionDetails" not in told, told["exceptionDetails"]
         return told["result"].get("value")
 
-    def until(self, program: str, seconds: float = PATIENCE) -> Any:
-        """Wait until an expression is true, and return its value."""
+    def until(self, program: str, seconds: float = PATIENCE) -> None:
+        """Wait until an expression is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            if value := self.run(program):
-                return value
+            if self.run(f"Boolean({program})"):
+                return
             time.sleep(0.05)
-        raise AssertionError(f"in vain: {program}; the page says {self.run('document.body.innerText')}")
+        raise AssertionError(f"in vain: {program}; the page says {self.run('document.body.innerText')[:600]}")
 
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the pointer at one point, move it to another one, and let go."""

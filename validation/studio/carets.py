@@ -29,6 +29,8 @@ def mark(text: str, message: str) -> Mark | None:
     >>> mark("a = 1\\nb = = 2", "expected TOML, got: Invalid value (at line 2, column 5)")
     (10, 11)
     """
+    if not text:
+        return None
     found = _AT_LINE.search(message)
     if found:
         lines = text.splitlines(keepends=True)
@@ -37,9 +39,11 @@ def mark(text: str, message: str) -> Mark | None:
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError):
-        return _last(text) if text else None
+        return _last(text)
     found_places = places(text)
-    return _in_formula(text, found_places, message) or _below_a_line(text, message) or _named(data, found_places, message)
+    return (
+        _in_formula(text, found_places, message) or _below_a_line(text, message) or _named(data, found_places, message)
+    )
 
 
 def line_and_column(text: str, at: int) -> tuple[int, int]:
@@ -48,7 +52,7 @@ def line_and_column(text: str, at: int) -> tuple[int, int]:
 
 
 def _last(text: str) -> Mark:
-    return max(0, len(text) - 1), len(text)
+    return len(text) - 1, len(text)
 
 
 def _in_formula(text: str, found: Places, message: str) -> Mark | None:
@@ -82,7 +86,9 @@ def _named(data: Any, found: Places, message: str) -> Mark | None:
     table = _table(data, message)
     unknown = _UNKNOWN.search(message)
     if unknown:
-        span = next((s for path, s in found.values.items() if path[-1] == unknown[1] and path[: len(table)] == table), None)
+        span = next(
+            (s for path, s in found.values.items() if path[-1] == unknown[1] and path[: len(table)] == table), None
+        )
         return None if span is None else (span.key, span.key + len(unknown[1]))
     for key in _KEY.finditer(message):
         for base in (table, ()):

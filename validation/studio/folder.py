@@ -27,7 +27,9 @@ def place(folder: Path, name: object, ending: str) -> Path:
         If it is no plain name with this ending, or stands for a place outside of the folder.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name) or not name.endswith(ending) or name == ending:
-        raise ValueError(f"`name`: expected a file name of letters, digits, -, _ that ends in {ending}, got {shown(name)}")
+        raise ValueError(
+            f"`name`: expected a file name of letters, digits, -, _ that ends in {ending}, got {shown(name)}"
+        )
     path = folder / name
     # A link may lead anywhere: what counts is where the file is.
     if path.is_symlink() or path.resolve().parent != folder.resolve() or (path.exists() and not path.is_file()):

@@ -1,4 +1,4 @@
-"""What the page shows of a text: its error, and a picture of what of it can be read, also where the task is not whole yet.
+"""What the page shows of a text: its error, and a picture of what can be read of it, while it is not whole, too.
 
 Runs in a process of its own (`work`), as what users write may take long to read.
 """
@@ -42,6 +42,7 @@ def look(text: str, source: str, folder: Path) -> dict[str, Any]:
     drawn), ``facts`` about the task, and the ``formula``."""
     seen: dict[str, Any] = {"error": None, "picture": None, "facts": None, "formula": "", "fingerprint": None}
     data: Any = None
+    problem: Problem | None = None
     try:
         data = tomllib.loads(text)
         seen["formula"] = formula_of(data)
@@ -50,9 +51,8 @@ def look(text: str, source: str, folder: Path) -> dict[str, Any]:
         if missing := [agent.name for agent in problem.agents if agent.initial_low is None]:
             raise ValueError(f"{source}: `initial_state`: expected a start for agent {missing[0]!r}, got none")
     except (ValueError, RecursionError) as error:
-        if data is None:
-            error = _toml_error(error, text, source, folder)
-        seen["error"] = error_in(text, str(error))
+        said = str(error) if data is not None else _toml_error(error, text, source, folder)
+        seen["error"] = error_in(text, said)
         problem = None if data is None else _as_far_as_it_goes(data, folder)
     if problem is not None:
         seen["picture"] = {"panels": list(_panels(problem, data)), "horizon": problem.horizon}
@@ -66,13 +66,13 @@ def error_in(text: str, message: str) -> dict[str, Any]:
     return {"message": message, "mark": place, "line": line, "column": column}
 
 
-def _toml_error(error: Exception, text: str, source: str, folder: Path) -> Exception:
-    """Return the error of the problem file, in the words of the command line."""
+def _toml_error(error: Exception, text: str, source: str, folder: Path) -> str:
+    """Return the error of a text that is no TOML, in the words of the command line."""
     try:
         problem_from_toml(text, source, folder)
     except ValueError as told:
-        return told
-    return error
+        return str(told)
+    return str(error)
 
 
 def _facts(problem: Problem) -> dict[str, Any]:
@@ -208,7 +208,10 @@ def _starts(problem: Problem, data: Mapping[str, Any], number: int, axes: list[A
     known = [axis for axis in axes if axis is not None]
     if any(problem.agents[i].initial_low is None for i, _ in known):
         return
-    ends = [[float(box[s]) for i, s in known for box in [getattr(problem.agents[i].initial, end)]] for end in ("low", "high")]
+    ends = [
+        [float(box[s]) for i, s in known for box in [getattr(problem.agents[i].initial, end)]]
+        for end in ("low", "high")
+    ]
     values: dict[str, Any] = {}
     for i, _ in known:
         path, table = _source(problem, data, i)
@@ -216,7 +219,9 @@ def _starts(problem: Problem, data: Mapping[str, Any], number: int, axes: list[A
             if key in table:
                 if not _numbers(table[key]):
                     return
-                values["/".join(map(str, path))] = values.get("/".join(map(str, path)), {"path": list(path)}) | {key: table[key]}
+                values["/".join(map(str, path))] = values.get("/".join(map(str, path)), {"path": list(path)}) | {
+                    key: table[key]
+                }
     tables = ["/".join(map(str, _source(problem, data, i)[0])) for i, _ in known]
     yield {
         "agent": problem.agents[known[0][0]].name,
@@ -261,7 +266,9 @@ def _shape(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> di
         shape = table.get(kind)
         if isinstance(shape, Mapping) and all(_numbers(shape.get(key)) for key in keys):
             of = _of(agent, shape.get("of"), kind, shape)
-            shown = [of.index(axis[1]) if axis is not None and axis[0] == i and axis[1] in of else None for axis in axes]
+            shown = [
+                of.index(axis[1]) if axis is not None and axis[0] == i and axis[1] in of else None for axis in axes
+            ]
             numbers = {key: shape[key] for key in keys}
             return {"kind": kind, "axes": shown, **numbers, "at": [kind]} if any(k is not None for k in shown) else None
     return None
@@ -272,7 +279,9 @@ def _of(agent: Any, of: Any, kind: str, shape: Mapping[str, Any]) -> list[int]:
     if of is None:
         return list(range(len(shape["low"]) if kind == "box" else 2))
     names = _state_names(agent)
-    return [names.index(state) if isinstance(state, str) else int(state) for state in (of if isinstance(of, list) else [of])]
+    return [
+        names.index(state) if isinstance(state, str) else int(state) for state in (of if isinstance(of, list) else [of])
+    ]
 
 
 def _output(agent: Any, axis: Axis, i: int) -> int | None:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
+import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -93,6 +95,7 @@ class Studio:
         self.session.close()
         self._server.shutdown()
         self._server.server_close()
+        self._server.break_off()
 
 
 def open_studio(folder: Path, name: str | None, port: int | None = None) -> Studio:
@@ -130,7 +133,25 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, place: tuple[str, int], token: str, session: Session) -> None:
         self.token, self.session = token, session
+        self._open = set[socket.socket]()
         super().__init__(place, _Handler)
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a connection, and remember it."""
+        connection, address = super().get_request()
+        self._open.add(connection)
+        return connection, address
+
+    def shutdown_request(self, request: Any) -> None:
+        """Forget a connection that ends."""
+        self._open.discard(request)
+        super().shutdown_request(request)
+
+    def break_off(self) -> None:
+        """End the connections that are open: they would outlive the server, and answer in its name."""
+        for connection in [*self._open]:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Connections that break are no news."""
@@ -151,8 +172,9 @@ class _Handler(BaseHTTPRequestHandler):
         if rest is None:
             return
         path, query = urlsplit(rest).path, parse_qs(urlsplit(rest).query)
+        session = self.server.session
         if path == "state":
-            self._json(200, self.server.session.state(_whole(query.get("since")), LONGEST_WAIT))
+            self._json(200, session.state(_whole(query.get("since")), LONGEST_WAIT))
         elif path in FILES:
             kind, make = FILES[path]
             self._send(200, kind, make().encode("utf-8"))

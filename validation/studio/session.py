@@ -44,6 +44,7 @@ class Session:
     def __init__(self, folder: Path, name: str, text: str | None = None) -> None:
         self.folder, self.file = folder.resolve(), TaskFile(folder.resolve(), name)
         self.id = secrets.token_hex(8)
+        self.closed = False
         self._changed = threading.Condition()
         self._version, self._revision = 0, 0
         self._text = (text or "") if self.file.known is None else self.file.known
@@ -63,20 +64,20 @@ class Session:
     def close(self) -> None:
         """End all processes, and answer whoever waits."""
         with self._changed:
-            self._closed = True
+            if self.closed:
+                return
+            self.closed = True
             self._touch()
         self._looker.close()
         if self._computer is not None:
             self._computer.close()
-
-    _closed = False
 
     # What the page sees.
 
     def state(self, since: int, timeout: float) -> dict[str, Any]:
         """Return the state as soon as it is another than the one with this number, or after the timeout."""
         with self._changed:
-            self._changed.wait_for(lambda: self._version != since or self._closed, timeout)
+            self._changed.wait_for(lambda: self._version != since or self.closed, timeout)
             return {
                 "session": self.id,
                 "version": self._version,
@@ -152,7 +153,7 @@ class Session:
                 self._fail(message.get("failed", "the process that reads the text has ended"))
             if self._waiting or self._seen_revision != self._revision:
                 self._look()
-            if not self._closed:
+            if not self.closed:
                 self._worker()
             self._touch()
 
@@ -164,11 +165,11 @@ class Session:
 
     def _watch(self) -> None:
         """Give up the reading of a text that takes too long."""
-        while not self._closed:
+        while not self.closed:
             time.sleep(1.0)
             with self._changed:
                 since = self._looking_since
-                if since is None or time.monotonic() - since < LOOKING or self._closed:
+                if since is None or time.monotonic() - since < LOOKING or self.closed:
                     continue
                 self._looking_since = None
                 self._looker.replace()
@@ -227,7 +228,9 @@ class Session:
                 if self._job["state"] in ("running", "stopping", "playing"):
                     self._end("the process that computes has ended; is there enough memory?", lost=True)
             elif message["done"] == "save":
-                self._message = f"saved {message['saved']}" if "saved" in message else message.get("failed", "not saved")
+                self._message = (
+                    f"saved {message['saved']}" if "saved" in message else message.get("failed", "not saved")
+                )
             elif message["number"] == self._job["number"]:
                 self._take_done(message)
             self._touch()
