@@ -12,7 +12,7 @@ ORDER = {
     "envs": "arrays expressions agents logic problem dynamics pictures interfaces suite",
     "synthesis": "cells relations values models search bounds choosing nominal_paths pairs controllers certificates "
     "bridges path_checking checking balls shielding permissions",
-    "validation": "statistics simulation verdicts audits shields policies figures reports paper",
+    "validation": "statistics simulation verdicts audits shields policies figures reports studio paper",
 }
 """The rooms of each wing, in the order in which a problem passes through them."""
 BEGIN, END = "<!-- rooms -->\n", "<!-- end of rooms -->"

@@ -63,6 +63,7 @@ MAY_IMPORT = {
     "validation.figures": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.permissions "
     "validation.verdicts validation.audits validation.policies",
     "validation.reports": f"{EVIDENCE} envs.pictures synthesis.checking validation.verdicts validation.audits",
+    "validation.studio": f"{EVIDENCE} envs.pictures synthesis synthesis.checking validation.reports",
     "validation.paper": f"{EVIDENCE} envs.pictures envs.suite synthesis synthesis.models synthesis.nominal_paths "
     "synthesis.search synthesis.bounds synthesis.checking validation.verdicts",
 }

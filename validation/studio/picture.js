@@ -30,7 +30,7 @@ class Axes {
     this.low = panel.map ? panel.low : [0, panel.low[0]];
     this.high = panel.map ? panel.high : [horizon, panel.high[0]];
     const span = [0, 1].map(k => this.high[k] - this.low[k]), inner = WIDTH - LEFT - RIGHT;
-    const ratio = panel.map ? Math.min(0.95, Math.max(0.4, span[1] / span[0])) : 0.46;
+    const ratio = panel.map ? Math.min(1, Math.max(0.4, span[1] / span[0])) : 0.46;
     this.width = inner;
     this.tall = inner * ratio;
     this.height = this.tall + TOP + BOTTOM;
@@ -80,7 +80,6 @@ export class Picture {
     Object.assign(this, {key, seen, picture: copy(seen.picture)});
     this.offer();
     this.draw();
-    this.redraw();
   }
 
   /** Offers the agents for whom regions can be drawn. */
@@ -102,13 +101,14 @@ export class Picture {
     at("panels").replaceChildren(...figures);
     at("remove").disabled = !this.picture.panels.some(p => p.shapes.some(s => s.name === this.chosen));
     if (focus) { const again = at("panels").querySelector('[data-key="' + CSS.escape(focus) + '"]'); if (again) again.focus(); }
+    this.redraw();
   }
 
   panel(panel, p) {
     const axes = new Axes(panel, this.picture.horizon), figure = document.createElement("figure");
     const svg = make(figure, "svg", {viewBox: "0 0 " + WIDTH + " " + axes.height.toFixed(1), "data-panel": p});
     // A picture is never so tall that what is certified falls off the screen.
-    svg.style.maxWidth = "calc((100vh - 330px) * " + (WIDTH / axes.height).toFixed(3) + ")";
+    svg.style.maxWidth = "calc((100vh - 400px) * " + (WIDTH / axes.height).toFixed(3) + ")";
     const clip = make(make(svg, "defs", {}), "clipPath", {id: "frame" + p});
     const frame = {x: LEFT, y: TOP, width: axes.width, height: axes.tall};
     make(clip, "rect", frame);

@@ -1,4 +1,4 @@
-"""A headless Chromium that tests drive by hand and eye: real pointer and keys, several tabs, screenshots.
+"""A headless Chromium driven as by hand and eye: real pointer and keys, several tabs, screenshots.
 
 It speaks the protocol of Chromium's developer tools through a pipe, so that no library is needed.
 """
