@@ -106,3 +106,18 @@ def test_probabilities_below_a_half_are_refused(chain: StartHull) -> None:
     certificate = chain.corner(0)
     with pytest.raises(ValueError, match="`probability`"):
         cg.certified_starts(certificate, 0.3)
+
+
+def test_the_share_of_a_line_is_its_length() -> None:
+    """An agent of one state has a set of starts, too: an interval."""
+    cart = cg.LinearAgent(
+        name="cart", A=[[0.9]], B=[[0.5]], noise_covariance=[[0.01]], state_low=[-4], state_high=[4],
+        input_low=[-4], input_high=[4], initial_state=[-1],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="line", horizon=3, agents=[cart], propositions={"goal": cg.Proposition("cart", [1], [4])},
+        specification=cg.Specification("F goal", "co-safe"),
+    )  # fmt: skip
+    hull = cg.certified_starts(cg.synthesize(problem, relation="path").certificate, 0.9)
+    ends = hull.corners[:, 0]
+    assert hull.share == (ends.max() - ends.min()) / 8 > 0.1 and cg.check(hull)

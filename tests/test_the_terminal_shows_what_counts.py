@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
 
 import pytest
+from tqdm import tqdm
 
 import certigym as cg
 from certigym.cli.colors import colored, wants_colors
 from certigym.cli.main import main
 from certigym.cli.parser import build_parser
+from certigym.synthesis.search import BAR, shown_on
 from problems import scalar_agent
 
 CODES = re.compile(r"\033\[\d+m")
@@ -39,6 +42,50 @@ def test_colours_are_for_terminals(monkeypatch: pytest.MonkeyPatch, terminal: bo
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     assert wants_colors() == wanted
+
+
+@pytest.mark.parametrize("width", [60, 80, 132])
+def test_no_line_is_wider_than_the_terminal_and_no_word_is_lost(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wanted = ["meeting-v0", "door-formation-v0", "patrol-recharge-v0", "quadrotor-v0", "fleet-v0"]
+    for words in ([], *([name] for name in wanted)):
+        assert main(["describe", *words]) == 0
+        plain = capsys.readouterr().out
+        with monkeypatch.context() as terminal:
+            terminal.setattr(sys.stdout, "isatty", lambda: True)
+            terminal.setenv("COLUMNS", str(width))
+            terminal.delenv("NO_COLOR", raising=False)
+            terminal.setenv("TERM", "xterm")
+            assert main(["describe", *words]) == 0
+        shown = CODES.sub("", capsys.readouterr().out)
+        assert max(map(len, shown.splitlines())) <= width
+        # Words alone are broken, and only where they do not fit into a line of their own.
+        assert "".join(shown.split()) == "".join(plain.split())
+    assert any(len(line) > width for line in plain.splitlines())
+
+
+def test_reports_fit_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert main(["run", "reach-avoid-v0", "--horizon", "2", "--cells", "20", "--episodes", "300"]) == 0
+    report = capsys.readouterr().out
+    # What goes on stands below what it belongs to.
+    assert re.search(r"^method        linear relation.*\n {14}\S", report, re.M)
+    words = ["--policies", "certified,random", "--episodes", "300"]
+    assert main(["compare", "reach-avoid-v0", "--horizon", "2", "--cells", "20", *words]) == 0
+    assert max(map(len, (report + capsys.readouterr().out).splitlines())) <= 80
+
+
+def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> None:
+    text = io.StringIO()
+    with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
+        told = shown_on(bar)
+        told("way: linear, 160 cells, at most 0.9141 for anyone, 0 of 80 work spent", 0.9046089)
+        bar.refresh()
+    last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
+    assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
 
 
 def test_a_bound_far_below_the_rollouts_comes_with_advice() -> None:

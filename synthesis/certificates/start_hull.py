@@ -76,7 +76,10 @@ class StartHull:
     def share(self) -> float:
         """Volume of the hull as a share of that of the workspace, over the axes (rounded)."""
         axes, agent = list(self.axes), self.problem.agents[0]
-        return float(ConvexHull(self.corners[:, axes]).volume / np.prod((agent.state_high - agent.state_low)[axes]))
+        corners = self.corners[:, axes]
+        # In one dimension, which the library does not know, it is the length between the ends.
+        volume = np.ptp(corners) if len(axes) == 1 else ConvexHull(corners).volume
+        return float(volume / np.prod((agent.state_high - agent.state_low)[axes]))
 
     def corner(self, i: int) -> PathCertificate:
         """Return the certificate along the path from corner i."""

@@ -28,8 +28,10 @@ Progress = Callable[[str, float], None]
 BEGINS = "way: "
 """What begins texts of progress that name a way or a level; others name a start of a search."""
 
-BAR = "{desc} [{elapsed}]{postfix}"
-"""What a bar shows: the way that is tried, the bound so far, how long all took, and the value of this search."""
+BAR = "[{elapsed}] {desc}{postfix}"
+"""What a bar shows: how long all took, the bound so far, the way that is tried, and the value of this search.
+
+A narrow terminal cuts off the end: what counts stands first."""
 
 
 def sweep_bar() -> Progress:
@@ -46,7 +48,7 @@ def shown_on(bar: tqdm) -> Progress:
         if text.startswith(BEGINS):
             bound = max(bound, value)
             so_far = f"P >= {floor(1e6 * bound) / 1e6:.6f} so far" if bound > 0.0 else "nothing certified yet"
-            bar.set_description_str(f"{text.removeprefix(BEGINS)}; {so_far}", refresh=False)
+            bar.set_description_str(f"{so_far}; {text.removeprefix(BEGINS)}", refresh=False)
             bar.set_postfix_str("")
         else:
             bar.set_postfix_str(f"this search: {value:.6f}", refresh=False)

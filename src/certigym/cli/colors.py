@@ -38,7 +38,7 @@ def colored(text: str) -> str:
 def _line(line: str) -> str:
     """Return one line of a report with colours."""
     label = _LABEL.match(line)
-    if label is None:
+    if label is None or not label[0].strip():
         return re.sub(r"(?<=: )(valid|invalid)(?=:)", lambda m: _painted(m[0], _WORDS[m[0]]), line)
     rest = line[label.end() :]
     if label[0].strip() == "invalid":

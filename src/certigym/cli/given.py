@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 import re
-import sys
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem, load_problem, split_axes
 from ..envs.suite import make_problem, problem_ids
-from .colors import colored, wants_colors
+from .terminal import on_terminal
 
 SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?)([KMGkmg]?)(?:i?[Bb])?")
 """How a number of bytes is written: 500M, 1.5G, 2GiB."""
@@ -100,15 +103,40 @@ def search_of(options: Namespace) -> dict[str, Any]:
 
 def show(options: Namespace, text: Any, data: Any) -> None:
     """Print the text, and write the data as JSON if ``--json`` asks for it (``-``: data instead of text)."""
-    if options.json != "-":
-        print(colored(str(text)) if wants_colors() else text)
+    say(options, text)
     write_json(options, data)
+
+
+def say(options: Namespace, text: Any) -> None:
+    """Print a part of the result, unless JSON takes its place; on a terminal as wide as that, and with colours."""
+    if options.json != "-":
+        print(on_terminal(str(text)), flush=True)
 
 
 def write_json(options: Namespace, data: Any) -> None:
     """Write JSON to the path, or to standard output (``-``), that ``--json`` names; without ``--json`` do nothing."""
     if options.json == "-":
-        json.dump(data, sys.stdout, indent=2, allow_nan=False)
-        print()
+        # What else is printed goes to standard error then (see `main`).
+        json.dump(plain(data), options.results, indent=2, allow_nan=False)
+        print(file=options.results, flush=True)
     elif options.json is not None:
-        save_json(options.json, data)
+        save_json(options.json, plain(data))
+
+
+def plain(data: Any) -> Any:
+    """Return data as JSON can hold them, no number rounded: what is no number is null, and infinity is a word.
+
+    Examples
+    --------
+    >>> plain({"p": float("nan"), "log_e": [float("-inf"), 0.1 + 0.2]})
+    {'p': None, 'log_e': ['-inf', 0.30000000000000004]}
+    """
+    if isinstance(data, Mapping):
+        return {str(key): plain(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [plain(value) for value in data]
+    if isinstance(data, np.ndarray | np.generic):
+        return plain(data.tolist())
+    if isinstance(data, float) and not math.isfinite(data):
+        return None if math.isnan(data) else f"{data}"
+    return data

@@ -34,7 +34,7 @@ from ..validation.policies import leaderboard as fill_leaderboard
 from ..validation.policies import probe as probe_certificate
 from ..validation.policies import record as record_episodes
 from ..validation.simulation import planned
-from .given import cells_of, problem_of, relation_of, show
+from .given import cells_of, problem_of, relation_of, say, show
 from .network_commands import certify_raw, is_actor, problem_of_actor
 from .policy_words import policy_of_file, policy_of_word
 from .work import trained, trials
@@ -110,8 +110,7 @@ def leaderboard(options: Namespace) -> int:
         write_json(table, filled.to_dict())
         write_text(page, page_of(filled))
         seconds = "" if row.seconds is None else f", {row.seconds:.0f} s"
-        if options.json != "-":
-            print(f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}]{seconds}", flush=True)
+        say(options, f"{row.problem}: {row.policy} {row.rate:.4f} [{row.low:.4f}, {row.high:.4f}]{seconds}")
 
     with trials(options) as plan:
         if options.add:
@@ -164,7 +163,7 @@ def record(options: Namespace) -> int:
         "satisfied": int(found.satisfied.sum()),
         "steps": int(found.lengths.sum()),
     }
-    show(options, found, {**facts, **counts, "information": found.information})
+    show(options, found, {**facts, **counts, "information": found.information, "file": options.out})
     return 0
 
 

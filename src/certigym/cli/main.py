@@ -11,6 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stdout
 from importlib import import_module
 
 from .parser import MODULES, build_parser
@@ -42,7 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         check_places(getattr(options, "json", None), _file_of(options), getattr(options, "plot", None))
         module = import_module(f".{MODULES[options.command]}", __package__)
-        return int(getattr(module, options.command.replace("-", "_"))(options))
+        options.results = sys.stdout
+        # With `--json -` standard output holds JSON alone; what is printed besides, by libraries, too, goes elsewhere.
+        with redirect_stdout(sys.stderr) if options.json == "-" else nullcontext():
+            return int(getattr(module, options.command.replace("-", "_"))(options))
     except (ValueError, OSError) as error:
         said = str(error).strip()
         # An expression with a caret under the mistake keeps its lines.

@@ -17,8 +17,7 @@ from ..synthesis.checking import check as check_certificate
 from ..synthesis.checking import safety_rate
 from ..synthesis.nominal_paths import certified_starts as starts_around
 from ..synthesis.synthesize import ways_ahead
-from ..validation.simulation import LABEL_WIDTH
-from .given import named_problem, problem_of, show, write_json
+from .given import named_problem, problem_of, say, show, write_json
 from .validation_commands import print_horizons, validate_result
 from .work import synthesized
 
@@ -95,18 +94,20 @@ def run(options: Namespace) -> int:
     result = synthesized(options)
     if options.out:
         save_certificate(result.certificate, options.out)
-    status = validate_result(options, result, None, check_certificate(result.certificate))
-    if options.no_deadline and options.json != "-":
-        print(f"{'no deadline':<{LABEL_WIDTH}}{_lasting(result)}")
+    more = {"certificate": options.out} if options.out else {}
+    told = _lasting(result) if options.no_deadline else {}
+    status = validate_result(options, result, None, check_certificate(result.certificate), more | told)
     return status
 
 
-def _lasting(result: Any) -> str:
-    """Return what is certified without a deadline, in words."""
+def _lasting(result: Any) -> dict[str, Any]:
+    """Return what is certified without a deadline: in words, and as a number where one holds for every horizon."""
     certificate = result.certificate
     if certificate.unbounded is not None:
-        return f"the bound holds for every longer horizon, too, and without any: P >= {certificate.unbounded:.6g}"
-    return f"P(safe for k steps) >= {safety_rate(certificate)}, for every k"
+        said = f"the bound holds for every longer horizon, too, and without any: P >= {certificate.unbounded:.6g}"
+    else:
+        said = f"P(safe for k steps) >= {safety_rate(certificate)}, for every k"
+    return {"no_deadline": said, "unbounded": certificate.unbounded}
 
 
 def synthesize(options: Namespace) -> int:
@@ -203,10 +204,9 @@ def _list_suite(options: Namespace) -> int:
         sizes = {"agents": problem.n_agents, "horizon": problem.horizon}
         rows.append({"id": name, **sizes, "semantics": problem.specification.semantics, "task": _task(problem)})
     width = max(len(str(row["id"])) for row in rows)
-    if options.json != "-":
-        for row in rows:
-            size = f"{row['agents']:>3} agents  T={row['horizon']:<3}"
-            print(f"{row['id']:<{width}}  {size} {row['semantics']:<12} {row['task']}")
+    for row in rows:
+        size = f"{row['agents']:>3} agents  T={row['horizon']:<3}"
+        say(options, f"{row['id']:<{width}}  {size} {row['semantics']:<12}  {row['task']}")
     write_json(options, rows)
     return 0
 

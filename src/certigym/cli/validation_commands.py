@@ -6,8 +6,9 @@ import os
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
 from ..validation.paper import TARGETS, lines_text, reproduced, silent, summary_text
 from ..validation.reports import report as write_report
-from ..validation.simulation import Mismatch
+from ..validation.simulation import LABEL_WIDTH, Mismatch
 from ..validation.verdicts import (
     LADDERS,
     ValidationReport,
@@ -35,7 +36,7 @@ from ..validation.verdicts import (
 from ..validation.verdicts import stress as stress_certificate
 from ..validation.verdicts import validate as validate_certificate
 from ..validation.verdicts import validate_field as field_of
-from .given import budget_of, cells_of, problem_of, relation_of, search_of, show, state_of, write_json
+from .given import budget_of, cells_of, problem_of, relation_of, say, search_of, show, state_of, write_json
 from .work import trials
 
 INVALID = "invalid: it fails its check"
@@ -51,10 +52,17 @@ def validate(options: Namespace) -> int:
     return validate_result(options, certificate, state)
 
 
-def validate_result(options: Namespace, result: Any, initial_state: Any, checked: CheckReport | None = None) -> int:
+def validate_result(
+    options: Namespace,
+    result: Any,
+    initial_state: Any,
+    checked: CheckReport | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> int:
     """Validate, print and write the report; after Ctrl-C it is about the finished episodes, and the status is 130.
 
-    A check that failed is its headline, and the status is 1 whatever the rollouts say.
+    A check that failed is its headline, and the status is 1 whatever the rollouts say. ``more`` is told besides, also
+    what holds without a deadline.
     """
     with trials(options, options.episodes) as plan:
         report = validate_certificate(
@@ -66,7 +74,9 @@ def validate_result(options: Namespace, result: Any, initial_state: Any, checked
             disturbance=options.disturbance,
         )
     report = report if checked is None else report.with_check(checked)
-    show(options, report, report.to_dict())
+    said = {"no deadline": (more or {}).get("no_deadline")}
+    lines = [str(report), *(f"{label:<{LABEL_WIDTH}}{text}" for label, text in said.items() if text)]
+    show(options, "\n".join(lines), {**report.to_dict(), **(more or {})})
     return 130 if report.interrupted else int(report.refuted or report.is_invalid)
 
 
@@ -74,8 +84,7 @@ def print_horizons(options: Namespace) -> int:
     """Synthesize and validate at several horizons, and print each row when it is ready; Ctrl-C keeps finished rows."""
     problem = problem_of(options)
     settings = {"cells": cells_of(options), **relation_of(options), **budget_of(options), **search_of(options)}
-    if options.json != "-":
-        print(problem.name, flush=True)
+    say(options, problem.name)
     reports: list[ValidationReport] = []
     interrupted = False
     with trials(options) as plan:
@@ -84,10 +93,9 @@ def print_horizons(options: Namespace) -> int:
                 if report.interrupted:
                     raise KeyboardInterrupt
                 reports.append(report)
-                if options.json != "-":
-                    bound, rate = rounded_down(report.lower_bound), f"simulated {report.estimate:.6f}"
-                    word = INVALID if report.is_invalid else report.verdict
-                    print(f"{report.horizon:>4}  P >= {bound}  {rate}  {word}", flush=True)
+                bound, rate = rounded_down(report.lower_bound), f"simulated {report.estimate:.6f}"
+                word = INVALID if report.is_invalid else report.verdict
+                say(options, f"{report.horizon:>4}  P >= {bound}  {rate}  {word}")
         except KeyboardInterrupt:  # a row is about all episodes or is left out
             interrupted = True
     write_json(options, [report.to_dict() for report in reports])
@@ -142,22 +150,18 @@ def reproduce(options: Namespace) -> int:
     began, folder, wrong = time.perf_counter(), Path(options.out or "reproduced"), 0
     told: dict[str, dict[str, Any]] = {}
 
-    def say(text: str) -> None:
-        if options.json != "-":
-            print(text, flush=True)
-
-    for target, result, lines in _reproduced(options, folder, say):
+    for target, result, lines in _reproduced(options, folder, partial(say, options)):
         folder.mkdir(parents=True, exist_ok=True)
         save_json(folder / f"{target}-lines.json", lines)
         told[target] = {"result": result, "lines": lines}
         wrong += sum(line["wrong"] is not None for line in lines)
-        say(f"{target}\n{lines_text(lines)}")
+        say(options, f"{target}\n{lines_text(lines)}")
         if target.startswith("fig") and not (folder / f"{target}.png").exists():
             print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
     if options.what == "all":
-        say(f"all\n{summary_text({target: of_target['lines'] for target, of_target in told.items()})}")
+        say(options, f"all\n{summary_text({target: of_target['lines'] for target, of_target in told.items()})}")
     end = "PASS: every number is as it was recorded" if not wrong else f"FAIL: {wrong} numbers are not as recorded"
-    say(f"{end}; {(time.perf_counter() - began) / 60:.1f} minutes; written to {folder}")
+    say(options, f"{end}; {(time.perf_counter() - began) / 60:.1f} minutes; written to {folder}")
     write_json(options, told if options.what == "all" else told[options.what])
     return int(wrong > 0)
 

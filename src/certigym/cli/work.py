@@ -18,7 +18,7 @@ from ..synthesis.synthesize import synthesize
 from ..validation.policies import Training
 from ..validation.policies import train as train_baseline
 from ..validation.simulation import TrialPlan, executor_for
-from .given import budget_of, cells_of, problem_of, relation_of, search_of
+from .given import budget_of, cells_of, problem_of, relation_of, say, search_of
 
 
 def synthesized(options: Namespace) -> Synthesis:
@@ -36,9 +36,9 @@ def synthesized(options: Namespace) -> Synthesis:
         chosen = {**relation_of(options), **budget_of(options), **search_of(options)}
         result = synthesize(problem, cells, **chosen, progress=report)
     record = result.stats.get("cells")
-    if isinstance(record, dict) and options.json != "-":
+    if isinstance(record, dict):
         shapes = ", ".join(" x ".join(map(str, shape)) for shape in record["cells"])
-        print(f"{shapes} cells, the best of {counted(len(record['tried']), 'run')}: {record['stopped']}")
+        say(options, f"{shapes} cells, the best of {counted(len(record['tried']), 'run')}: {record['stopped']}")
     return result
 
 

@@ -1,0 +1,58 @@
+"""How results fit a terminal: lines that are too long are broken where they can be read, and words have colours."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import textwrap
+
+from ..validation.simulation import LABEL_WIDTH
+from .colors import colored, wants_colors
+
+_LABELLED = re.compile(rf"(?=.{{{LABEL_WIDTH - 1}}} \S)[a-z][a-z ]*\s+\S")
+_GAP = re.compile(r"(?<=\S)\s{2,}(?=\S)")
+_INDENT = 4
+"""Blanks before what goes on in the next line."""
+
+
+def on_terminal(text: str) -> str:
+    """Return a text as it is printed: as it is, but on a terminal no wider than that, and with colours."""
+    if sys.stdout.isatty():
+        text = fitted(text, shutil.get_terminal_size().columns)
+    return colored(text) if wants_colors() else text
+
+
+def fitted(text: str, width: int) -> str:
+    """Return a text whose lines are not longer than a terminal is wide; what is short stays as it is.
+
+    Examples
+    --------
+    >>> print(fitted("tried         path: not computed, as there is more", 34))
+    tried         path: not computed,
+                  as there is more
+    >>> print(fitted("meeting-v0  2 agents  !any(pillar) U all(cafe)", 34))
+    meeting-v0  2 agents
+        !any(pillar) U all(cafe)
+    """
+    return "\n".join(part for line in text.splitlines() for part in _broken(line, max(width, 2 * LABEL_WIDTH)))
+
+
+def _broken(line: str, width: int) -> list[str]:
+    """Return one line as lines that fit."""
+    if len(line) <= width:
+        return [line]
+    if _LABELLED.match(line):
+        return _wrapped(line, width, LABEL_WIDTH)
+    # What stands last in a row of a table goes into lines of its own.
+    gaps = list(_GAP.finditer(line))
+    begin = len(line) - len(line.lstrip())
+    if gaps:
+        last = gaps[-1]
+        rest = _wrapped(" " * (begin + _INDENT) + line[last.end() :], width, begin + _INDENT)
+        return [*_broken(line[: last.start()], width), *rest]
+    return _wrapped(line, width, begin + _INDENT)
+
+
+def _wrapped(line: str, width: int, indent: int) -> list[str]:
+    return textwrap.wrap(line, width, subsequent_indent=" " * indent, break_on_hyphens=False) or [line]
