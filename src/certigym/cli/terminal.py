@@ -12,6 +12,8 @@ from .colors import colored, wants_colors
 
 _LABELLED = re.compile(rf"(?=.{{{LABEL_WIDTH - 1}}} \S)[a-z][a-z ]*\s+\S")
 _GAP = re.compile(r"(?<=\S)\s{2,}(?=\S)")
+_NUMBERS = re.compile(r"[\[(][-+\d.,e\s\[\]()]*[\])]")
+_KEPT = "\N{NO-BREAK SPACE}"
 _INDENT = 4
 """Blanks before what goes on in the next line."""
 
@@ -55,4 +57,11 @@ def _broken(line: str, width: int) -> list[str]:
 
 
 def _wrapped(line: str, width: int, indent: int) -> list[str]:
-    return textwrap.wrap(line, width, subsequent_indent=" " * indent, break_on_hyphens=False) or [line]
+    """Return a line in pieces; vectors and matrices that fit into a line stay in one."""
+
+    def kept(found: re.Match[str]) -> str:
+        return found[0].replace(" ", _KEPT) if len(found[0]) <= width - indent else found[0]
+
+    whole = _NUMBERS.sub(kept, line)
+    pieces = textwrap.wrap(whole, width, subsequent_indent=" " * indent, break_on_hyphens=False)
+    return [piece.replace(_KEPT, " ") for piece in pieces] or [line]
