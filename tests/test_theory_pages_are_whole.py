@@ -71,7 +71,7 @@ def test_formulas_become_markup_without_a_network() -> None:
     assert all("http" not in path.read_text(encoding="utf-8") for path in (DOCS / "_static").iterdir())
 
 
-@pytest.mark.parametrize("name", ["linear"])
+@pytest.mark.parametrize("name", ["linear", "bounds", "boxes"])
 def test_worked_examples_print_what_the_page_says(name: str) -> None:
     text = (DOCS / "theory" / f"{name}.md").read_text(encoding="utf-8")
     found = re.search(r"^```python\n(.*?)^```\n\nprints\n\n```text\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
