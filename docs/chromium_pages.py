@@ -140,6 +140,11 @@ class Tab:
         )
         self.drag((x, y), (x, y))
 
+    def press(self, key: str) -> None:
+        """Press a key and let it go."""
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
     def type(self, text: str) -> None:
         """Write into what has the focus."""
         self._call("Input.insertText", text=text)

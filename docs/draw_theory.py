@@ -53,7 +53,7 @@ def _box(
 def _arrow(
     plot: Any, begin: tuple[float, float], end: tuple[float, float], color: str = SOFT, bend: float = 0.0
 ) -> None:
-    style = {"arrowstyle": "-|>", "mutation_scale": 11, "connectionstyle": f"arc3,rad={bend}"}
+    style: Any = {"arrowstyle": "-|>", "mutation_scale": 11, "connectionstyle": f"arc3,rad={bend}"}
     plot.add_patch(FancyArrowPatch(begin, end, color=color, **style))
 
 
@@ -90,7 +90,7 @@ def setting() -> Any:
     _region(plot, Rectangle((-0.3, 4.0), 6.6, 1.2), "reached")
     _region(plot, Rectangle((-0.3, 1.8), 6.6, 0.9), "kept")
     plot.plot(times, track, "o-", color=AGENTS[0], markersize=5, linewidth=1.2)
-    for time, y in zip(times, track):
+    for time, y in zip(times.tolist(), track.tolist()):
         letter = "goal" if y >= 4.0 else "lane" if 1.8 <= y < 2.7 else ""
         plot.text(time, -0.55, "{" + letter + "}", ha="center", fontsize=10, color=INK)
     plot.text(6.45, 4.6, "goal", va="center", color=REACH)
@@ -410,7 +410,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
 def main(names: list[str]) -> None:
     """Draw the named pictures, or all."""
     FOLDER.mkdir(exist_ok=True)
-    settings = {"svg.fonttype": "none", "svg.hashsalt": "certigym", "font.family": "sans-serif"}
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": "certigym", "font.family": "sans-serif"}
     for name in names or list(PICTURES):
         with matplotlib.rc_context(settings):
             PICTURES[name]().savefig(FOLDER / f"{name}.svg", metadata={"Date": None, "Creator": None})

@@ -61,10 +61,10 @@ def test_every_value_of_a_text_is_found_where_it_stands(text: str) -> None:
         span = found[path]
         assert tomllib.loads(f"v = {text[span.start : span.end]}")["v"] == value, path
     for path, span in found.items():
-        value: Any = data
+        whole: Any = data
         for key in path:
-            value = value[key]
-        assert tomllib.loads(f"v = {text[span.start : span.end]}")["v"] == value, path
+            whole = whole[key]
+        assert tomllib.loads(f"v = {text[span.start : span.end]}")["v"] == whole, path
 
 
 def test_an_edit_changes_what_it_is_about_and_keeps_every_comment() -> None:
@@ -353,6 +353,32 @@ def test_what_is_stopped_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) 
     assert answer["certificate"]["fingerprint"] == problem.fingerprint
 
 
+def test_a_process_that_ends_is_told_and_replaced(tmp_path: Path) -> None:
+    (tmp_path / "cart.toml").write_text((ROOT / "examples" / "pendulum_and_cart.toml").read_text())
+    page = Studio(tmp_path, "cart.toml").start()
+    try:
+        session = page.session
+        state = session.state(-1, 0.0)
+        while state["seen"] is None:
+            state = session.state(state["version"], 30.0)
+        session.certify(None)
+        assert session._computer is not None
+        session._computer._process.kill()
+        while state["job"]["state"] in ("none", "running"):
+            state = session.state(state["version"], 30.0)
+        assert state["job"]["state"] == "failed" and "has ended" in state["job"]["why"]
+        session.certify(1.0)
+        while state["job"]["state"] != "running" or state["job"]["now"] is None:
+            state = session.state(state["version"], 30.0)
+        # Pressed twice it is stopped at once.
+        session.stop()
+        session.stop()
+        state = session.state(-1, 0.0)
+        assert state["job"]["state"] in ("failed", "done") and state["text"]
+    finally:
+        page.stop()
+
+
 # In a browser.
 
 
@@ -377,6 +403,7 @@ def spot(tab: Tab, x: float, y: float) -> tuple[float, float]:
 SEEN = "window.studio && studio.link.state && studio.link.state.seen && studio.link.state.current"
 
 
+@pytest.mark.slow
 def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) -> None:
     page = Studio(tmp_path, "task.toml").start()
     try:
@@ -409,6 +436,17 @@ def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) 
         tab.until("studio.link.text.includes('radius = 0.5')")
         tab.drag(spot(tab, 1.5, 1.5), spot(tab, 2.5, 1.5))
         tab.until("studio.link.text.includes('initial_state = [2.5, 1.5]')")
+        # Keys move what has the focus, and every change can be taken back.
+        tab.run("document.querySelector('[data-key=\"0/rock\"]').focus()")
+        tab.press("ArrowRight")
+        tab.until("studio.link.text.includes('centre = [4.6, 5.5]')")
+        tab.press("Delete")
+        tab.until("!studio.link.text.includes('rock =') && !studio.link.text.includes('!rock ')")
+        for _ in range(2):
+            tab.click("#undo")
+        tab.until("studio.link.text.includes('centre = [4.5, 5.5]') && studio.link.text.includes('G !rock ')")
+        tab.click("#redo")
+        tab.until("studio.link.text.includes('centre = [4.6, 5.5]')")
         # And the picture follows the text.
         tab.run("studio.link.write(studio.link.text.replace('low = [7, 7]', 'low = [6, 7]'), true)")
         tab.until(
@@ -437,6 +475,7 @@ def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) 
         page.stop()
 
 
+@pytest.mark.slow
 def test_bad_input_a_second_tab_and_a_stopped_server_lose_nothing(browser: Chromium, tmp_path: Path) -> None:
     (tmp_path / "u.toml").write_text(UNICYCLE, encoding="utf-8")
     page = Studio(tmp_path, "u.toml").start()
@@ -458,6 +497,24 @@ def test_bad_input_a_second_tab_and_a_stopped_server_lose_nothing(browser: Chrom
             either.until("document.getElementById('link').textContent.includes('2 tabs')")
         second.run("studio.link.write(studio.link.text.replace('coz', 'cos'), true)")
         tab.until("studio.link.text.includes('speed*cos') && document.getElementById('error').hidden")
+        # What both write at once is not lost in either: one of them is asked.
+        mine = "studio.link.write(studio.link.text.replace('\"unicycle\"', '\"mine\"'))"
+        second.run(f"{mine}; clearTimeout(studio.link.timer)")  # not sent yet
+        tab.run("studio.link.write(studio.link.text.replace('\"unicycle\"', '\"yours\"'), true)")
+        second.until("!document.getElementById('banner').hidden && studio.link.state.text.includes('yours')")
+        assert second.run("studio.link.text.includes('\"mine\"')")
+        second.click("#banner [data-yes]")
+        tab.until("studio.link.text.includes('\"mine\"')")
+        tab.until(f"{SEEN} && !studio.link.dirty && studio.link.state.seen.fingerprint")
+        # What takes long can be stopped, and certified again.
+        tab.until("!document.getElementById('certify').disabled")
+        tab.click("#certify")
+        tab.until("studio.link.state.job.now && !document.getElementById('stop').hidden")
+        tab.click("#stop")
+        tab.until(
+            "['failed', 'done'].includes(studio.link.state.job.state) && !document.getElementById('certify').hidden"
+        )
+        assert "stopped" in tab.run("document.getElementById('way').textContent")
         # The server stops: both say so, and writing goes on.
         page.stop()
         for either in (tab, second):

@@ -1,7 +1,7 @@
 // The link to the server: the text goes there after every change, what all tabs see comes back. Nothing that was written
 // is lost: while the server is away the text stays here and in this browser's storage, and goes there once it is back.
 
-const PAUSE = 120, RETRY = 700, MOST_UNDO = 300;
+const PAUSE = 120, RETRY = 700, LATER = 1500, MOST_UNDO = 300;
 
 export class Link {
   /** Takes what shows a state, what asks a question, and what says how the link stands. */
@@ -100,13 +100,19 @@ export class Link {
 
   /** The server was started anew: what was written here goes there, unless the file says something new, too. */
   again(state, before) {
-    const mine = this.text;
     this.base = state.revision;
-    if (state.text === mine) { this.adopt(state); return; }
-    if (state.text === before || !state.file.exists || state.text === this.onDisk) {
+    if (state.text === this.text) { this.adopt(state); return; }
+    const known = state.text === before || !state.file.exists || state.text === this.onDisk;
+    if (!known && this.dirty) { this.conflict(state); return; }
+    if (this.dirty) { this.send(); return; }
+    // Nothing was written here since: a tab in which something was comes first, and then this one takes its text.
+    setTimeout(() => {
+      if (this.state.session !== state.session || this.dirty || this.state.text === this.text) return;
+      if (this.state.revision > state.revision) { this.adopt(this.state); this.show(this.state); return; }
+      if (!known) { this.conflict(this.state); return; }
       this.dirty = true;
       this.send();
-    } else this.conflict(state);
+    }, LATER);
   }
 
   conflict(state) {
