@@ -69,6 +69,7 @@ export class Link {
     this.away = true;
     this.remember();
     this.tell();
+    if (this.state) this.show(this.state);
   }
 
   /** Takes a state, and the text in it unless one was written here meanwhile. */

@@ -1,8 +1,11 @@
 // The picture of a task: regions and starts that can be drawn, moved and resized, and episodes above them.
 // Whatever is moved is sent as a change of the text; the text is the truth, and the picture follows it.
 
-const NS = "http://www.w3.org/2000/svg", WIDTH = 640, LEFT = 46, TOP = 10, RIGHT = 12, BOTTOM = 34;
+const NS = "http://www.w3.org/2000/svg", WIDE = 640, NARROW = 400, LEFT = 46, TOP = 10, RIGHT = 12, BOTTOM = 34;
 const CORNERS = 6, WORDS = {reached: "goal", avoided: "rock", kept: "safe", free: "region"};
+
+// How many units a picture is wide: fewer where it is shown small, so that its words can be read.
+let WIDTH = WIDE;
 
 const copy = value => JSON.parse(JSON.stringify(value));
 const at = id => document.getElementById(id);
@@ -59,6 +62,7 @@ export class Picture {
     addEventListener("pointermove", event => this.move(event));
     addEventListener("pointerup", event => this.drop(event));
     addEventListener("pointercancel", () => this.drop(null));
+    addEventListener("resize", () => { if (this.picture && !this.held) this.draw(); });
   }
 
   /** Takes a tool: what the next drag makes. */
@@ -97,6 +101,7 @@ export class Picture {
 
   draw() {
     const focus = document.activeElement && document.activeElement.dataset && document.activeElement.dataset.key;
+    WIDTH = this.picture.panels.length > 1 || innerWidth < 700 ? NARROW : WIDE;
     const figures = this.picture.panels.map((panel, p) => this.panel(panel, p));
     at("panels").replaceChildren(...figures);
     at("remove").disabled = !this.picture.panels.some(p => p.shapes.some(s => s.name === this.chosen));

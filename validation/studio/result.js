@@ -86,6 +86,7 @@ export class Result {
     const svg = at("curve"), points = (job.told || []).slice();
     svg.textContent = "";
     if (job.result) points.push([job.result.seconds, job.result.lower_bound]);
+    svg.toggleAttribute("hidden", !points.length);
     if (!points.length) return;
     const end = Math.max(points[points.length - 1][0], 0.1), x = t => 30 + 264 * t / end, y = p => 84 - 76 * p;
     const add = (name, set, text) => {
