@@ -394,7 +394,8 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 def spot(tab: Tab, x: float, y: float) -> tuple[float, float]:
     """Where a point of the first panel is on the screen."""
     found = tab.run(
-        "(() => {const v = studio.picture.views[0], r = v.svg.getBoundingClientRect(), k = r.width / v.svg.viewBox.baseVal.width;"
+        "(() => {const v = studio.picture.views[0], r = v.svg.getBoundingClientRect();"
+        "const k = r.width / v.svg.viewBox.baseVal.width;"
         f"return [r.x + k * v.axes.x({x}), r.y + k * v.axes.y({y})]}})()"
     )
     return found[0], found[1]
