@@ -330,6 +330,7 @@ def test_a_double_integrator_reaches_a_disc_around_a_triangle() -> None:
     judged(problem, result, reaches(lambda x: in_polygon(TRIANGLE, x[:2]), lambda x: math.hypot(x[0] - 4, x[1]) < 1))
 
 
+@pytest.mark.thorough
 def test_a_ball_is_flown_around() -> None:
     centre, nest = [0, 0, 0], [3.5, 0, 1]
     problem = problem_of(

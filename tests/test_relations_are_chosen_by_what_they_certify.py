@@ -18,6 +18,7 @@ from certigym.synthesis import task_ways
 from certigym.synthesis.cells.agent_grids import DEFAULT_CELLS
 from certigym.synthesis.choosing import relation_choice
 from certigym.synthesis.choosing.relation_choice import Tries, groups_of
+from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.models.abstraction import Settings, abstract
 from certigym.synthesis.models.joint import join, start_of
 from certigym.synthesis.search.relaxation import relax, upper_bound
@@ -49,6 +50,14 @@ def team(n_carts: int = 1, formula: str = "F (home & {carts})", semantics: str =
 def without_linear_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare the relations with one target per cell alone, unless a test asks for more."""
     monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
+
+
+@pytest.fixture(autouse=True)
+def with_rougher_ellipsoids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer semidefinite programs: how good ellipsoids are is tested where relations are, not where they are chosen."""
+    shares = (8.0, 4.0, 2.0, 1.3, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
+    monkeypatch.setattr(ellipsoid_search, "LABEL_SHARES", shares)
+    monkeypatch.setattr(ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95))
 
 
 @cache
