@@ -45,40 +45,12 @@ def commands(text: str, prompt: str) -> list[tuple[list[str], int]]:
     return [(shlex.split(line, comments=True)[1:], int("# exit status 1" in line)) for line in lines]
 
 
-QUICKER: dict[str, dict[str, str]] = {
-    "networks.md": {"steps=12_000": "steps=3_000", "actor, 500": "actor, 150"},
-    "learned_policies.md": {"steps=12_000": "steps=4_000", "steps=4_000, warm": "steps=1_000, warm",
-                            "cells=100": "cells=60", "episodes=4000": "episodes=1000"},
-    "probe.md": {"episodes=5000, steps=2000": "episodes=1000, steps=500"},
-    "many_agents.md": {"copies(12)": "copies(4)", "range(12)": "range(4)", "longest=240": "longest=120",
-                       '"invariance-b-20-v0", 100': '"invariance-b-20-v0", 60'},
-    "choose_cells.md": {"(25, 100, 400)": "(25, 50, 100)"},
-    "shields.md": {"problem, 200, relation": "problem, 60, relation", "steps=2000": "steps=500"},
-    "validate.md": {"--episodes 100000": "--episodes 10000", "--episodes 200000": "--episodes 20000",
-                    "--points 20": "--points 5", "--episodes 20000": "--episodes 2000"},
-}  # fmt: skip
-"""Numbers of pages that say how long something takes, and smaller ones with which it is run here."""
-
-
-def quicker(page: Path, block: str) -> str:
-    """A block with smaller numbers."""
-    for usual, small in QUICKER.get(page.name, {}).items():
-        block = block.replace(usual, small)
-    return block
-
-
-def test_what_is_made_quicker_is_on_the_pages() -> None:
-    texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES if page.name in QUICKER}
-    assert [(name, usual) for name, table in QUICKER.items() for usual in table if usual not in texts[name]] == []
-
-
 def run_page(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Execute the blocks of a page in order."""
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {}
     text = page.read_text(encoding="utf-8")
-    for language, long_block in blocks(page):
-        block = quicker(page, long_block)
+    for language, block in blocks(page):
         if language == "toml":
             (folder / toml_name(block)).write_text(block, encoding="utf-8")
         elif language == "python":
@@ -100,6 +72,7 @@ LEARNING = {"learned_policies.md", "probe.md"}
 
 
 @pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.thorough
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name in LEARNING:
         pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
@@ -149,7 +122,8 @@ def test_no_block_has_an_unknown_language_and_none_is_indented() -> None:
 
 
 def test_every_command_is_on_its_page() -> None:
-    listed = set(re.findall(r"^\| `([\w-]+)` \|", (DOCS / "command_line.md").read_text(encoding="utf-8"), re.MULTILINE))
+    text = (DOCS / "command_line.md").read_text(encoding="utf-8").partition("\n## JSON")[0]
+    listed = set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE))
     (action,) = (a for a in build_parser()._actions if a.dest == "command")
     assert action.choices is not None and listed == set(action.choices)
 
@@ -165,7 +139,7 @@ def test_every_public_name_is_in_the_reference() -> None:
 def test_every_figure_is_drawn_by_the_script_and_used() -> None:
     present = {path.stem for path in (DOCS / "figures").glob("*.png")}
     used = {name for page in PAGES for name in re.findall(r"figures/(\w+)\.png", page.read_text(encoding="utf-8"))}
-    assert present == used == set(draw_figures.FIGURES)
+    assert present == used == {*draw_figures.FIGURES, "studio"}  # which is a page, drawn by `draw_studio.py`
     for path in (DOCS / "figures").iterdir():
         assert path.stat().st_size < 100_000, "small enough to commit"
 

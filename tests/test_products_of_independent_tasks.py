@@ -201,7 +201,7 @@ def test_other_starts_multiply(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_groups_that_differ_are_synthesized_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = pairs(6, 3, starts=(-2.0, -1.2, -1.5))
+    problem = pairs(12, 3, starts=(-2.0, -1.2, -1.5))
     assert cg.synthesize(problem, 20).stats["distinct_tasks"] == 3
     one_finer = cg.synthesize(problem, {name: 40 if name == "left_0" else 20 for name in problem.agent_names})
     assert one_finer.stats["distinct_tasks"] == 4
@@ -344,9 +344,9 @@ def test_the_whole_has_no_automaton_and_says_what_to_do() -> None:
 
 
 def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    meet = " & ".join(f"F (near_left_{k} & near_right_{k})" for k in range(5))
+    meet = " & ".join(f"F (near_left_{k} & near_right_{k})" for k in range(20))
     agent = "A = [[0.9]]\nB = [[0.5]]\nnoise_covariance = [[0.1]]\nstate_low = [-4.0]\nstate_high = [4.0]\n"
-    agent += "input_low = [-2.0]\ninput_high = [2.0]\ncopies = 5\n"
+    agent += "input_low = [-2.0]\ninput_high = [2.0]\ncopies = 20\n"
     (tmp_path / "pairs.toml").write_text(
         f'name = "pairs"\nhorizon = 5\n[[agents]]\nname = "left"\ninitial_state = [-2.0]\n{agent}'
         f'[[agents]]\nname = "right"\ninitial_state = [2.0]\n{agent}'
@@ -357,11 +357,11 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
     file, saved = str(tmp_path / "pairs.toml"), str(tmp_path / "pairs.npz")
     assert main(["run", file, "--cells", "40", "--episodes", "5000", "--out", saved]) == 0
-    assert "5 independent tasks" in capsys.readouterr().out
+    assert "20 independent tasks" in capsys.readouterr().out
     assert main(["check", saved, "--problem", file]) == 0
     assert main(["validate", saved, "--episodes", "5000"]) == 0
     assert main(["describe", file]) == 0
-    assert "5 independent tasks" in capsys.readouterr().out
+    assert "20 independent tasks" in capsys.readouterr().out
     page = tmp_path / "page.html"
     for command in ("audit", "stress", "validate-field", "report"):
         more = {"report": ["--out", str(page)], "validate-field": ["--random", "3"]}.get(command, [])

@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "envs.expressions": "envs.arrays",
     "envs.agents": "envs.arrays envs.expressions",
     "envs.logic": "",
-    "envs.problem": "envs.agents envs.logic",
+    "envs.problem": "envs.expressions envs.agents envs.logic",
     "envs.dynamics": "envs.arrays envs.agents envs.logic envs.problem",
     "envs.pictures": "envs.agents envs.logic envs.problem",
     "envs.interfaces": f"{ENVS} envs.pictures",

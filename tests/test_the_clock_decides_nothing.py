@@ -73,8 +73,8 @@ def test_slow_and_fast_machines_certify_the_same(
 def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first certificate is returned in any case; what comes after it is left out when the seconds are over."""
     quick = certified(monkeypatch, 100.0, robots(2), seconds=10.0)
-    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=0.8)
-    usual = cg.synthesize(robots(2), effort=0.8)
+    patient = certified(monkeypatch, 1e-6, robots(2), seconds=10.0, effort=2.0)
+    usual = cg.synthesize(robots(2), effort=2.0)
     assert 0.0 < quick.certificate.lower_bound < usual.certificate.lower_bound == patient.certificate.lower_bound
     tried: Any = quick.stats["tried"]
     assert any("`seconds`" in str(outcome) for outcome in tried.values())
@@ -82,7 +82,7 @@ def test_only_seconds_that_are_given_look_at_the_clock(monkeypatch: pytest.Monke
 
 
 def test_more_effort_certifies_no_less_and_says_what_was_left_out() -> None:
-    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 0.8))
+    little, more = (cg.synthesize(robots(2), effort=effort) for effort in (0.2, 2.0))
     assert little.certificate.lower_bound < more.certificate.lower_bound
     tried: Any = little.stats["tried"]
     assert any("ask for more `effort`" in str(outcome) for outcome in tried.values())
