@@ -28,7 +28,8 @@ TRUSTED = {
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
         "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
-        "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification envs.problem.writing_out"
+        "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification "
+        "envs.problem.writing_out"
     ),
     "What the formula means": (
         "envs.logic.automaton envs.logic.decision_diagram envs.logic.formula envs.logic.guard_diagrams "
