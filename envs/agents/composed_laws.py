@@ -48,11 +48,11 @@ class TruncatedGaussian(Law):
         return math.sqrt(max(self.spread**2 * (1.0 + ends) - mean**2, 0.0))
 
     @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
-        mean = self.spread**2 * (self._density(self.low) - self._density(self.high))
+    def majorant(self) -> Majorant | None:
         half = 0.5 * (self.high - self.low)
-        # What is cut evenly has smaller moments than before.
-        return (0.0, min(self.spread, half)) if self.low == -self.high else (mean, half)
+        if self.low == -self.high:  # what is cut evenly has smaller moments than before
+            return Majorant(0.0, min(self.spread, half), Tail.LIGHT)
+        return Majorant(self.spread**2 * (self._density(self.low) - self._density(self.high)), half, Tail.LIGHT)
 
     @property
     def top(self) -> float:
@@ -116,11 +116,6 @@ class Mixture(Law):
         return math.sqrt(
             sum(w * (law.std**2 + (m - mean) ** 2) for w, m, law in zip(self.weights, self.means, self.laws))
         )
-
-    @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
-        found = self.majorant
-        return None if found is None or found.tail == Tail.LONG else (found.mean, found.deviation)
 
     @property
     def majorant(self) -> Majorant | None:

@@ -128,18 +128,9 @@ class Law(ABC):
         return {"law": self.name, **{field.name: getattr(self, field.name) for field in fields(self)}}  # type: ignore[arg-type]
 
     @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
-        """Mean m and least known deviation s with ``E exp(a (e - m)) <= exp(a^2 s^2 / 2)`` for every a (rounded).
-
-        None where no normal law bounds the tails, or nothing is known of them.
-        """
-        return None
-
-    @property
     def majorant(self) -> Majorant | None:
-        """A law whose exponential moments are above those of this one (rounded); None where none is known."""
-        known = self.sub_gaussian
-        return None if known is None else Majorant(*known, Tail.LIGHT)
+        """The smallest known law whose exponential moments are above those of this one (rounded); None without one."""
+        return None
 
     def charge(self, pitch: float) -> float:
         """Return an upper bound on what interpolation between lattice points ``pitch`` apart adds to a value."""
@@ -204,10 +195,6 @@ class Gaussian(Law):
     cdf_error = CLOSED_FORM
 
     @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
-        return 0.0, self.std
-
-    @property
     def majorant(self) -> Majorant | None:
         return Majorant(0.0, self.std, Tail.NORMAL)
 
@@ -257,8 +244,8 @@ class Uniform(Law):
         return (self.high - self.low) / math.sqrt(12.0)
 
     @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
-        return 0.5 * (self.low + self.high), self.std
+    def majorant(self) -> Majorant | None:
+        return Majorant(0.5 * (self.low + self.high), self.std, Tail.LIGHT)
 
     @property
     def height(self) -> float:
@@ -318,10 +305,11 @@ class Triangular(Law):
         return math.sqrt(((b - a) ** 2 - (m - a) * (b - m)) / 18.0)
 
     @property
-    def sub_gaussian(self) -> tuple[float, float] | None:
+    def majorant(self) -> Majorant | None:
         # Two uniform laws of half the range, or anything in the range.
         is_even = self.mode - self.low == self.high - self.mode
-        return (self.low + self.mode + self.high) / 3.0, self.std if is_even else 0.5 * (self.high - self.low)
+        deviation = self.std if is_even else 0.5 * (self.high - self.low)
+        return Majorant((self.low + self.mode + self.high) / 3.0, deviation, Tail.LIGHT)
 
     @property
     def height(self) -> float:

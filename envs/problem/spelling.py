@@ -87,15 +87,23 @@ def _with_moving_inputs(table: dict[str, Any], horizon: Any, others: Sequence[An
         return table
     if type(horizon) is not int or horizon < 1:
         return table  # what is wrong with the horizon is said where it is read
-    result, times = {**table, **{key: list(table[key]) for key in written}}, np.arange(horizon)
+    result, times = {**table, **{key: list(table[key]) for key in written}}, np.arange(horizon, dtype=float)
     moving = sorted({j for (_, j), tree in trees.items() if names_in(tree)})
+    ends = {}
     for (key, j), tree in trees.items():
-        ends = np.broadcast_to(np.asarray(computed((tree,), {TIME: times.astype(float)})[0], dtype=float), times.shape)
-        if not np.all(np.isfinite(ends)):
+        ends[key, j] = np.broadcast_to(np.asarray(computed((tree,), {TIME: times})[0], dtype=float), times.shape)
+        if not np.all(np.isfinite(ends[key, j])):
             raise ValueError(f"`{key}`: expected numbers at all steps, got {shown(table[key][j])}")
-        result[key][j] = float(ends.min() if key == INPUTS[0] else ends.max())
+        result[key][j] = float(ends[key, j].min() if key == INPUTS[0] else ends[key, j].max())
     if moving:
         _clip(result, table, moving, others)
+        for j in moving:
+            low, high = (ends.get((key, j), table[key][j]) for key in INPUTS)
+            empty = np.flatnonzero(np.greater(low, high))
+            if len(empty):
+                raise ValueError(
+                    f"`input_low`: expected at most `input_high` at all steps, got more at step {empty[0]}"
+                )
     return result
 
 
