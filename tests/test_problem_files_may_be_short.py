@@ -95,8 +95,12 @@ def test_what_is_wrong_in_shorthand_is_named(old: str, new: str, said: str) -> N
     assert said in str(caught.value)
 
 
-def test_a_box_that_moves_is_refused_where_others_name_the_input() -> None:
-    text = FILE.replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]").replace("all(full)", "full")
+@pytest.mark.parametrize("are_copies", [False, True])
+def test_a_box_that_moves_is_refused_where_others_name_the_input(are_copies: bool) -> None:
+    text = FILE
+    if not are_copies:
+        text = FILE.replace("copies = 2\n", "").replace('[[0.0], ["pi / 2"]]', "[0.0]").replace("all(full)", "full")
+        text = text.replace("pump_*", "pump")
     follower = """
 [[agents]]
 name = "tank"
@@ -111,6 +115,7 @@ input_high = [1]
 initial_state = [0]
 [propositions]
 """
-    text = text.replace("pump_*", "pump").replace("\n[propositions]\n", follower)
+    follower = follower.replace("pump.flow", "pump_1.flow") if are_copies else follower
+    text = text.replace("\n[propositions]\n", follower)
     with pytest.raises(ValueError, match="another agent names that input"):
         problem_from_toml(text)

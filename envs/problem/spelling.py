@@ -115,7 +115,8 @@ def _clip(result: dict[str, Any], table: Mapping[str, Any], moving: Sequence[int
     for j in moving:
         if j >= len(names) or any(j >= len(table.get(key) or ()) for key in INPUTS):
             raise ValueError(f"`input_low`, `input_high`: expected one entry for each of {len(names)} inputs")
-        owned = re.compile(rf"(?<![\w.]){re.escape(str(table.get('name')))}\.{re.escape(str(names[j]))}\b")
+        owner = re.escape(str(table.get("name"))) + (r"_\d+" if "copies" in table else "")
+        owned = re.compile(rf"(?<![\w.]){owner}\.{re.escape(str(names[j]))}\b")
         for other in others:
             texts = [*_texts(other, "dynamics"), *_texts(other, "noise_scale")]
             if any(owned.search(text) for text in texts):
