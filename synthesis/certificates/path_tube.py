@@ -5,15 +5,13 @@ It is drawn, and nothing is certified from it: what is certified are the inequal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtri
 
-from ...envs.agents import AnyAgent, Majorant, Tail
+from ...envs.agents import Gaussian
 from ..cells import FloatArray
 from ..controllers import covariances_along
 from .path_certificate import PathCertificate
@@ -21,9 +19,6 @@ from .product import ProductCertificate
 
 KEPT = 0.99
 """Probability with which what is drawn stays in its tube at all times, as long as no input is cut off."""
-
-NORMAL = Majorant(0.0, 1.0, Tail.NORMAL)
-"""Noise that has the tails of its own deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,29 +33,24 @@ class Tube:
         Covariances of the deviations (rounded); along a nonlinear path those of the linear ones.
     is_linear : bool
         Whether these are all deviations. Along a nonlinear path dynamics drift from them: certified, and not drawn.
-    noise : Majorant
-        What is above the noise of all agents: its ``deviation`` as a multiple of theirs, and what is ``lost`` per step.
+    is_normal : bool
+        Whether all noise is normal, so that linear deviations keep within the radius as often as ``KEPT`` says.
     """
 
     middle: FloatArray
     covariances: FloatArray
     is_linear: bool = True
-    noise: Majorant = NORMAL
+    is_normal: bool = True
 
     @property
     def radius(self) -> float:
-        """Radius in deviations of the intervals or ellipses that linear deviations keep with probability .99 (rounded).
+        """Radius in deviations of the intervals or ellipses that normal ones keep with probability .99 (rounded).
 
         All times together: they are symmetric and convex, and by the Gaussian correlation inequality it is enough that
-        each of the S is kept with the S-th root of that. Noise of other laws has tails by its exponential moments, and
-        the two sides of all axes and times are added up.
+        each of the S is kept with the S-th root of that.
         """
-        steps, axes = max(1, len(self.middle) - 1), self.middle.shape[1]
-        if self.noise.tail != Tail.NORMAL:
-            share = (1.0 - KEPT - steps * self.noise.lost) / (2.0 * steps * axes)
-            return self.noise.deviation * float(np.sqrt(axes)) * _distance(share, self.noise.tail)
-        each = KEPT ** (1.0 / steps)
-        if axes == 1:
+        each = KEPT ** (1.0 / max(1, len(self.middle) - 1))
+        if self.middle.shape[1] == 1:
             return float(ndtri(0.5 + 0.5 * each))
         return float(np.sqrt(-2.0 * np.log1p(-each)))
 
@@ -76,23 +66,6 @@ class Tube:
         values, vectors = np.linalg.eigh(self.covariances)
         roots = np.einsum("tij,tj->tij", vectors, np.sqrt(np.maximum(values, 0.0)))
         return np.asarray(self.middle[:, None, :] + self.radius * np.einsum("tij,jp->tpi", roots, circle))
-
-
-def _distance(share: float, tail: Tail) -> float:
-    """Return how many deviations are exceeded with a probability of at most ``share``, by exponential moments."""
-    if tail == Tail.LIGHT:
-        return float(np.sqrt(-2.0 * np.log(share)))
-    root = brentq(lambda r: np.log(0.5 * (1.0 + r)) + 1.0 - r - np.log(share), 1.0, 10.0 - 2.0 * np.log(share))
-    return float(np.sqrt(0.5 * (root * root - 1.0)))
-
-
-def _above(agents: Sequence[AnyAgent]) -> Majorant:
-    """Return what is above the noise of all of these agents, in units of its own deviations."""
-    pairs = [(law.majorant, law.std) for agent in agents for law in agent.laws or ()]
-    known = [(found, std) for found, std in pairs if found is not None]
-    tail = max((found.tail for found, _ in known), default=Tail.NORMAL)
-    widest = max((found.deviation / std for found, std in known if std > 0.0), default=1.0)
-    return Majorant(0.0, widest, tail, sum(found.lost for found, _ in known))
 
 
 def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
@@ -121,7 +94,8 @@ def tube_along(certificate: Any, rows: FloatArray) -> Tube | None:
         deviations = covariances_along(agent, nominal, path.inputs, path.gains)[: steps + 1]
         covariances += np.einsum("kd,tde,le->tkl", own, deviations, own)
     is_linear = all(part.paths[k].states is None for part, k in (paths[i] for i in moved))
-    return Tube(middle, covariances, is_linear, _above([problem.agents[i] for i in moved]))
+    laws = [law for i in moved for law in problem.agents[i].laws or ()]
+    return Tube(middle, covariances, is_linear, all(isinstance(law, Gaussian) for law in laws))
 
 
 def _paths_of(certificate: Any) -> dict[int, tuple[PathCertificate, int]]:

@@ -216,7 +216,7 @@ def _tube(panel: Panel, axes: Axes, tube: Tube, role: str) -> list[str]:
 def _region(axes: Axes, region: Region, is_map: bool, horizon: int) -> str:
     if is_map and region.outline is not None:
         fills, edges = ([[axes.at(*point) for point in own.tolist()] for own in part] for part in region.polygons)
-        return svg.outlined(fills, edges, "region", region.name)
+        return svg.outlined(fills, edges, f"region r-{region.role}", region.name)
     first, last = region.span(horizon)
     low, high = (region.low, region.high) if is_map else ((first, region.low[0]), (last, region.high[0]))
     return svg.rectangle(axes.at(low[0], low[1]), axes.at(high[0], high[1]), f"region r-{region.role}", region.name)

@@ -63,7 +63,8 @@ LINEAR_TUBE = (
     f"; shaded: the tube that linear deviations from the nominal path keep with probability {KEPT:g}; what the "
     "dynamics bend beyond that is part of the proof, and is not drawn"
 )
-"""What is said of a tube that is drawn, and of one of an agent that is not linear."""
+OTHER_TUBE = "; shaded: {:.1f} standard deviations around the nominal path, of linear deviations alone"
+"""What is said of a tube that is drawn, of one of an agent that is not linear, and of noise that is not normal."""
 
 HEADLINES = {INVALID: "Not certified", REFUTED: "Refuted by rollouts", VACUOUS: "Nothing is claimed"}
 """What stands over the page in place of the name where the claim failed, or says nothing."""
@@ -232,8 +233,10 @@ def _names(panel: Panel) -> str:
 
 def _about(tubes: Iterable[Tube]) -> str:
     """Return what is said of the tubes of a picture; nothing if there are none."""
-    linear = {tube.is_linear for tube in tubes}
-    return "" if not linear else TUBE if linear == {True} else LINEAR_TUBE
+    shown = list(tubes)
+    if not all(tube.is_normal for tube in shown):
+        return OTHER_TUBE.format(max(tube.radius for tube in shown))
+    return "" if not shown else TUBE if all(tube.is_linear for tube in shown) else LINEAR_TUBE
 
 
 def _rollouts(content: ReportContent) -> str:
