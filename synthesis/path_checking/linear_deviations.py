@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..cells import FloatArray
-from .roundings import TAIL, UNIT
+from .roundings import SMALLEST, TAIL, UNIT
 
 
 @dataclass(eq=False)
@@ -88,6 +88,8 @@ class Chain:
 
     def spreads(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Upper bounds (J,) on the variances of rows (J, d) of the linear deviation, and on what one step adds."""
+        # Squares of tiny rows underflow; a variance of 0 would say that nothing can happen.
+        least = np.where(np.any(rows != 0.0, axis=1), SMALLEST, 0.0)
         rows = rows * self.units
         lengths, d = np.linalg.norm(rows, axis=1) * TAIL, len(self.units)
         moved, wrong = self._moved(rows, lengths)
@@ -100,8 +102,8 @@ class Chain:
         total = np.sum(each, axis=0)
         length, off = np.sqrt(np.sum(parts**2, axis=2)) * TAIL, wrong[:, 1:].T
         error = 2.0 * length * off + off**2 + (2.0 * d + len(noises) + 4.0) * UNIT * length**2
-        variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL)
-        return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0)
+        variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL) + least
+        return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0) + least
 
     def _moved(self, rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows times products (J, t + 1, d) as computed, and bounds (J, t + 1) on the lengths of what they are off."""

@@ -127,7 +127,9 @@ class Motion:
             moved_size = np.linalg.norm(moved, axis=1) * TAIL
             wrong = lengths * (self.powers.errors[k] + (d + 2.0) * UNIT * self.powers.norms[k])
             error += size * (2.0 * moved_size * wrong + wrong**2 + (2.0 * d + t + 4.0) * UNIT * moved_size**2)
-        return np.maximum(total, 0.0) + error * TAIL
+        # Squares of tiny rows underflow; a variance of 0 would say that nothing can happen.
+        least = np.where(np.any(rows != 0.0, axis=1), SMALLEST, 0.0)
+        return np.asarray(np.maximum(total, 0.0) + error * TAIL + least)
 
 
 def _in_even_units(agent: LinearAgent, path: AgentPath) -> tuple[System, AgentPath]:
