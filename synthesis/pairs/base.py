@@ -24,8 +24,8 @@ def usual_values(problem: Problem) -> NDArray[np.bool_]:
 
 
 def _can_accept(automaton: Automaton, never: int) -> bool:
-    """Return whether some word in which one proposition never holds leads to acceptance."""
-    states, met, stack = {automaton.initial}, set[int](), [int(automaton.root[automaton.initial])]
+    """Return whether some word, which has a letter at least, in which one proposition never holds is accepted."""
+    states, met, stack = set[int](), set[int](), [int(automaton.root[automaton.initial])]
     while stack:
         entry = stack.pop()
         if entry < 0:
@@ -36,7 +36,7 @@ def _can_accept(automaton: Automaton, never: int) -> bool:
             met.add(entry)
             stack.append(int(automaton.low[entry]))
             stack += [] if automaton.variable[entry] == never else [int(automaton.high[entry])]
-    return bool(automaton.accepting[list(states)].any())
+    return any(automaton.accepting[q] for q in states)
 
 
 def without_pairs(problem: Problem, usual: NDArray[np.bool_]) -> Problem:
