@@ -25,6 +25,7 @@ Layout of a file:
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
@@ -51,7 +52,16 @@ from ..logic import (
     automaton_from_transitions,
     parse_formula,
 )
-from .families import KEYS, AnyProposition, about_pairs, checked_propositions, expand, keys_of_shape, refuse_shape
+from .families import (
+    KEYS,
+    AnyProposition,
+    about_pairs,
+    checked_propositions,
+    expand,
+    keys_of_pair,
+    keys_of_shape,
+    refuse_shape,
+)
 from .record import Problem
 from .specification import Specification
 from .spelling import spelled_out, starts_of_copies
@@ -108,9 +118,14 @@ def problem_from_toml(text: str, source: str = "problem file", folder: Path | No
     except RecursionError as error:
         raise ValueError(f"{source}: expected TOML, got arrays or tables nested too deeply") from error
     try:
-        return problem_from_dict(data, folder)
+        return problem_from_dict({"name": _name_of(source), **data}, folder)
     except ValueError as error:
         raise ValueError(f"{source}: {_line(error)}") from error
+
+
+def _name_of(source: str) -> str:
+    """Return the name of a problem that says none: that of its file."""
+    return re.sub(r"[^\w-]+", "-", Path(source).stem).strip("-")[:100] or "problem"
 
 
 def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Problem:
@@ -194,13 +209,13 @@ def _keys(kind: type[AnyAgent]) -> tuple[list[str], list[str]]:
 def _propositions(table: Any) -> dict[str, AnyProposition]:
     if not isinstance(table, Mapping):
         raise ValueError(f"[propositions]: expected a table, got {shown(table)}")
-    of_agent, of_pair, besides = KEYS
+    of_agent = KEYS[0]
     result = {}
     for name, value in table.items():
         where = f"[propositions] {shown(name)}"
         if about_pairs(value):
             refuse_shape(value, where)
-            _check_keys(value, where, of_pair, besides)
+            _check_keys(value, where, *keys_of_pair(value))
             result[name] = _prefixed(where, lambda value=value: Pair(**value))
             continue
         if isinstance(value, Mapping) and ("low" not in value and "high" not in value):
