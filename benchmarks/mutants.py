@@ -301,11 +301,26 @@ MUTANTS = [
         ('math.sqrt(2.0) * float(data["scale"])', 'float(data["scale"])'),
     ),
     *_in(
+        "synthesis/path_checking/linear_deviations.py",
+        ("least = np.where(np.any(rows != 0.0, axis=1), SMALLEST, 0.0)", "least = np.zeros(len(rows))"),
+    ),
+    *_in(
+        "synthesis/checking/pairs_check.py",
+        ("pair.inner_box if from_below else (pair.low, pair.high)", "(pair.low, pair.high)"),
+    ),
+    *_in(
+        "envs/agents/pair.py",
+        ("self.radius * math.cos(0.125 * math.pi) * INSIDE", "self.radius * INSIDE"),
+        ("self.radius / math.sqrt(len(self.low)) * INSIDE", "self.radius * INSIDE"),
+    ),
+    *_in(
         "synthesis/path_checking/pair_limits_check.py",
         (
             "corner = np.maximum(normal * pair.low, normal * pair.high)",
             "corner = np.minimum(normal * pair.low, normal * pair.high)",
         ),
+        ("largest = pair.radius * length", "largest = 0.5 * pair.radius * length"),
+        ("LEAST_SIZE = 1e-6", "LEAST_SIZE = 1e-323"),
         ("drift[here] += now[i].chain.drift(matrix)", "drift[here] = now[i].chain.drift(matrix)"),
         ("variance[here] += own", "variance[here] = own"),
         ("rows.add(below - drift, above - drift,", "rows.add(below, above,"),

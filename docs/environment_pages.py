@@ -328,6 +328,12 @@ def _names(names: list[str]) -> str:
     return ", ".join(name if name == "..." else f"`{name}`" for name in shown)
 
 
+def _of_pair(pair: Pair) -> str:
+    if pair.distance is not None:
+        return pair.text
+    return "difference in " + " x ".join(f"[{low:g}, {high:g})" for low, high in zip(pair.low, pair.high))
+
+
 def _regions(problem: cg.Problem) -> str:
     if not problem.declared:
         return "None."
@@ -340,8 +346,7 @@ def _regions(problem: cg.Problem) -> str:
             agents = proposition.agents if isinstance(proposition.agents, str) else " less ".join(proposition.agents)
             which = f"pairs of `{agents}`" if isinstance(proposition.agents, str) else f"`{agents}`"
             which += ", next to each other" if proposition.pairs == "neighbours" else ""
-            box = " x ".join(f"[{low:g}, {high:g})" for low, high in zip(proposition.low, proposition.high))
-            lines.append(f"| {label} | {which} | difference in {box} |")
+            lines.append(f"| {label} | {which} | {_of_pair(proposition)} |")
             continue
         if proposition.moves:
             lines.append(f"| {label} | `{proposition.agent}` | {proposition.text} |")

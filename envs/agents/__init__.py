@@ -19,7 +19,7 @@ from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
-from .pair import REFUSAL, Pair, PairRegion
+from .pair import REFUSAL, Pair, PairRegion, holds
 from .pieces import Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
@@ -61,6 +61,7 @@ __all__ = [
     "contains",
     "counted",
     "float_array",
+    "holds",
     "inside",
     "linear",
     "names_text",

@@ -27,7 +27,7 @@ import numpy as np
 
 from .any_agent import AnyAgent
 from .checks import read_only
-from .pair import REFUSAL, Pair, PairRegion, pair_region
+from .pair import REFUSAL, Pair, PairRegion, holds, pair_region
 from .printing import counted, names_text, tree_text
 from .proposition import Proposition
 
@@ -241,7 +241,9 @@ class Labeling:
         classes = [self.class_at(i, np.asarray(x, dtype=float)) for i, x in enumerate(states)]
         if self.pairs:
             outputs = [agent.outputs(np.asarray(x, dtype=float)) for agent, x in zip(self.agents, states)]
-            near = [contains(p.difference(outputs[p.first], outputs[p.second]), p.low, p.high) for p in self.pairs]
+            near = [
+                holds(p.difference(outputs[p.first], outputs[p.second]), p.low, p.high, p.radius) for p in self.pairs
+            ]
             classes.append(np.array(near, dtype=bool))
         return np.concatenate(classes) if classes else np.zeros(0, dtype=bool)
 

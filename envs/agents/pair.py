@@ -1,23 +1,25 @@
-"""Propositions about two agents: a box for the difference of their outputs.
+"""Propositions about two agents: a box for the difference of their outputs, or its length.
 
 Where both agents have the same kind of output, `-1 <= y_a - y_b < 1` on every axis says that they are closer than 1 in
-the maximum norm. A pair belongs to no single agent, so whatever works agent by agent has to refuse it: the attribute
-`agent` of a pair raises an error in words.
+the maximum norm, and a distance says that they are in the Euclidean one. A pair belongs to no single agent, so whatever
+works agent by agent has to refuse it: the attribute `agent` of a pair raises an error in words.
 
 Reference: docs/theory/pairs.md.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from .any_agent import AnyAgent
 from .box import Box
-from .checks import shown
+from .checks import float_array, read_only, shown
+from .pieces import Frame
 from .printing import box_text
 
 PAIRS = ("all", "neighbours")
@@ -29,10 +31,13 @@ REFUSAL = (
 )
 """What is said where pairs are not understood."""
 
+MOST_BY_DEFAULT = 2
+"""Most outputs that a distance is about without being told: of three, one may be a heading."""
+
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Pair:
-    """A half-open box for the difference of the outputs of two agents: `low <= y_a - y_b < high`.
+    """A half-open box for the difference of the outputs of two agents, `low <= y_a - y_b < high`, or a distance.
 
     Parameters
     ----------
@@ -46,6 +51,12 @@ class Pair:
     pairs : "all" or "neighbours"
         Of the agents that a single pattern matches, in the order of the problem: each with each later one, or each
         with the next one.
+    distance : float, optional
+        In the place of `low` and `high`: the pair holds where the Euclidean distance of the outputs that are compared
+        is below this number, which is above 0.
+    of : str, int, or sequence of them, optional
+        In the place of `outputs`, beside a distance: the states that are compared, by name or number, the same of both
+        agents.
 
     Raises
     ------
@@ -56,6 +67,8 @@ class Pair:
     --------
     >>> Pair(["left", "right"], [-1.0, -1.0], [1.0, 1.0])
     Pair(('left', 'right'), [-1, 1)^2)
+    >>> Pair("drone_*", distance=0.8, of=["x", "y"])
+    Pair('drone_*', distance < 0.8 of (x, y))
     """
 
     agents: tuple[str, str] | str
@@ -63,26 +76,54 @@ class Pair:
     high: np.ndarray
     outputs: tuple[tuple[int, ...], tuple[int, ...]] | None
     pairs: str
+    distance: float | None
+    of_states: tuple[str | int, ...] | None
 
     moves = False
 
     def at(self, time: int) -> Pair:
-        """Return the proposition at a time: itself, as boxes for differences stand still."""
+        """Return the proposition at a time: itself, as regions of differences stand still."""
         return self
 
-    def __init__(self, agents: Any, low: Any, high: Any, outputs: Any = None, pairs: str = "all") -> None:
-        box = Box(low, high)
+    def __init__(
+        self,
+        agents: Any,
+        low: Any = None,
+        high: Any = None,
+        outputs: Any = None,
+        pairs: str = "all",
+        distance: Any = None,
+        of: Any = None,
+    ) -> None:
+        if (distance is None) == (low is None and high is None):
+            raise ValueError("`distance`: expected either a distance, or `low` and `high`; give one of the two")
+        box = Box(low, high) if distance is None else None
         if pairs not in PAIRS:
             raise ValueError(f"`pairs`: expected {' or '.join(map(repr, PAIRS))}, got {shown(pairs)}")
         if pairs != "all" and not isinstance(agents, str):
             raise ValueError(
                 "`pairs`: expected only with a single pattern such as 'drone_*' for `agents`; leave it out"
             )
-        object.__setattr__(self, "agents", _checked_names(agents))
-        object.__setattr__(self, "low", box.low)
-        object.__setattr__(self, "high", box.high)
-        object.__setattr__(self, "outputs", None if outputs is None else _checked_outputs(outputs, box.low.size))
-        object.__setattr__(self, "pairs", pairs)
+        if of is not None and (box is not None or outputs is not None):
+            raise ValueError("`of`: expected only beside `distance`, and without `outputs`; leave it out")
+        values: dict[str, Any] = {
+            "agents": _checked_names(agents),
+            "outputs": None if outputs is None else _checked_outputs(outputs, None if box is None else box.low.size),
+            "pairs": pairs,
+            "distance": None if distance is None else _checked_distance(distance),
+            "of_states": None if of is None else _checked_states(of),
+        }
+        if box is not None:
+            values |= {"low": box.low, "high": box.high}
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    if not TYPE_CHECKING:  # types are those of the attributes
+        # Asked for corners that it has not: whoever reads boxes must not go on with any.
+        def __getattr__(self, name: str) -> Any:
+            if name in ("low", "high"):
+                raise ValueError(f"`proposition`: expected a box, got {self!r}; ask for `problem.labeling`")
+            raise AttributeError(name)
 
     @property
     def agent(self) -> NoReturn:
@@ -91,20 +132,34 @@ class Pair:
 
     # Rebuilt from its arguments: a pickled array would come back writable.
     def __reduce__(self) -> tuple[type[Pair], tuple[Any, ...]]:
-        return Pair, (self.agents, self.low, self.high, self.outputs, self.pairs)
+        return Pair, (self.agents, *self._rest(self.pairs))
+
+    def _rest(self, pairs: str) -> tuple[Any, ...]:
+        corners = (self.low, self.high) if self.distance is None else (None, None)
+        return *corners, self.outputs, pairs, self.distance, self.of_states
 
     def __repr__(self) -> str:
         more = "" if self.outputs is None else f", outputs {self.outputs}"
         more += "" if self.pairs == "all" else f", {self.pairs}"
-        return f"Pair({self.agents!r}, {box_text(self.low, self.high, closed=False)}{more})"
+        return f"Pair({self.agents!r}, {self.text}{more})"
+
+    @property
+    def text(self) -> str:
+        """The box or the distance, for people."""
+        if self.distance is None:
+            return box_text(self.low, self.high, closed=False)
+        of = "" if self.of_states is None else f" of ({', '.join(map(str, self.of_states))})"
+        return f"distance < {self.distance:g}{of}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
-        data: dict[str, Any] = {
-            "agents": self.agents if isinstance(self.agents, str) else list(self.agents),
-            "low": self.low.tolist(),
-            "high": self.high.tolist(),
-        }
+        data: dict[str, Any] = {"agents": self.agents if isinstance(self.agents, str) else list(self.agents)}
+        if self.distance is None:
+            data |= {"low": self.low.tolist(), "high": self.high.tolist()}
+        else:
+            data["distance"] = self.distance
+        if self.of_states is not None:
+            data["of"] = list(self.of_states)
         if self.outputs is not None:
             data["outputs"] = [list(axes) for axes in self.outputs]
         if self.pairs != "all":
@@ -113,7 +168,23 @@ class Pair:
 
     def of(self, first: str, second: str) -> Pair:
         """Return the member of a family that is about two agents."""
-        return Pair((first, second), self.low, self.high, self.outputs)
+        return Pair((first, second), *self._rest("all"))
+
+
+def _checked_distance(distance: Any) -> float:
+    value = float(float_array([distance], "distance", (1,), "1.0")[0])
+    # Squares are compared, so that they have to be numbers above 0, too.
+    if not (value > 0.0 and 0.0 < value * value < math.inf):
+        raise ValueError(f"`distance`: expected a number above 0, got {shown(distance)}")
+    return value
+
+
+def _checked_states(of: Any) -> tuple[str | int, ...]:
+    entries = [of] if isinstance(of, str | int) else list(of) if isinstance(of, Sequence) else []
+    good = all(isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries)
+    if not entries or not good or len({*entries}) < len(entries):
+        raise ValueError(f"`of`: expected different names or numbers of states, got {shown(of)}")
+    return tuple(entries)
 
 
 def _checked_names(agents: Any) -> tuple[str, str] | str:
@@ -132,7 +203,7 @@ def _checked_names(agents: Any) -> tuple[str, str] | str:
     return first, second
 
 
-def _checked_outputs(outputs: Any, length: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _checked_outputs(outputs: Any, length: int | None) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the numbers of the outputs compared, of both agents; raise ValueError if they are malformed."""
     if not isinstance(outputs, Sequence) or isinstance(outputs, str) or len(outputs) != 2:
         raise ValueError(f"`outputs`: expected two lists of numbers of outputs, got {shown(outputs)}")
@@ -141,9 +212,11 @@ def _checked_outputs(outputs: Any, length: int) -> tuple[tuple[int, ...], tuple[
         numbers = list(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else [axes]
         if not all(isinstance(k, int | np.integer) and not isinstance(k, bool) and k >= 0 for k in numbers):
             raise ValueError(f"`outputs`: expected numbers of outputs from 0 on, got {shown(axes)}")
-        if len(numbers) != length or len(set(numbers)) != length:
+        length = len(numbers) if length is None else length
+        if not length or len(numbers) != length or len(set(numbers)) != length:
             raise ValueError(
-                f"`outputs`: expected {length} different outputs of each agent, as `low` has, got {numbers}"
+                f"`outputs`: expected {length or 'some'} different outputs of each agent, as many as are compared, got "
+                f"{numbers}"
             )
         result.append(tuple(int(k) for k in numbers))
     return result[0], result[1]
@@ -151,7 +224,7 @@ def _checked_outputs(outputs: Any, length: int) -> tuple[tuple[int, ...], tuple[
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairRegion:
-    """A pair in terms of a problem's agents.
+    """A pair in terms of a problem's agents: the differences in a box that are shorter than a radius.
 
     Attributes
     ----------
@@ -160,6 +233,9 @@ class PairRegion:
     outputs : pair of tuple of int
         Outputs of a and of b that are compared.
     low, high : np.ndarray, shape (p,)
+        Corners of the box; of a distance, a box around the whole ball.
+    radius : float
+        Infinite where the box alone decides.
     """
 
     first: int
@@ -167,13 +243,58 @@ class PairRegion:
     outputs: tuple[tuple[int, ...], tuple[int, ...]]
     low: np.ndarray
     high: np.ndarray
+    radius: float = math.inf
 
     def __repr__(self) -> str:
-        return f"PairRegion({self.first} less {self.second}, {box_text(self.low, self.high, closed=False)})"
+        what = f"shorter than {self.radius:g}" if self.is_round else box_text(self.low, self.high, closed=False)
+        return f"PairRegion({self.first} less {self.second}, {what})"
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is a ball, and no box."""
+        return self.radius < math.inf
 
     def difference(self, first: Any, second: Any) -> list[Any]:
         """Return the differences of the outputs compared, one per axis: numbers, or arrays of one shape."""
         return [first[k] - second[m] for k, m in zip(*self.outputs)]
+
+    @property
+    def inner_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """A box all of whose points are in the region: itself, or a cube in its ball."""
+        if not self.is_round:
+            return self.low, self.high
+        half = np.full(len(self.low), self.radius / math.sqrt(len(self.low)) * INSIDE)
+        return -half, half
+
+    @property
+    def inner_faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Forms (k, p) and limits (k,) of each, all of which together hold in points of the region alone.
+
+        A box has its own; a disc has a regular octagon, which is larger than its square, and balls have their cube.
+        """
+        if len(self.low) != 2 or not self.is_round:
+            return np.eye(len(self.low)), *self.inner_box
+        turns = 0.25 * math.pi * np.arange(4)
+        limits = np.full(4, self.radius * math.cos(0.125 * math.pi) * INSIDE)
+        return np.column_stack([np.cos(turns), np.sin(turns)]), -limits, limits
+
+
+INSIDE = 1.0 - 1e-12
+"""Factor on what lies in a ball, far beyond the rounding of its faces."""
+
+
+def holds(difference: Any, low: Any, high: Any, radius: Any) -> Any:
+    """Return whether differences (p, ...) are in boxes and shorter than radii, which may be infinite (exact).
+
+    Components may be numbers or arrays, in a list or in an array; differences that are no numbers are in nothing.
+    """
+    result = (low[0] <= difference[0]) & (difference[0] < high[0])
+    squares = difference[0] * difference[0]
+    for k in range(1, len(difference)):
+        result = result & (low[k] <= difference[k]) & (difference[k] < high[k])
+        squares = squares + difference[k] * difference[k]
+    # Squares of what is in a box may overflow where there is no radius, which says nothing then.
+    return result & ((squares < radius * radius) | (radius == math.inf))
 
 
 def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion:
@@ -182,29 +303,72 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     i, j = (places[agent] for agent in pair.agents)
     # Those that were added for shapes are not compared.
     sizes = tuple(agents[k].n_outputs - agents[k].added_outputs for k in (i, j))
-    length, names = pair.low.size, (agents[i].name, agents[j].name)
-    outputs = pair.outputs
-    if outputs is None:
-        if sizes != (length, length):
-            raise ValueError(
-                f"`propositions.{name}`: expected corners of as many numbers as both agents have outputs, got {length} "
-                f"against {sizes[0]} ({names[0]}) and {sizes[1]} ({names[1]}); say which to compare with `outputs`"
-            )
-        outputs = tuple(range(length)), tuple(range(length))
+    names = agents[i].name, agents[j].name
+    outputs = _compared(name, pair, (agents[i], agents[j]), sizes)
     for agent, size, axes in zip(names, sizes, outputs):
         if max(axes) >= size:
             raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
-    region = PairRegion(i, j, outputs, pair.low, pair.high)
+    if pair.distance is None:
+        region = PairRegion(i, j, outputs, pair.low, pair.high)
+    else:
+        # Half-open boxes have their lower faces, which are as far away as the distance: the next number has not.
+        count = len(outputs[0])
+        low = np.full(count, math.nextafter(-pair.distance, 0.0))
+        radius = pair.distance if count > 1 else math.inf
+        region = PairRegion(i, j, outputs, read_only(low), read_only(np.full(count, pair.distance)), radius)
     # The difference lies between the outputs' extremes over both workspaces.
     (low_a, high_a), (low_b, high_b) = (agents[k].output_ends for k in (i, j))
     least = np.array(region.difference(low_a, high_b))
     most = np.array(region.difference(high_a, low_b))
-    outside = (pair.low > most) | (pair.high <= least)
+    outside = (region.low > most) | (region.high <= least)
     if outside.any():
         axis = int(np.argmax(outside))
         raise ValueError(
             f"`propositions.{name}`: expected a box that differences of {names[0]} and {names[1]} can meet, got "
-            f"[{pair.low[axis]:g}, {pair.high[axis]:g}) against [{least[axis]:g}, {most[axis]:g}] on axis {axis}; "
+            f"[{region.low[axis]:g}, {region.high[axis]:g}) against [{least[axis]:g}, {most[axis]:g}] on axis {axis}; "
             "correct the box"
         )
     return region
+
+
+def _compared(
+    name: str, pair: Pair, agents: tuple[AnyAgent, AnyAgent], sizes: Sequence[int]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the outputs of both agents that a pair compares."""
+    if pair.outputs is not None:
+        return pair.outputs
+    if pair.of_states is not None:
+        first, second = (_outputs_of(name, agent, pair.of_states) for agent in agents)
+        return first, second
+    length, most = (sizes[0], MOST_BY_DEFAULT) if pair.distance is not None else (pair.low.size, pair.low.size)
+    if pair.distance is not None:
+        what, got = f"as many outputs of both agents, up to {MOST_BY_DEFAULT}", ""
+        remedy = 'say which to compare with `of = ["x", "y"]`, or with `outputs`'
+    else:
+        what, got = "corners of as many numbers as both agents have outputs", f"{length} against "
+        remedy = "say which to compare with `outputs`"
+    if tuple(sizes) != (length, length) or length > most:
+        raise ValueError(
+            f"`propositions.{name}`: expected {what}, got {got}{sizes[0]} ({agents[0].name}) and {sizes[1]} "
+            f"({agents[1].name}); {remedy}"
+        )
+    return tuple(range(length)), tuple(range(length))
+
+
+def _outputs_of(name: str, agent: AnyAgent, states: Sequence[str | int]) -> tuple[int, ...]:
+    """Return the outputs of an agent that are some of its states, by name or number."""
+    axes = [agent.output_axis(k) for k in range(agent.n_outputs - agent.added_outputs)]
+    frame = Frame(getattr(agent, "states", ()), tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
+    try:
+        numbers = frame.states(states, len(states))
+    except ValueError as error:
+        raise ValueError(f"`propositions.{name}`: agent {agent.name}: {error}") from None
+    found = []
+    for state, number in zip(states, numbers, strict=True):
+        if (number, 1.0) not in axes:
+            raise ValueError(
+                f"`propositions.{name}`: expected states that are outputs of agent {agent.name}, got {shown(state)}; "
+                "say which outputs to compare with `outputs`"
+            )
+        found.append(axes.index((number, 1.0)))
+    return tuple(found)

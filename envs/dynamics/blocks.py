@@ -201,6 +201,8 @@ class PairBlock:
         Outputs that are compared.
     propositions : np.ndarray of int, shape (k,)
     low, high : np.ndarray, shape (p, k, 1)
+    radius : np.ndarray, shape (k, 1)
+        Infinite where the box alone decides.
     """
 
     blocks: tuple[int, int]
@@ -209,6 +211,7 @@ class PairBlock:
     propositions: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    radius: np.ndarray
 
     def __repr__(self) -> str:
         return f"PairBlock({counted(len(self.propositions), 'pair')} of blocks {self.blocks[0]} and {self.blocks[1]})"
@@ -234,6 +237,7 @@ def pair_blocks(problem: Problem, position: Sequence[tuple[int, int]]) -> tuple[
                 propositions=read_only(labeling.first_pair + np.array(numbers)),
                 low=read_only(np.stack([pair.low for pair in pairs], axis=1)[..., None]),
                 high=read_only(np.stack([pair.high for pair in pairs], axis=1)[..., None]),
+                radius=read_only(np.array([[pair.radius] for pair in pairs])),
             )
         )
     return tuple(result)

@@ -14,7 +14,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..agents import Agent, AnyAgent, LinearAgent, Place, contains, counted, inside, place_of, row_times, slices_of
+from ..agents import (
+    Agent,
+    AnyAgent,
+    LinearAgent,
+    Place,
+    contains,
+    counted,
+    holds,
+    inside,
+    place_of,
+    row_times,
+    slices_of,
+)
 from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
 from .worlds import Dynamics, Worlds, extra_rows, split_joint
@@ -279,7 +291,7 @@ class OneWorld:
         labeling = self.dynamics.problem.labeling
         for p, pair in enumerate(labeling.pairs, start=labeling.first_pair):
             between = pair.difference(outputs[pair.first], outputs[pair.second])
-            if contains(between, pair.low, pair.high):
+            if holds(between, pair.low, pair.high, pair.radius):
                 letter |= 1 << p
         return letter, outside
 

@@ -29,7 +29,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..agents import Agent, contains, counted, inside, read_only, shortened, tree_text
+from ..agents import Agent, contains, counted, holds, inside, read_only, shortened, tree_text
 from ..arrays import concatenated, double, namespace, to_host
 from ..logic import Automaton
 from ..problem import Problem
@@ -392,7 +392,9 @@ def letters(dynamics: Dynamics, states: Sequence[np.ndarray], time: Any = None) 
             # One row per proposition: the outputs of the agent that owns it.
             y = outputs[b][:, block.owners]
             rows.append(contains(y, *block.regions(time)))
-    rows += [contains(difference(pairs, outputs), pairs.low, pairs.high) for pairs in dynamics.pairs]
+    for pairs in dynamics.pairs:
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows.append(holds(difference(pairs, outputs), pairs.low, pairs.high, pairs.radius))
     if not rows:
         return dynamics.put(np.zeros((0, states[0].shape[-1]), dtype=bool))
     return concatenated(rows)[dynamics.proposition_rows]

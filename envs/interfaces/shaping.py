@@ -208,14 +208,23 @@ class Potential:
                 )
                 width = first + second  # how far a difference can be from another
                 d = core.difference(pairs, outputs)
-                rows.append(_joined(d, pairs.low, pairs.high, width, joined))
+                rows.append(_joined(d, pairs.low, pairs.high, width, joined, pairs.radius))
         return rows
 
 
-def _joined(y: np.ndarray, low: np.ndarray, high: np.ndarray, width: np.ndarray, joined: str) -> np.ndarray:
-    """Return how far points (p, k, M) are from boxes, in widths, joined over the axes: (k, M) in [0, 1]."""
+def _joined(
+    y: np.ndarray, low: np.ndarray, high: np.ndarray, width: np.ndarray, joined: str, radius: Any = None
+) -> np.ndarray:
+    """Return how far points (p, k, M) are from boxes, in widths, joined over the axes: (k, M) in [0, 1].
+
+    Balls of a radius (k, 1) have one gap, along the way to their centre, whose parts are its shares.
+    """
     xp = namespace(y)
     gap = xp.maximum(low - y, y - high) / width
+    if radius is not None:
+        length = xp.sqrt((y * y).sum(axis=0))
+        outside = xp.abs(y) * xp.where(length > radius, 1.0 - radius / xp.where(length > 0.0, length, 1.0), 0.0)
+        gap = xp.where(radius < np.inf, outside / width, gap)
     # What is no number is as far away as can be, and so is what is beyond a width.
     gap = xp.where(gap < 1.0, xp.where(gap > 0.0, gap, 0.0), 1.0)
     result: np.ndarray = getattr(xp, joined)(gap, axis=0)

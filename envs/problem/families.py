@@ -22,6 +22,14 @@ AnyProposition = Proposition | Pair
 KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs"))
 """Keys of a proposition of one agent, of one about pairs, and those that the latter may have besides."""
 
+KEYS_OF_DISTANCE = (("agents", "distance"), ("outputs", "pairs", "of"))
+"""Keys of a distance of pairs, and those that it may have besides."""
+
+
+def keys_of_pair(value: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the keys that a table about pairs must have, and those that it may have besides."""
+    return KEYS_OF_DISTANCE if "distance" in value else KEYS[1:]
+
 
 def about_pairs(value: Any) -> bool:
     """Return whether a table of a proposition is about pairs."""
@@ -39,8 +47,8 @@ def refuse_shape(value: Mapping[str, Any], where: str) -> None:
     words = [key for key in value if key in SHAPES]
     if words:
         raise ValueError(
-            f"{where}: expected `low` and `high` of a difference, as pairs are boxes, got `{words[0]}`; a shape is "
-            "about one agent (`agent`)"
+            f"{where}: expected `low` and `high` of a difference, or a `distance`, got `{words[0]}`; a shape is about "
+            "one agent (`agent`)"
         )
 
 
@@ -63,6 +71,7 @@ def checked_propositions(propositions: Any) -> dict[str, AnyProposition]:
         of_agent, of_pair, besides = ({*keys} for keys in KEYS)
         if about_pairs(value):
             refuse_shape(value, f"`propositions.{name}`")
+            of_pair, besides = ({*keys} for keys in keys_of_pair(value))
         if isinstance(value, Mapping) and set(value) in (of_agent, {*keys_of_shape(value)}):
             value = Proposition(**value)
         elif isinstance(value, Mapping) and of_pair <= set(value) <= of_pair | besides:

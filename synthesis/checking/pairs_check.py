@@ -270,7 +270,7 @@ class _Charges:
         mine, theirs = self.base.agents[i].lattice[a], self.base.agents[j].lattice[b]
         agents = self.problem.agents
         variances = float(agents[i].noise_covariance[a, a]), float(agents[j].noise_covariance[b, b])
-        low, high = float(pair.low[n]), float(pair.high[n])
+        low, high = (float(end[n]) for end in (pair.inner_box if from_below else (pair.low, pair.high)))
         name = (mine.tobytes(), theirs.tobytes(), *variances, low, high, from_below)
         if name not in self.known:
             self.known[name] = _near_probability(mine, theirs, variances, (low, high), from_below)

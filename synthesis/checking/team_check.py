@@ -29,6 +29,8 @@ def wrong_team(problem: Problem, base: Problem) -> list[str]:
     for agent in problem.agents:
         if not isinstance(agent, LinearAgent) or agent.laws is not None:
             return [f"agent `{agent.name}` is not linear with Gaussian noise"]
+    if any(pair.is_round for pair in problem.labeling.pairs):
+        return ["a distance of several outputs is no box of its one agent"]
     failures = _wrong_matrices(problem, team)
     return failures or _wrong_regions(problem, base, team) or _wrong_first_letter(problem, base)
 

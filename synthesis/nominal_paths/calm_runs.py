@@ -86,5 +86,5 @@ def _outputs_and_corners(
     pair = labeling.pairs[q - labeling.first_pair]
     by_agent = dict(zip(owners, outputs, strict=True))
     values = np.asarray(pair.difference(by_agent[pair.first].T, by_agent[pair.second].T)).T
-    low, high = (np.broadcast_to(corner, values.shape) for corner in (pair.low, pair.high))
+    low, high = (np.broadcast_to(corner, values.shape) for corner in pair.inner_box)
     return values, low, high, f"the difference of {whose}"

@@ -29,6 +29,11 @@ class PairLimits:
     outputs, places : (2, K, p) int arrays
         Outputs that are compared, of the agents, and among the outputs of all agents together.
     low, high : (K, p) arrays
+    radius : (K,) array
+        Infinite for boxes.
+    faces : (k, p) array
+        Forms whose limits say that a pair holds.
+    face_low, face_high : (K, k) arrays
     asked : (S + 1, K) int array
         1 where a pair is to hold, -1 where it is not; 0 at time 0.
     columns : (K, p) int array
@@ -41,6 +46,10 @@ class PairLimits:
     places: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
+    radius: FloatArray
+    faces: FloatArray
+    face_low: FloatArray
+    face_high: FloatArray
     asked: NDArray[np.int8]
     columns: NDArray[np.int64]
 
@@ -49,10 +58,12 @@ class PairLimits:
         return outputs[:, self.places[0]] - outputs[:, self.places[1]]
 
     def ways_out(self, differences: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return distances (S + 1, K, n) from the boxes, negative inside, and unit directions (S + 1, K, p, n).
+        """Return distances (S + 1, K, n) from the regions, negative inside, and unit directions (S + 1, K, p, n).
 
         Both are in units of ``scale`` (S + 1, K, p), with differences (S + 1, K, p, n) as they are.
         """
+        if np.all(self.radius < np.inf):
+            return self._out_of_balls(differences, scale)
         unit = scale[..., None]
         low, high, z = self.low[None, :, :, None] / unit, self.high[None, :, :, None] / unit, differences / unit
         away = z - np.clip(z, low, high)
@@ -67,6 +78,16 @@ class PairLimits:
         direction = np.where(outside[:, :, None], away / np.where(outside, distance, 1.0)[:, :, None], inner)
         return np.where(outside, distance, -least), direction
 
+    def _out_of_balls(self, differences: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the same for balls, along the way from their centres."""
+        length = np.sqrt((differences**2).sum(axis=2, keepdims=True))
+        first = np.eye(differences.shape[2])[0][:, None]
+        normal = np.where(length > 0.0, differences / np.where(length > 0.0, length, 1.0), first)
+        direction = normal * scale[..., None]
+        size = np.sqrt((direction**2).sum(axis=2, keepdims=True))
+        distance = (length[:, :, 0] - self.radius[:, None]) / size[:, :, 0]
+        return distance, direction / size
+
 
 def pair_limits(problem: Problem, letters: NDArray[np.int8]) -> list[PairLimits]:
     """Return what letters (S + 1, P) ask of pairs after time 0, by the number of outputs that are compared."""
@@ -77,16 +98,19 @@ def pair_limits(problem: Problem, letters: NDArray[np.int8]) -> list[PairLimits]
     asked[0] = 0
     here = [k for k in range(len(labeling.pairs)) if asked[:, k].any()]
     result = []
-    for p in sorted({len(labeling.pairs[k].low) for k in here}):
-        numbers = np.array([k for k in here if len(labeling.pairs[k].low) == p])
+    kinds = [(len(pair.low), pair.is_round) for pair in labeling.pairs]
+    for p, is_round in sorted({kinds[k] for k in here}):
+        numbers = np.array([k for k in here if kinds[k] == (p, is_round)])
         pairs = [labeling.pairs[k] for k in numbers]
         agents = np.array([[pair.first for pair in pairs], [pair.second for pair in pairs]])
         outputs = np.array([[pair.outputs[side] for pair in pairs] for side in (0, 1)])
         low, high = np.array([pair.low for pair in pairs]), np.array([pair.high for pair in pairs])
         places = outputs + first_output[agents][:, :, None]
+        faces = [pair.inner_faces for pair in pairs]
+        least, most = (np.array([own[side] for own in faces]) for side in (1, 2))
         result.append(
-            PairLimits(numbers, agents, outputs, places, low, high, asked[:, numbers],
-                       columns[numbers][:, None] + np.arange(p))
+            PairLimits(numbers, agents, outputs, places, low, high, np.array([pair.radius for pair in pairs]),
+                       faces[0][0], least, most, asked[:, numbers], columns[numbers][:, None] + np.arange(p))
         )  # fmt: skip
     return result
 
@@ -131,10 +155,9 @@ class PairAim:
             cost, slope, bend = soft_costs(distance - drift, (low, np.full(low.shape, np.inf)), one, none)
             yield cost, slope, bend, direction / self.sharp[..., None]
         if np.any(limits.asked > 0):
-            for axis in range(z.shape[2]):
-                low = np.where(limits.asked > 0, limits.low[:, axis], -np.inf)
-                high = np.where(limits.asked > 0, limits.high[:, axis], np.inf)
-                sharp, drift = self.sharp[:, :, axis], self.drift[:, :, axis]
-                direction = np.zeros(z.shape)
-                direction[:, :, axis] = 1.0
-                yield *soft_costs(z[:, :, axis], (low, high), sharp, drift), direction
+            for k, face in enumerate(limits.faces):
+                low = np.where(limits.asked > 0, limits.face_low[:, k], -np.inf)
+                high = np.where(limits.asked > 0, limits.face_high[:, k], np.inf)
+                sharp, drift = np.sqrt((self.sharp * face) ** 2 @ np.ones(len(face))), self.drift @ np.abs(face)
+                direction = np.broadcast_to(face[:, None], z.shape)
+                yield *soft_costs(np.einsum("stpn,p->stn", z, face), (low, high), sharp, drift), direction

@@ -82,7 +82,7 @@ def pair_rows(
 ) -> PairRows:
     """Return the rows for nominal outputs (S + 1, p) of all agents, with deviations (S + 1, p) of outputs.
 
-    A pair is kept apart in the direction in which it is the most deviations away from its box.
+    A pair is kept apart in the direction in which it is the most deviations away from its region.
     """
     times, sizes = len(outputs[0]), [own.shape[1] for own in outputs]
     y, sd = np.concatenate(outputs, axis=1), np.concatenate(spreads, axis=1)
@@ -103,10 +103,12 @@ def pair_rows(
                 normals[t, group.columns[k]] = normal
                 corner = np.maximum(normal * box[0], normal * box[1]).sum()
                 corner += INWARD * np.abs(normal) @ np.maximum(np.abs(box[0]), np.abs(box[1]))
+                corner = min(corner, (1.0 + INWARD) * group.radius[k] * float(np.linalg.norm(normal)))
                 asked = [(normal, float(normal @ value - np.abs(normal) @ spare - corner), np.inf)]
             else:
-                eye, ends = np.eye(len(value)), (value - box[0] - spare, box[1] - value - spare)
-                asked = [(eye[a], float(ends[0][a]), float(ends[1][a])) for a in range(len(value))]
+                at, off = group.faces @ value, np.abs(group.faces) @ spare
+                ends = at - group.face_low[k] - off, group.face_high[k] - at - off
+                asked = [(face, float(a), float(b)) for face, a, b in zip(group.faces, *ends, strict=True)]
             for form, below, above in asked:
                 row = len(low.setdefault(t, []))
                 low[t].append(below)

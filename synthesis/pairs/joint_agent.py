@@ -23,8 +23,11 @@ def joint_problem(problem: Problem) -> Problem:
     Raises
     ------
     RelationRefused
-        If an agent is not linear, its noise is not Gaussian, or rounding moves the start across a face of a region.
+        If an agent is not linear, its noise is not Gaussian, a pair is a distance in the plane or in space, or rounding
+        moves the start across a face of a region.
     """
+    if any(pair.is_round for pair in problem.labeling.pairs):
+        raise RelationRefused("a joint agent has boxes of differences, got a distance of several outputs")
     agents = [agent for agent in problem.agents if isinstance(agent, LinearAgent) and agent.laws is None]
     if len(agents) < problem.n_agents:
         raise RelationRefused("a joint agent is made of linear agents with Gaussian noise, got others")

@@ -216,12 +216,13 @@ class NearMass:
         spreads = [
             math.sqrt(agents[i].noise_covariance[a, a] + agents[j].noise_covariance[b, b]) for a, b in zip(*axes)
         ]
-        box = (from_below, pair.low.tobytes(), pair.high.tobytes(), tuple(spreads))
+        low, high = pair.inner_box if from_below else (pair.low, pair.high)
+        box = (from_below, low.tobytes(), high.tobytes(), tuple(spreads))
         key = (*box, *(x.tobytes() for both in lattices for x in both))
         if key not in self._tables:
-            boxes = zip(lattices, spreads, pair.low, pair.high, strict=True)
+            boxes = zip(lattices, spreads, low.tolist(), high.tolist(), strict=True)
             table = _surely_near_table if from_below else _near_table
-            self._tables[key] = [table(a, b, std, float(low), float(high)) for (a, b), std, low, high in boxes]
+            self._tables[key] = [table(a, b, std, *ends) for (a, b), std, *ends in boxes]
         return self._tables[key]
 
 

@@ -24,6 +24,9 @@ from .gaussian_inequalities import Inequalities
 from .nonlinear_check import Moment, NothingKnownError, moments
 from .roundings import TAIL, UNIT
 
+LEAST_SIZE = 1e-6
+"""Least and, inverted, largest size of the largest entry of a direction."""
+
 
 @dataclass(frozen=True, eq=False)
 class Form:
@@ -46,6 +49,11 @@ def wrong_normals(certificate: PathCertificate) -> list[str]:
     shape = (certificate.n_steps + 1, sum(len(pair.low) for pair in pairs))
     if normals is None or normals.shape != shape or not np.all(np.isfinite(normals)):
         return ["its directions of pairs do not fit, or are no numbers"]
+    # Any multiple of a direction says the same, but tiny ones underflow, and ask for nothing then.
+    first = np.concatenate([[0], np.cumsum([len(pair.low) for pair in pairs])])[:-1]
+    sizes = np.maximum.reduceat(np.abs(normals), first, axis=1)
+    if np.any((sizes != 0.0) & ((sizes < LEAST_SIZE) | (sizes > 1.0 / LEAST_SIZE))):
+        return ["a direction of a pair is far from a unit vector"]
     return []
 
 
@@ -74,14 +82,17 @@ def _forms(certificate: PathCertificate, t: int) -> list[Form]:
         at += len(pair.low)
         value = int(certificate.letters[t, p])
         if value > 0:
-            eye = np.eye(len(pair.low))
-            forms += [Form(pair, *each) for each in zip(eye, pair.low.tolist(), pair.high.tolist(), strict=True)]
+            faces, low, high = pair.inner_faces
+            forms += [Form(pair, *each) for each in zip(faces, low.tolist(), high.tolist(), strict=True)]
         elif value < 0:
             if not np.any(normal):
                 raise NothingKnownError(f"pair `{labeling.names[p]}` is kept apart in no direction at step {t}")
-            # The largest value of the form on the closed box, rounded up.
+            # The largest value of the form on the closed box, or on the closed ball, rounded up.
             corner = np.maximum(normal * pair.low, normal * pair.high)
             largest = float(np.sum(corner)) + (len(normal) + 2.0) * UNIT * float(np.sum(np.abs(corner)))
+            if pair.is_round:
+                length = float(np.sqrt(np.sum(normal * normal)))
+                largest = pair.radius * length * (1.0 + (len(normal) + 8.0) * UNIT)
             forms.append(Form(pair, normal, largest, np.inf))
     return forms
 

@@ -270,11 +270,8 @@ def _subject(region: Proposition | Pair) -> str:
 
 def _box(region: Proposition | Pair) -> str:
     """Return the corners of a region; where it moves, as they are written."""
-    return region.text if isinstance(region, Proposition) and (region.moves or region.shape) else _corners(region)
-
-
-def _corners(region: Proposition | Pair) -> str:
-    return f"[{_vector(region.low)}, {_vector(region.high)})"
+    is_box = region.distance is None if isinstance(region, Pair) else not (region.moves or region.shape)
+    return f"[{_vector(region.low)}, {_vector(region.high)})" if is_box else region.text
 
 
 def _vector(values: Any) -> str:
