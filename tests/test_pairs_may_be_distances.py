@@ -83,6 +83,14 @@ def test_files_and_python_say_the_same() -> None:
     assert problem.fingerprint != _from_toml(FILE.replace("0.7", "0.8")).fingerprint
 
 
+def test_boxes_of_pairs_may_name_states_too() -> None:
+    problem = _from_toml(FILE.replace('distance = 0.7, of = ["x", "y"]', 'low = [-1], high = [1], of = "y"'))
+    assert [p.outputs for p in problem.labeling.pairs] == [((1,), (1,))] * 3
+    assert (
+        _from_toml(FILE.replace("distance = 0.7", "low = [-1, -1], high = [1, 1]")).labeling.pairs[0].radius == math.inf
+    )
+
+
 def test_a_file_without_a_name_has_one() -> None:
     assert _from_toml(FILE).name == "problem-file"
 
@@ -246,7 +254,8 @@ def test_one_agent_for_a_team_does_not_know_them() -> None:
         ({"distance": 0.0}, "a number above 0"),
         ({"distance": 1e-200}, "a number above 0"),
         ({"distance": "far"}, "`distance`"),
-        ({"low": [0.0], "high": [1.0], "of": ["x"]}, "only beside `distance`"),
+        ({"low": [0.0], "high": [1.0], "of": ["x", "y"]}, "1 states, as `low` has entries"),
+        ({"distance": 1.0, "outputs": [[0], [0]], "of": ["x"]}, "give one of the two"),
         ({"distance": 1.0, "of": ["x", "x"]}, "different names"),
         ({"distance": 1.0, "of": []}, "different names"),
     ],

@@ -55,8 +55,7 @@ class Pair:
         In the place of `low` and `high`: the pair holds where the Euclidean distance of the outputs that are compared
         is below this number, which is above 0.
     of : str, int, or sequence of them, optional
-        In the place of `outputs`, beside a distance: the states that are compared, by name or number, the same of both
-        agents.
+        In the place of `outputs`: the states that are compared, by name or number, the same of both agents.
 
     Raises
     ------
@@ -104,14 +103,14 @@ class Pair:
             raise ValueError(
                 "`pairs`: expected only with a single pattern such as 'drone_*' for `agents`; leave it out"
             )
-        if of is not None and (box is not None or outputs is not None):
-            raise ValueError("`of`: expected only beside `distance`, and without `outputs`; leave it out")
+        if of is not None and outputs is not None:
+            raise ValueError("`of`: expected either states, or the `outputs` that are compared; give one of the two")
         values: dict[str, Any] = {
             "agents": _checked_names(agents),
             "outputs": None if outputs is None else _checked_outputs(outputs, None if box is None else box.low.size),
             "pairs": pairs,
             "distance": None if distance is None else _checked_distance(distance),
-            "of_states": None if of is None else _checked_states(of),
+            "of_states": None if of is None else _checked_states(of, None if box is None else box.low.size),
         }
         if box is not None:
             values |= {"low": box.low, "high": box.high}
@@ -146,10 +145,8 @@ class Pair:
     @property
     def text(self) -> str:
         """The box or the distance, for people."""
-        if self.distance is None:
-            return box_text(self.low, self.high, closed=False)
-        of = "" if self.of_states is None else f" of ({', '.join(map(str, self.of_states))})"
-        return f"distance < {self.distance:g}{of}"
+        what = box_text(self.low, self.high, closed=False) if self.distance is None else f"distance < {self.distance:g}"
+        return what + ("" if self.of_states is None else f" of ({', '.join(map(str, self.of_states))})")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the proposition as plain values, keyed as in problem files (exact)."""
@@ -179,11 +176,13 @@ def _checked_distance(distance: Any) -> float:
     return value
 
 
-def _checked_states(of: Any) -> tuple[str | int, ...]:
+def _checked_states(of: Any, length: int | None) -> tuple[str | int, ...]:
     entries = [of] if isinstance(of, str | int) else list(of) if isinstance(of, Sequence) else []
     good = all(isinstance(entry, str | int) and not isinstance(entry, bool) for entry in entries)
     if not entries or not good or len({*entries}) < len(entries):
         raise ValueError(f"`of`: expected different names or numbers of states, got {shown(of)}")
+    if len(entries) != (length or len(entries)):
+        raise ValueError(f"`of`: expected {length} states, as `low` has entries, got {shown(of)}")
     return tuple(entries)
 
 

@@ -19,16 +19,13 @@ from ..logic import RESERVED
 
 AnyProposition = Proposition | Pair
 
-KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs"))
+KEYS = (("agent", "low", "high"), ("agents", "low", "high"), ("outputs", "pairs", "of"))
 """Keys of a proposition of one agent, of one about pairs, and those that the latter may have besides."""
-
-KEYS_OF_DISTANCE = (("agents", "distance"), ("outputs", "pairs", "of"))
-"""Keys of a distance of pairs, and those that it may have besides."""
 
 
 def keys_of_pair(value: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the keys that a table about pairs must have, and those that it may have besides."""
-    return KEYS_OF_DISTANCE if "distance" in value else KEYS[1:]
+    return (("agents", "distance"), KEYS[2]) if "distance" in value else KEYS[1:]
 
 
 def about_pairs(value: Any) -> bool:
