@@ -99,11 +99,16 @@ def _of_states(agent: AnyAgent, axes: list[int], start: FloatArray) -> _Space | 
     """Return the space of up to three states on which outputs depend; None for agents without added outputs."""
     if not agent.added_outputs or not isinstance(agent, Agent):
         return None
-    named, kept = set[str](), list[int]()
-    # The narrowest first; what is about further states is left to the planner.
+    names = {k: frozenset(names_in(agent.output_trees[k])) for k in axes}
+    tied = [k for k in axes if len(names[k]) > 1]
+    # Where not all states have a place, those of round and oblique regions come first, as they say what is where;
+    # then the narrowest. What is about further states is left to the planner.
+    if tied and len(frozenset().union(*names.values())) > len(CELLS):
+        known = frozenset[str]().union(*(names[k] for k in tied))
+        axes = [*tied, *(k for k in axes if k not in tied and names[k] <= known)]
+    named, kept = frozenset[str](), list[int]()
     for k in axes:
-        own = named | {*names_in(agent.output_trees[k])}
-        if len(own) <= len(CELLS):
+        if len(own := named | names[k]) <= len(CELLS):
             named, kept = own, [*kept, k]
     states = sorted(agent.states.index(name) for name in named)
     if not states:
@@ -159,6 +164,8 @@ class _Grid:
                 for q in own:
                     low, high = (end[t, axes] for end in corners[q])
                     inside = np.all((told >= low) & (told < high), axis=-1)
+                    if letter[q] > 0 and not inside.any():
+                        inside = _nearest(told, low, high)  # a region between the middles of cells
                     if letter[q] > 0:
                         allowed &= inside
                     elif letter[q] < 0:
@@ -211,6 +218,14 @@ class _Grid:
         scaled = (self.points[..., None, :] - middle) / self.size
         distance = np.sqrt((scaled**2).sum(axis=-1)).min(axis=-1)
         return np.where(distance < BESIDE, 3.0, 0.0)
+
+
+def _nearest(told: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
+    """Return which cells are nearest to a box in which there is the middle of none, in ranges of the outputs."""
+    spans = np.ptp(told.reshape(-1, told.shape[-1]), axis=0)
+    short = np.maximum(np.maximum(low - told, told - high), 0.0) / np.where(spans > 0.0, spans, 1.0)
+    away = short.max(axis=-1)
+    return np.asarray(away <= away.min())
 
 
 def _smoothed(points: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from itertools import combinations, pairwise, product, zip_longest
 import numpy as np
 
 from ...envs.problem import Problem
+from .exclusions import exclusions
 from .words import Cube, Way, cubes_of, targets_of
 
 MOST_CUBES = 8
@@ -133,9 +134,9 @@ class _Words:
 
     def cubes(self) -> list[Cube]:
         """Return the cubes of edges between states from which words are accepted, those that ask for least first."""
-        found = Counter[Cube]()
+        found, apart = Counter[Cube](), exclusions(self.problem)
         for q in np.flatnonzero(~self.automaton.dead):
-            for cubes in cubes_of(self.problem, int(q)).values():
+            for cubes in cubes_of(self.problem, int(q), apart).values():
                 found.update({self.least(tuple(sorted(cube)), int(q)) for cube in cubes})
         order = sorted(found, key=lambda cube: (-found[cube], _asks(cube)))
         return sorted(order[:MOST_CUBES], key=_asks)

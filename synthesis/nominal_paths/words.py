@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Proposition
 from ...envs.logic import Automaton
 from ...envs.problem import Problem
+from .exclusions import exclusions
 
 MOST_STEPS = 20_000
 """Steps of the search for cubes of a state."""
@@ -73,7 +74,8 @@ def ways_of(problem: Problem) -> Iterator[Way]:
     start = problem.initial_q
     if start is None:
         return  # outside a workspace no word is accepted
-    cubes = {int(q): cubes_of(problem, int(q)) for q in np.flatnonzero(~automaton.dead)}
+    apart = exclusions(problem)
+    cubes = {int(q): cubes_of(problem, int(q), apart) for q in np.flatnonzero(~automaton.dead)}
     for states in _state_sequences(problem, cubes, start):
         loops: list[list[Cube | None]] = [[*cubes[q].get(q, [])[:CUBES_KEPT]] or [None] for q in states]
         if automaton.is_co_safe and automaton.accepting[states[-1]]:
@@ -102,10 +104,11 @@ def _state_sequences(problem: Problem, cubes: dict[int, dict[int, list[Cube]]], 
     return found
 
 
-def cubes_of(problem: Problem, q: int) -> dict[int, list[Cube]]:
+def cubes_of(problem: Problem, q: int, apart: NDArray[np.bool_] | None = None) -> dict[int, list[Cube]]:
     """Return, by target, a few cubes of letters that lead from state q there, those that ask for least first.
 
-    What is asked for least is few propositions that must hold, then few that must not. Dead states are no targets.
+    What is asked for least is few propositions that must hold, then few that must not. Dead states are no targets, and
+    of propositions that never hold together (`apart`, bool (P, P)) no cube asks for two.
     """
     automaton = problem.automaton
     found: dict[int, list[Cube]] = {}
@@ -127,7 +130,8 @@ def cubes_of(problem: Problem, q: int) -> dict[int, list[Cube]]:
             continue
         p = int(automaton.variable[entry])
         heappush(heap, (hold, fail + 1, 2 * number, int(automaton.low[entry]), (*cube, (p, False))))
-        heappush(heap, (hold + 1, fail, 2 * number + 1, int(automaton.high[entry]), (*cube, (p, True))))
+        if apart is None or not any(holds and apart[p, other] for other, holds in cube):
+            heappush(heap, (hold + 1, fail, 2 * number + 1, int(automaton.high[entry]), (*cube, (p, True))))
     return found
 
 
