@@ -138,7 +138,8 @@ def _vector(value: Any, name: str, length: int | None = None) -> tuple[float, ..
     if isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value):
         raise ValueError(
             f"`{name}`: expected numbers, got {shown(value)}; what may name the time `t` are offsets, radii, and the "
-            "corners of a region with `low` and `high`"
+            "corners of a region with `low` and `high`; let a disc that moves be an agent without inputs, whose "
+            "dynamics name `t`, and a pair (`agents`, `distance`)"
         )
     return tuple(float_array(numbers, name, (length,), "[1.0, 2.0]").tolist())
 
