@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..agents import MOVING_REFUSAL, Agent, AnyAgent, LinearAgent, counted, linear, place_of, read_only
-from ..arrays import namespace
+from ..agents import MOVING_REFUSAL, TIME, Agent, AnyAgent, LinearAgent, counted, linear, neighbour, place_of, read_only
+from ..arrays import double, is_host, namespace
+from ..expressions import Compiled
 from ..problem import Problem
 
 Put = Callable[[np.ndarray], Any]
@@ -41,9 +42,62 @@ class LinearMotion:
 
 @dataclass(frozen=True, eq=False)
 class WrittenMotion:
-    """How agents move whose dynamics and outputs are the same expressions: those of `agent`."""
+    """How agents move whose dynamics and outputs are the same expressions: those of `agent`.
+
+    The functions are those of `Agent.mean`, `scales` and `outputs`, compiled: the same bits, for numbers and arrays.
+    """
 
     agent: Agent
+
+    @cached_property
+    def means(self) -> Compiled:
+        """Means of states (d), from states, inputs, disturbances, what is named of others, and the time."""
+        return Compiled(self.agent.timed_trees, self._groups)
+
+    @cached_property
+    def scales(self) -> Compiled:
+        """What noise is multiplied with (d), from the same; nothing without a `noise_scale`."""
+        return Compiled(self.agent.timed_scale_trees, self._groups)
+
+    @cached_property
+    def outputs(self) -> Compiled:
+        """Outputs (p) from states."""
+        return Compiled(self.agent.output_trees, [self.agent.states])
+
+    @cached_property
+    def calm(self) -> np.ndarray:
+        """Disturbances (k,) that are nearest to 0."""
+        return np.clip(0.0, self.agent.disturbance_low, self.agent.disturbance_high)
+
+    @property
+    def _groups(self) -> list[Sequence[str]]:
+        agent = self.agent
+        beside = [neighbour(k) for k in range(len(agent.others))]
+        return [agent.states, agent.inputs, tuple(agent.disturbances), beside, [TIME] if agent.names_time else []]
+
+    def moved(
+        self, x: np.ndarray, u: np.ndarray, z: np.ndarray, v: Any, beside: Any, time: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return means (d, n, M), and z (d, n, M) times its scales; arguments are those of `worlds.successor`."""
+        agent = self.agent
+        if not is_host(x) or (beside is None and agent.others) or (time is None and agent.names_time):
+            scaled = z if agent.noise_scale is None else agent.scales(x, u, v, time) * z
+            return agent.mean(x, u, v, beside, time), scaled
+        v = self.calm[:, None, None] if v is None else v
+        clock = [np.atleast_1d(double(time))] if agent.names_time else []
+        groups = (x, np.asarray(u, dtype=float), v, beside, clock)
+        means = stacked(self.means.arrays(*groups), x.shape)
+        if agent.noise_scale is None:
+            return means, z
+        return means, stacked(self.scales.arrays(*groups), x.shape) * z
+
+
+def stacked(rows: Sequence[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+    """Return rows that broadcast as one fresh array of a shape."""
+    result = np.empty(shape)
+    for k, row in enumerate(rows):
+        result[k] = row
+    return result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,6 +169,13 @@ class Block:
         return tuple((_sparse(a), _sparse(b), c[0], _sparse(factor)) for a, b, c, factor in zip(*single))
 
     @cached_property
+    def noise_rows(self) -> tuple[Sparse, ...]:
+        """Rows of the noise factor, as in `linear_rows`."""
+        factor = self.noise_factor
+        single = factor[..., :1, :] if np.all(factor == factor[..., :1, :]) else factor
+        return tuple(_sparse(row) for row in single)
+
+    @cached_property
     def start_box(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Widths of the start boxes and the last numbers in them, (d, n, 1) each; None if all starts are points."""
         width = self.initial_high - self.initial_low
@@ -135,7 +196,11 @@ class Block:
         """Return the outputs (p, n, M) at states (d, n, M)."""
         if self.identity_output:
             return x
-        return linear(self.motion.C, x) if isinstance(self.motion, LinearMotion) else self.motion.agent.outputs(x)
+        if isinstance(self.motion, LinearMotion):
+            return linear(self.motion.C, x)
+        if not is_host(x):
+            return self.motion.agent.outputs(x)
+        return stacked(self.motion.outputs.arrays(x), (self.motion.agent.n_outputs, *x.shape[1:]))
 
     @cached_property
     def output_width(self) -> np.ndarray:

@@ -7,9 +7,10 @@ float64 numbers, so the bits are those of the batch. Only the loops over agents 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from ..agents import (
     row_times,
     slices_of,
 )
+from .blocks import WrittenMotion
 from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
 from .worlds import Dynamics, Worlds, extra_rows, split_joint
@@ -54,8 +56,10 @@ class AgentNumbers(NamedTuple):
     """Per proposition of the agent: its bit in a letter, lower and upper corner; at time 0 if regions move."""
     draws: tuple[int, ...]
     """Positions of the agent's components among the numbers drawn in one step."""
-    written: Agent | None
-    """The agent itself, if its dynamics are expressions."""
+    motion: WrittenMotion | None
+    """Dynamics that are expressions, compiled."""
+    noise_rows: Any
+    """Rows of the noise factor: entries that are not 0, and their positions."""
     extra: tuple[int, ...]
     """Positions of the numbers that its disturbances take, if these are random."""
     beside: tuple[Place, ...]
@@ -63,28 +67,26 @@ class AgentNumbers(NamedTuple):
     lawful: AnyAgent | None
     """The agent itself, if its noise is not Gaussian."""
 
-    def moved(self, x: Any, u: Any, z: Any, v: np.ndarray | None, team: tuple[Any, Any], time: int) -> list[float]:
-        """Return the next state from x under the input u with standard normal numbers z and disturbances v (k, 1).
+    def moved(self, x: Any, u: Any, z: Any, v: list[float] | None, team: tuple[Any, Any], time: int) -> list[float]:
+        """Return the next state from x under the input u with standard normal numbers z and disturbances v (k).
 
         `team` holds the states of all agents before the step, and their inputs in it; `time` is that before the step.
         """
         if self.lawful is not None:
             z = self.lawful.components(np.array(z)[:, None])[:, 0].tolist()
-        if self.written is None:
+        if self.motion is None:
             return moved(self.A, self.B, self.offset, self.noise_factor, x, u, z)
-        others = None
-        if self.beside:
-            others = np.array([team[p.is_input][p.agent][p.component] for p in self.beside], dtype=float)[:, None]
-        here, applied = np.array(x)[:, None], np.array(u, dtype=float)[:, None]
-        if self.written.noise_scale is not None:
-            z = (self.written.scales(here, applied, v, time)[:, 0] * np.array(z)).tolist()
-        means = self.written.mean(here, applied, v, others, time)
-        return noisy(means[:, 0].tolist(), self.noise_factor, z)
+        others = [team[p.is_input][p.agent][p.component] for p in self.beside]
+        clock = (float(time),) if self.motion.agent.names_time else ()
+        groups = (x, u, v or (), others, clock)
+        if self.motion.agent.noise_scale is not None:
+            z = [scale * number for scale, number in zip(self.motion.scales.numbers(*groups), z)]
+        return noisy(self.motion.means.numbers(*groups), self.noise_rows, z)
 
     def outputs(self, x: Any) -> Any:
         """Return the outputs at state x."""
-        if self.written is not None:
-            return self.written.outputs(np.array(x)[:, None])[:, 0].tolist()
+        if self.motion is not None:
+            return x if self.motion.agent.has_identity_output else self.motion.outputs.numbers(x)
         return x if self.C is None else [row_times(row, x) for row in self.C]
 
 
@@ -163,7 +165,10 @@ class OneWorld:
             corners = still.low[i].T, still.high[i].T
             beside = [place_of(name, problem.agents) for name in agent.others] if isinstance(agent, Agent) else []
             own = _numbers(agent, *corners, labeling.agent_propositions[i], draws)
-            numbers.append(own._replace(beside=tuple(beside)))
+            motion = dynamics.blocks[block].motion
+            if isinstance(motion, WrittenMotion):  # agents of a block share what is compiled
+                own = own._replace(beside=tuple(beside), motion=motion)
+            numbers.append(own)
         automaton = problem.automaton
         finite = np.asarray(automaton.accepting & ~automaton.finished)
         return cls(
@@ -202,8 +207,9 @@ class OneWorld:
         steps = zip(self.agents, world.states, inputs, unknown)
         team = world.states, inputs
         now = world.time
-        states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team, now) for a, x, u, v in steps])
-        letter, outside = self._letter(states, now + 1)
+        with self._quiet():
+            states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team, now) for a, x, u, v in steps])
+            letter, outside = self._letter(states, now + 1)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
         return World(states, q, world.time + 1, failed, accepted, 0 if failed else letter)
@@ -227,25 +233,42 @@ class OneWorld:
             self._names[letter] = tuple(problem.told(names))
         return self._names[letter]
 
-    def _disturbances(self, world: World, inputs: Any, normals: Any) -> Sequence[np.ndarray | None]:
-        """Return the disturbances (k, 1) of every agent; None for those without any."""
-        if not any(agent.written is not None and agent.written.disturbances for agent in self.agents):
-            return [None] * len(self.agents)
+    @cached_property
+    def _calm(self) -> list[None]:
+        """No disturbances, agent by agent."""
+        return [None] * len(self.agents)
+
+    @cached_property
+    def _is_disturbed(self) -> bool:
+        return any(block.n_disturbances for block in self.dynamics.blocks)
+
+    @cached_property
+    def _quiet(self) -> Callable[[], AbstractContextManager[Any]]:
+        """What a step stands in: functions of numpy must not warn of states that are not defined, sums never do."""
+        motions = [agent.motion for agent in self.agents if agent.motion is not None]
+        compiled = [c for motion in motions for c in (motion.means, motion.scales, motion.outputs)]
+        return nullcontext if all(c.is_plain for c in compiled) else partial(np.errstate, all="ignore")
+
+    def _disturbances(self, world: World, inputs: Any, normals: Any) -> Sequence[list[float] | None]:
+        """Return the disturbances (k) of every agent; None for those without any."""
+        if not self._is_disturbed:
+            return self._calm
         behaviour = self.dynamics.disturbance
         if not isinstance(behaviour, str):
             return self._asked(behaviour, world, inputs)
-        result: list[np.ndarray | None] = []
+        result: list[list[float] | None] = []
         for agent in self.agents:
-            count = 0 if agent.written is None else len(agent.written.disturbances)
-            if agent.written is None or not count:
+            count = 0 if agent.motion is None else len(agent.motion.calm)
+            if agent.motion is None or not count:
                 result.append(None)
                 continue
             rows = np.array([normals[k] for k in agent.extra] or [0.0] * count)[:, None]
-            low, high = agent.written.disturbance_low, agent.written.disturbance_high
-            result.append(named_disturbances(low[:, None], high[:, None], behaviour, world.time, rows))
+            low, high = agent.motion.agent.disturbance_low, agent.motion.agent.disturbance_high
+            found = named_disturbances(low[:, None], high[:, None], behaviour, world.time, rows)
+            result.append(found[:, 0].tolist())
         return result
 
-    def _asked(self, behaviour: Against, world: World, inputs: Any) -> list[np.ndarray | None]:
+    def _asked(self, behaviour: Against, world: World, inputs: Any) -> list[list[float] | None]:
         """Return what a function says about the world as a batch of one."""
         states = np.concatenate([np.asarray(x, dtype=float) for x in world.states])[None]
         joint = np.concatenate([np.asarray(u, dtype=float) for u in inputs])
@@ -254,7 +277,9 @@ class OneWorld:
         batch = tuple(np.stack([joint[columns[i]] for i in block.agents], axis=1)[..., None] for block in blocks)
         found = behaviour(self.dynamics, Worlds(split_joint(self.dynamics, states), *marks), batch)
         places = (self.dynamics.position[i] for i in range(len(self.agents)))
-        return [None if (values := found[b]) is None else values[:, k] for b, k in places]
+        calm = [None if agent.motion is None else agent.motion.calm.tolist() for agent in self.agents]
+        chosen = (None if (values := found[b]) is None else values[:, k, 0].tolist() for b, k in places)
+        return [own if values is None else values for own, values in zip(calm, chosen)]
 
     def _regions_at(self, time: int) -> tuple[Any, ...]:
         """Return the regions of every agent at a time, as in `AgentNumbers`."""
@@ -328,7 +353,14 @@ def _numbers(
         regions=tuple((1 << int(p), a.tolist(), b.tolist()) for p, a, b in zip(propositions, low, high)),
         draws=draws[0],
         extra=draws[1],
-        written=agent if isinstance(agent, Agent) else None,
+        motion=None,
+        noise_rows=[sparse_row(row) for row in agent.noise_factor],
         beside=(),
         lawful=None if agent.laws is None else agent,
     )
+
+
+def sparse_row(row: np.ndarray) -> tuple[list[float], list[int]]:
+    """Return the entries of a row (d,) that are not 0, and their positions; one stays if all are 0."""
+    positions = np.flatnonzero(row).tolist() or [0]
+    return row[positions].tolist(), positions

@@ -22,14 +22,15 @@ def moved(A: Any, B: Any, offset: Any, noise_factor: Any, x: Any, u: Any, z: Any
     return components
 
 
-def noisy(means: Any, noise_factor: Any, z: Any) -> list[Any]:
+def noisy(means: Any, noise_rows: Any, z: Any) -> list[Any]:
     """Return the components of `mean + L z`, in the order of `moved`: where agents move whose means are expressions.
 
-    Means must be fresh arrays or numbers: the noise is added in place.
+    A row of `L` is its entries that are not 0, and their positions. Means must be fresh arrays or numbers: the noise is
+    added in place, so the rows of an array of numpy hold the result as well.
     """
     components = []
-    for total, factor in zip(means, noise_factor):
-        total += row_times(factor, z)
+    for total, (factor, positions) in zip(means, noise_rows):
+        total += row_times(factor, [z[at] for at in positions])
         components.append(total)
     return components
 

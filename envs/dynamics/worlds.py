@@ -30,7 +30,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..agents import Agent, contains, counted, holds, inside, read_only, shortened, tree_text
-from ..arrays import concatenated, double, namespace, to_host
+from ..arrays import concatenated, double, is_host, namespace, to_host
 from ..logic import Automaton
 from ..problem import Problem
 from .blocks import Block, PairBlock, Put, WrittenMotion, block_of, pair_blocks, placed
@@ -365,11 +365,11 @@ def successor(
     """
     components = []
     z = block.noise_of.components(z[: len(x)])
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         if isinstance(block.motion, WrittenMotion):
-            agent = block.motion.agent
-            z = z if agent.noise_scale is None else agent.scales(x, u, v, time) * z
-            return namespace(x).stack(noisy(agent.mean(x, u, v, beside, time), block.noise_factor, z))
+            means, z = block.motion.moved(x, u, z, v, beside, time)
+            components = noisy(means, block.noise_rows, z)
+            return means if is_host(x) else namespace(x).stack(components)
         for (a, to_a), (b, to_b), c, (factor, to_z) in block.linear_rows:
             # Zero entries of the matrices are left out, and so are the components that they would multiply.
             read = [x[k] for k in to_a], [u[k] for k in to_b], [z[k] for k in to_z]

@@ -1,6 +1,7 @@
 """Expressions that say how agents move: read safely, computed on numbers, enclosed on boxes. Knows no agents."""
 
 from .affine_inputs import split_at, substituted
+from .compiled import Compiled
 from .enclosure import Affine, enclosed, gradients, roundings
 from .evaluation import computed
 from .expression_tree import Name, Number, Operation, Tree, names_in, operations_in, whole_exponent
@@ -12,6 +13,7 @@ from .reading import RESERVED, ExpressionError, checked_variable, read_expressio
 __all__ = [
     "Affine",
     "AffineForm",
+    "Compiled",
     "ExpressionError",
     "Interval",
     "Name",
