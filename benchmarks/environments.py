@@ -1,6 +1,7 @@
 """Environment steps per CPU second, beside a classic-control environment of Gymnasium in the same run.
 
-`python benchmarks/environments.py [ID] [--seconds S] [--json PATH]`. A joint step moves all agents of one world; resets
+`python benchmarks/environments.py [ID] [--seconds S] [--json PATH]`, or `--ratios` for four ratios to environments of
+others: these are taken in turns, since the speed of a machine changes while it measures. A joint step moves all agents of one world; resets
 count, because episodes end. Actions are drawn before the clock starts. CPU time is that of the process (one core;
 numpy's threads have nothing to do in arrays of this size).
 """
@@ -63,17 +64,17 @@ def batched(envs: Any) -> Callable[[], int]:
     return steps
 
 
-def teams(problem: cg.Problem, **options: Any) -> Callable[[], int]:
-    team = cg.team_env(problem, CHUNK, **options)
+def teams(problem: cg.Problem, n_worlds: int = CHUNK, **options: Any) -> Callable[[], int]:
+    team = cg.team_env(problem, n_worlds, **options)
     team.reset(seed=0)
     rng = np.random.default_rng(0)
     sizes = dict(zip(team.agents, (agent.n_inputs for agent in problem.agents), strict=True))
-    actions = [{name: rng.uniform(-1, 1, (CHUNK, size)) for name, size in sizes.items()} for _ in range(4)]
+    actions = [{name: rng.uniform(-1, 1, (n_worlds, size)) for name, size in sizes.items()} for _ in range(4)]
 
     def steps() -> int:
         for action in actions:
             team.step(action)
-        return len(actions) * CHUNK
+        return len(actions) * n_worlds
 
     return steps
 
@@ -144,12 +145,71 @@ def measure(id: str, seconds: float) -> dict[str, float]:
     }
 
 
+def spread_of_three() -> Callable[[], int]:
+    """Simple spread of MPE2, three agents (`pip install mpe2`)."""
+    from mpe2 import simple_spread_v3
+
+    env = simple_spread_v3.parallel_env(N=3, max_cycles=25)
+    for agent in env.possible_agents:
+        env.action_space(agent).seed(0)
+    actions = [{agent: env.action_space(agent).sample() for agent in env.possible_agents} for _ in range(64)]
+
+    def steps() -> int:
+        count = 0
+        while count < 500:
+            env.reset()
+            while env.agents:
+                env.step(actions[count % 64])
+                count += 1
+        return count
+
+    return steps
+
+
+def in_turns(one: Callable[[], int], other: Callable[[], int], seconds: float) -> float:
+    """Return how many steps one takes for each step of the other: the median of nine pairs of short measurements."""
+    one(), other()
+    return float(np.median([rate(one, seconds / 9) / rate(other, seconds / 9) for _ in range(9)]))
+
+
+RATIO_WORLDS = 1024
+
+
+def ratios(seconds: float) -> dict[str, float]:
+    """Return the ratios; that to MPE2 only where it is installed."""
+    single = parallel(cg.make_problem("reach-avoid-v0"))
+    numbers = {
+        "dubins-team-v0 to reach-avoid-v0, one world": in_turns(
+            parallel(cg.make_problem("dubins-team-v0")), single, seconds
+        )
+    }
+    try:
+        numbers["room-network-v0 to MPE2's spread of three"] = in_turns(
+            parallel(cg.make_problem("room-network-v0")), spread_of_three(), seconds
+        )
+    except ImportError:
+        print("mpe2 is not installed: one ratio less")
+    poles = batched(gymnasium.make_vec("CartPole-v1", RATIO_WORLDS))
+    for id in ("reach-avoid-v0", "dubins-team-v0"):
+        problem = cg.make_problem(id)
+        several = batched(cg.vector_env(problem, RATIO_WORLDS))
+        numbers[f"vector_env of {RATIO_WORLDS} {id} to CartPole's"] = in_turns(several, poles, seconds)
+        team = teams(problem, RATIO_WORLDS)
+        numbers[f"team_env of {RATIO_WORLDS} {id} to CartPole's"] = in_turns(team, poles, seconds)
+    return numbers
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Environment steps per CPU second.")
     parser.add_argument("id", nargs="?", default="reach-avoid-v0")
     parser.add_argument("--seconds", type=float, default=2.0, help="CPU seconds for each row (default: 2)")
     parser.add_argument("--json", help="write the numbers to this file")
+    parser.add_argument("--ratios", action="store_true", help="measure ratios to environments of others instead")
     options = parser.parse_args()
+    if options.ratios:
+        for name, value in ratios(options.seconds).items():
+            print(f"{name:<55} {value:>6.2f}")
+        return
     numbers = measure(options.id, options.seconds)
     print(f"{options.id}: per CPU second")
     for name, value in numbers.items():

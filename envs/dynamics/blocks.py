@@ -226,6 +226,11 @@ class Block:
         return low, high
 
     @cached_property
+    def input_middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles and half widths of the input boxes (m, n, 1), onto which [-1, 1] is mapped."""
+        return 0.5 * self.input_low + 0.5 * self.input_high, 0.5 * self.input_high - 0.5 * self.input_low
+
+    @cached_property
     def input_range(self) -> tuple[float, float]:
         """Largest interval in which every component of every agent's input is admissible."""
         return float(self.input_low.max()), float(self.input_high.min())
@@ -246,7 +251,7 @@ def placed(record: Any, put: Put) -> Any:
     there = replace(record, **{field.name: moved(getattr(record, field.name)) for field in fields(record)})
     # Properties read facts off arrays, for which numpy is the place.
     if isinstance(record, Block):
-        names = ["start_box", "disturbance_ends", "output_width", "input_range"]
+        names = ["start_box", "disturbance_ends", "output_width", "input_range", "noise_rows"]
         names += ["linear_rows"] if isinstance(record.motion, LinearMotion) else []
         there.__dict__.update({name: moved(getattr(record, name)) for name in names})
     return there

@@ -124,6 +124,24 @@ class Dynamics:
         return self.put(np.argsort(np.concatenate(order)))
 
     @cached_property
+    def first(self) -> Worlds | None:
+        """One world at its start, if all starts are points: then no start is drawn, and none has to be judged again."""
+        if any(block.start_box is not None for block in self.blocks):
+            return None
+        return initial(self, np.random.default_rng(0), 1)
+
+    @cached_property
+    def rows_stand(self) -> bool:
+        """Whether the rows of all blocks, one after the other, are the components of a joint state in order."""
+        return bool((to_host(self.rows) == np.arange(self.problem.n_states)).all())
+
+    @cached_property
+    def input_columns(self) -> tuple[np.ndarray, ...]:
+        """Columns (m, n) of a joint input, for each component and agent of a block."""
+        starts = np.array([columns.start for columns in self.problem.input_columns])
+        return tuple(starts[to_host(b.agents)] + np.arange(b.n_inputs)[:, None] for b in self.blocks)
+
+    @cached_property
     def input_rows(self) -> Any:
         """Positions of the components of a joint input among the rows of all blocks, one after the other."""
         columns = self.problem.input_columns
@@ -220,28 +238,56 @@ def initial_at(dynamics: Dynamics, states: np.ndarray) -> Worlds:
     return begin(dynamics, split_joint(dynamics, states))
 
 
-def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...]) -> Worlds:
-    """Return worlds at time 0 with given states, one array (d, n, M) per block."""
+def begin(dynamics: Dynamics, states: tuple[np.ndarray, ...], time: Any = 0) -> Worlds:
+    """Return worlds at time 0, one number or one for each world, with given states, one array (d, n, M) per block."""
     one, xp = states[0][0, 0], namespace(states[0])
     types = (np.int32, np.bool_) if dynamics.is_host else (xp.int64, xp.bool)
     q = xp.full_like(one, dynamics.problem.automaton.initial, dtype=types[0])
     undecided = xp.zeros_like(one, dtype=types[1])
-    return _read(dynamics, states, 0, q, undecided, undecided)
+    return _read(dynamics, states, time, q, undecided, undecided)
 
 
 def restart(dynamics: Dynamics, worlds: Worlds, which: np.ndarray, rng: np.random.Generator) -> Worlds:
     """Return the worlds, with those of `which`, bool (M,), put back to time 0 and a freshly drawn start."""
     places = np.flatnonzero(which)  # numpy writes at numbers faster than under a mask
-    fresh = initial(dynamics, rng, len(places))
+    if len(places) == which.size:
+        return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
+    fresh = initial(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first
     states = tuple(x.copy() for x in worlds.states)
     for x, start in zip(states, fresh.states):
         x[..., places] = start
     # From here on each world has a time of its own.
-    marks = {"time": np.broadcast_to(np.asarray(worlds.time), which.shape).copy()}
+    marks = {"time": worlds.time.copy() if np.ndim(worlds.time) else np.full(which.size, worlds.time)}
     marks |= {name: getattr(worlds, name).copy() for name in ("q", "failed", "accepted")}
     for name, values in marks.items():
         values[places] = getattr(fresh, name)
     return replace(worlds, states=states, **marks)
+
+
+def moved_or_begun(
+    dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], which: np.ndarray, rng: np.random.Generator
+) -> Worlds:
+    """Return the worlds one step later, but those of `which`, bool (M,), at time 0 and a freshly drawn start.
+
+    Numbers are drawn and bits are as if these were put back by `restart` and the others were cut out for `transition`.
+    No world is cut out: all of them move, starts are written over what has come of old worlds, and all are read once.
+    Disturbances must not be a function, which would see worlds that it should not. Worlds have times of their own.
+    """
+    places = np.flatnonzero(which)
+    if not len(places):
+        return transition(dynamics, worlds, inputs, noise(dynamics, rng, which.size))
+    if len(places) == which.size:
+        return begin(dynamics, starts(dynamics, rng, which.size), np.zeros(which.size, dtype=np.int64))
+    begun = starts(dynamics, rng, len(places)) if dynamics.first is None else dynamics.first.states
+    # The column of each world among the numbers drawn: those that begin take some that are not used.
+    column = np.maximum(np.cumsum(~which) - 1, 0)
+    normals = [z.take(column, axis=-1) for z in noise(dynamics, rng, which.size - len(places))]
+    states = _successors(dynamics, worlds, inputs, normals)
+    for x, start in zip(states, begun):
+        x[..., places] = start
+    time, q, failed, accepted = worlds.time + 1, worlds.q.copy(), worlds.failed.copy(), worlds.accepted.copy()
+    time[places], q[places], failed[places], accepted[places] = 0, dynamics.problem.automaton.initial, False, False
+    return _read(dynamics, states, time, q, failed, accepted)
 
 
 def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
@@ -316,12 +362,19 @@ def transition(
 
 def moved_on(dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]) -> Worlds:
     """Return the worlds one step later, as `transition` does, without a look at the time: no number leaves a device."""
+    states = _successors(dynamics, worlds, inputs, normals)
+    return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
+
+
+def _successors(
+    dynamics: Dynamics, worlds: Worlds, inputs: Sequence[np.ndarray], normals: Sequence[np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Return the next states (d, n, M) of all blocks, in fresh arrays."""
     unknown = disturbances(dynamics, worlds, inputs, normals)
     others = neighbours(dynamics, worlds.states, inputs)
     steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, others)
     now = worlds.time
-    states = tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
-    return _read(dynamics, states, worlds.time + 1, worlds.q, worlds.failed, worlds.accepted)
+    return tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
 
 
 def neighbours(
@@ -365,6 +418,7 @@ def successor(
     """
     components = []
     z = block.noise_of.components(z[: len(x)])
+    # The functions of expressions may not be defined, nor may states that are infinite have a sum.
     with np.errstate(all="ignore"):
         if isinstance(block.motion, WrittenMotion):
             means, z = block.motion.moved(x, u, z, v, beside, time)
@@ -421,10 +475,9 @@ def satisfied(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
 
 def joint(dynamics: Dynamics, worlds: Worlds) -> np.ndarray:
     """Return the joint states, shape (M, D), components in agent order."""
-    result = np.empty((worlds.n_worlds, dynamics.problem.n_states))
-    for block, x in zip(dynamics.blocks, worlds.states):
-        result[:, block.columns] = np.moveaxis(x, -1, 0)
-    return result
+    # Rows are moved whole, and turned once: to write column by column is many times slower.
+    rows = _rows_of(worlds.states)
+    return np.ascontiguousarray((rows if dynamics.rows_stand else rows[dynamics.rows]).T)
 
 
 def split_joint(dynamics: Dynamics, states: np.ndarray) -> tuple[np.ndarray, ...]:

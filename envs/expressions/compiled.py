@@ -39,6 +39,7 @@ class Compiled:
     """
 
     def __init__(self, trees: Sequence[Tree], groups: Sequence[Sequence[str]]) -> None:
+        self._given = tuple(trees), tuple(tuple(names) for names in groups)
         self._lines: list[str] = []
         self._constants: dict[str, float] = {}
         # What is the same is computed once; the key is the operation and where its arguments stand.
@@ -50,6 +51,9 @@ class Compiled:
         arguments = ", ".join(f"g{g}" for g in range(len(groups)))
         body = [*heads, *self._lines, f"    return ({''.join(f'{name}, ' for name in results)})"]
         self._code = compile("\n".join([f"def values({arguments}):", *body]), "<expressions>", "exec")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Compiled, self._given  # functions that were made here do not travel; they are made again
 
     @cached_property
     def numbers(self) -> Function:

@@ -122,12 +122,16 @@ def in_form(numbers: Any, bounds: Bounds, form: Form) -> np.ndarray:
     Where a state is not defined (NaN, after which an episode has ended) it counts as below everything: -inf.
     """
     told = np.asarray(numbers, dtype=np.float64)
-    told = np.where(np.isnan(told), -np.inf, told)
+    unknown = np.isnan(told)
+    if unknown.any():
+        told = np.where(unknown, -np.inf, told)
     if form.scale == "unit":
         low, high = bounds
         told = np.clip((told - low) * (2.0 / (high - low)) - 1.0, -1.0, 1.0)
+    if form.dtype == "float64":
+        return told
     with np.errstate(over="ignore"):  # what is too large for float32 is infinite there
-        return told.astype(form.dtype, copy=False)
+        return told.astype(form.dtype)
 
 
 def shared(problem: Problem, q: int, time: int, automaton: str = "one-hot") -> list[float]:
@@ -149,11 +153,14 @@ def shared_rows(problem: Problem, worlds: Worlds, automaton: str) -> np.ndarray:
         rows: np.ndarray = namespace(left).stack([*map(double, seen.get(automaton, [])), left])
         return rows
     count, n_worlds = problem.automaton.n_states, worlds.n_worlds
+    known = {"one-hot": count, "number": 1}.get(automaton, 0)
+    result = np.empty((known + 1, n_worlds))
     if automaton == "one-hot":
-        known = worlds.q == np.arange(count)[:, None]
-    else:
-        known = worlds.q[None, :] if automaton == "number" else np.zeros((0, n_worlds))
-    return np.concatenate([known, np.broadcast_to(left, (1, n_worlds))])
+        result[:-1] = worlds.q == np.arange(count)[:, None]
+    elif known:
+        result[0] = worlds.q
+    result[-1] = left
+    return result
 
 
 def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, form: Form) -> np.ndarray:
@@ -161,12 +168,11 @@ def joint_observations(problem: Problem, worlds: Worlds, states: np.ndarray, for
 
     `states` (M, D) is what sensors read of the worlds.
     """
-    low, high = joint_bounds(problem.agents)
     tail = shared_rows(problem, worlds, form.automaton)
-    result = np.empty((worlds.n_worlds, problem.n_states + len(tail)))
-    seen, result[:, problem.n_states :] = result[:, : problem.n_states], tail.T
-    seen[:] = in_form(states, (low, high), form)
-    return result.astype(form.dtype, copy=False)
+    result = np.empty((worlds.n_worlds, problem.n_states + len(tail)), dtype=form.dtype)
+    result[:, : problem.n_states] = in_form(states, joint_bounds(problem.agents), form)
+    result[:, problem.n_states :] = tail.T
+    return result
 
 
 def input_of(action: Any, agent: Any, actions: str, name: str) -> list[float]:
@@ -201,28 +207,24 @@ def batch_inputs(dynamics: Dynamics, action: Any, actions: str) -> tuple[np.ndar
         If the actions have another shape or are not finite.
     """
     problem = dynamics.problem
-    joint_actions = np.asarray(action, dtype=np.float64)
+    joint_actions = np.asarray(action)
     if joint_actions.ndim == 1 and problem.n_inputs == 1:  # some learners drop an axis of length 1
         joint_actions = joint_actions[:, None]
     is_table = joint_actions.ndim == 2 and joint_actions.shape[1] == problem.n_inputs
-    if not is_table or not np.isfinite(joint_actions).all():
+    rows = np.array(joint_actions.T, dtype=np.float64, order="C")
+    if not is_table or not np.isfinite(rows).all():
         raise ValueError(
             f"`actions`: expected finite numbers of shape (number of worlds, {problem.n_inputs}), got shape "
             f"{joint_actions.shape}"
         )
-    # Columns of the joint action for each component and agent of a block: (m, n).
-    starts = np.array([columns.start for columns in problem.input_columns])
     result = []
-    for block in dynamics.blocks:
-        columns = starts[block.agents] + np.arange(block.input_low.shape[0])[:, None]
-        u = np.ascontiguousarray(joint_actions.T[columns])
+    for block, columns in zip(dynamics.blocks, dynamics.input_columns):
+        u = rows[columns]
         if actions == "unit":
-            centre, half = (
-                0.5 * block.input_low + 0.5 * block.input_high,
-                0.5 * block.input_high - 0.5 * block.input_low,
-            )
-            u = centre + half * np.minimum(np.maximum(u, -1.0), 1.0)
-        result.append(np.minimum(np.maximum(u, block.input_low), block.input_high))
+            np.minimum(np.maximum(u, -1.0, out=u), 1.0, out=u)
+            u *= block.input_middle[1]
+            u += block.input_middle[0]
+        result.append(np.minimum(np.maximum(u, block.input_low, out=u), block.input_high, out=u))
     return tuple(result)
 
 

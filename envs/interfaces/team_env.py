@@ -139,7 +139,7 @@ class TeamEnv:
     def _told(self, rewards: np.ndarray, ends: tuple[np.ndarray, np.ndarray, np.ndarray]) -> TeamStep:
         """Return the record of a step."""
         worlds = self._batch.worlds
-        time = np.broadcast_to(np.asarray(worlds.time), (self.num_envs,))
+        time = np.asarray(worlds.time)
         read = worlds.states
         if not self._batch.sensors.is_exact:
             read = core.split_joint(self._dynamics, self._batch.readings)

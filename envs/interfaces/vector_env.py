@@ -117,16 +117,20 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.sensors = Sensors(self.problem, sensor_noise)
         self._actions = checked_option(actions, "actions", ACTIONS)
         self._dynamics = core.Dynamics.of(self.problem, disturbance)
+        self._absorbing = self.problem.automaton.absorbing
         self._reward = checked_option(reward, "reward", REWARDS)
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._spread = checked_share(spread)
         self._scattered = np.zeros(self.num_envs, dtype=bool)
+        # Scattered starts and disturbances that look at the worlds need them cut out one from the other.
+        self._is_plain = self._spread == 0.0 and isinstance(disturbance, str)
         self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
         self.single_action_space = action_space(self.problem.agents, actions)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._worlds: core.Worlds | None = None
-        self.readings = np.zeros((self.num_envs, self.problem.n_states))
+        # True joint states and what is read of them, (M, D): new arrays in each step, so infos hold the states as they are.
+        self._joint = self.readings = np.zeros((self.num_envs, self.problem.n_states))
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)
         # States at all times are stored only if pictures may be asked for.
@@ -199,13 +203,17 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         # Worlds that ended in the last step start anew, and do not move in this one.
         worlds, fresh = self._present(), self._ended
-        if fresh.any():
-            if self.autoreset_mode is AutoresetMode.DISABLED:
-                raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
-            worlds = self._begun(core.restart(self._dynamics, worlds, fresh, self.np_random), fresh)
+        if self.autoreset_mode is AutoresetMode.DISABLED and fresh.any():
+            raise RuntimeError("a world has ended; reset it with `options={'reset_mask': ...}` before `step`")
         # Worlds that the start has settled do not move, but end in this step.
-        moving = ~(fresh | self._settled(worlds))
-        worlds = self._moved(worlds, inputs, moving)
+        settled = self._settled(worlds)
+        if self._is_plain and not (settled > fresh).any():
+            worlds = core.moved_or_begun(self._dynamics, worlds, inputs, fresh, self.np_random)
+        else:
+            if fresh.any():
+                worlds = self._begun(core.restart(self._dynamics, worlds, fresh, self.np_random), fresh)
+                settled = self._settled(worlds)
+            worlds = self._moved(worlds, inputs, ~(fresh | settled))
         terminated = self._settled(worlds) & ~fresh
         truncated = (worlds.time >= self.problem.horizon) & ~terminated
         ended = terminated | truncated
@@ -265,12 +273,12 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _settled(self, worlds: core.Worlds) -> np.ndarray:
         """Return whether the verdict is final, bool (M,)."""
-        return np.asarray(worlds.failed | self.problem.automaton.absorbing[worlds.q])
+        return np.asarray(worlds.failed | self._absorbing.take(worlds.q))
 
     def _rewards(self, fresh: np.ndarray, ended: np.ndarray) -> np.ndarray:
         """Return the rewards of a step, 0 in fresh worlds, and note the potentials."""
         worlds = self._present()
-        rewards = np.where(fresh, 0.0, core.satisfied(self._dynamics, worlds).astype(np.float64))
+        rewards = (core.satisfied(self._dynamics, worlds) > fresh).astype(np.float64)
         if self._potential is None:
             return rewards
         # Both pay the difference of levels; "shaped" forgets that of an ended world, "progress" keeps it.
@@ -300,7 +308,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def read(self) -> np.ndarray:
         """Let the sensors read the states, (M, D), and note that in `readings`; noisy ones draw new errors."""
-        self.readings = self.sensors.readings(core.joint(self._dynamics, self._present()), self.np_random)
+        self._joint = core.joint(self._dynamics, self._present())
+        self.readings = self.sensors.readings(self._joint, self.np_random)
         return self.readings
 
     def _observations(self) -> np.ndarray:
@@ -330,18 +339,19 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Return the infos with the mask `which`; where pictures are asked for, note the states for them as well."""
         worlds = self._present()
         if self.render_mode is not None:
-            self._track[worlds.time, np.arange(self.num_envs)] = core.joint(self._dynamics, worlds)
+            self._track[worlds.time, np.arange(self.num_envs)] = self._joint
         values = {
             "automaton_state": worlds.q.copy(),
-            "satisfied": np.array(core.satisfied(self._dynamics, worlds)),
+            "satisfied": core.satisfied(self._dynamics, worlds).copy(),
             "time": worlds.time.copy(),
-            "state": core.joint(self._dynamics, worlds),
+            "state": self._joint,
         }
         if not self.sensors.is_exact:
             values[READING] = self.readings.copy()
         if self._spread > 0.0:
             values["scattered"] = self._scattered.copy()
-        return {**values, **{f"_{name}": which.copy() for name in values}}
+        masks = np.broadcast_to(which, (len(values), self.num_envs)).copy()
+        return {**values, **{f"_{name}": mask for name, mask in zip(values, masks)}}
 
     def _present(self) -> core.Worlds:
         """Return the worlds; raise RuntimeError before the first `reset`."""
