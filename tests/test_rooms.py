@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "envs.agents": "envs.arrays envs.expressions",
     "envs.logic": "",
     "envs.problem": "envs.expressions envs.agents envs.logic",
-    "envs.dynamics": "envs.arrays envs.agents envs.logic envs.problem",
+    "envs.dynamics": "envs.arrays envs.expressions envs.agents envs.logic envs.problem",
     "envs.pictures": "envs.agents envs.logic envs.problem",
     "envs.interfaces": f"{ENVS} envs.pictures",
     "envs.suite": f"{ENVS} envs.interfaces",
