@@ -145,7 +145,7 @@ BESIDE = (
     "envs.dynamics.blocks envs.dynamics.diagrams "
     "envs.dynamics.disturbances envs.dynamics.rules "
     "envs.dynamics.tables "
-    "envs.dynamics.worlds envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "
+    "envs.dynamics.worlds envs.expressions.compiled envs.logic.by_hand envs.logic.hoa envs.logic.hoa_text envs.logic.mona "
     "envs.problem.summary synthesis.cells.refusal synthesis.cells.sizes synthesis.certificates.digits "
     "synthesis.certificates.given_certificate synthesis.certificates.regrown_trains "
     "synthesis.certificates.result synthesis.certificates.summaries synthesis.values.devices "
