@@ -19,6 +19,7 @@ import certigym as cg
 from certigym.envs.agents import AnyAgent, LinearAgent, Pair, counted
 from certigym.envs.pictures import edges
 from certigym.envs.pictures.automaton_drawing import svg
+from certigym.envs.suite import tier_of_id
 from certigym.envs.suite.ids import MODULES, gymnasium_id
 from certigym.synthesis.certificates.digits import shown_bound
 
@@ -64,6 +65,20 @@ WHY_NOT = {
     "package-delivery-eased-v0": "trainings of 400,000 and 900,000 world steps stayed at 0. " + _DELIVERY,
 }
 """Why the learner without help misses .8 of the certified share, where it does."""
+
+HARD: dict[str, str] = {
+    "courier-v0": "reward comes after all four customers and the way home, in an order that nothing says, and one touch "
+    "of the pond undoes it; PPO and SAC with 40 seconds never saw a success, PPO from a clone of the controllers did.",
+    "needle-v0": "three gates in a row leave no room for a learner that keeps noise in its actions: what it learns "
+    "about the second gate it learns only from the few episodes that pass the first.",
+    "fleet-6-v0": "all six want through the middle at the same time and see nobody, so every learner's way around is "
+    "wrong as soon as another one changes its own.",
+    "swarm-8-v0": "eight robots see nobody and must agree on one sense of going around; a robot that does it alone "
+    "meets those that do not.",
+    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, so that an exploring leader "
+    "loses all of them, and they keep apart from one another on the way.",
+}
+"""What is hard about problems that were made to tell learners apart, and whether an experiment has tested that."""
 
 DOMAINS = {
     "robots": (
@@ -165,7 +180,9 @@ def _page(id: str, problem: cg.Problem, measured: dict[str, Any] | None) -> str:
 def _learners(id: str) -> list[str]:
     """What learners reach without help and with it, if that was measured."""
     alone, helped = (_table(name).get(id) for name in ("learners", "probes"))
-    lines = []
+    lines = [f"- Tier: **{tier_of_id(id)}**, by the rule of the [leaderboard](../leaderboard.md)."]
+    if id in HARD:
+        lines.append(f"- Why it is hard: {HARD[id]}")
     if alone is not None:
         lines.append(
             f"- Without help (`certigym train {id}`): success {alone['ppo']:.4f} of 20,000 episodes after "
@@ -548,6 +565,7 @@ def _cards(ids: list[str], measured: dict[str, Any]) -> list[str]:
             f"{counted(max(agent.n_states for agent in problem.agents), 'state')} each",
             "linear" if linear else "nonlinear",
             counted(problem.horizon, "step"),
+            tier_of_id(id),
             f"certified {bound}",
         ]
         picture = f"[![{name}]({id}.png)]({id}.md)"

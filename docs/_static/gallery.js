@@ -1,4 +1,4 @@
-// Filters the cards of the gallery by what their last line says: agents, states of an agent, dynamics, and by the bound.
+// Filters the cards of the gallery by what their last line says: agents, states, dynamics, tier, and by the bound.
 document.addEventListener("DOMContentLoaded", function () {
   var home = document.querySelector("#cards > .table-wrapper");
   if (!home) return;
@@ -6,6 +6,7 @@ document.addEventListener("DOMContentLoaded", function () {
   var cards = Array.from(home.querySelectorAll("tbody tr")).map(function (row) {
     var text = row.textContent;
     return { row: row, agents: number(text, /(\d+) agents? ·/), states: number(text, /· (\d+) states? each/),
+             tier: (text.match(/· (solved|open|hard|unrated) ·/) || [])[1],
              dynamics: /· nonlinear ·/.test(text) ? "nonlinear" : "linear", bound: number(text, /certified ([\d.]+)/) };
   });
   var within = function (key, low, high) { return function (c) { return c[key] >= low && c[key] <= high; }; };
@@ -15,6 +16,8 @@ document.addEventListener("DOMContentLoaded", function () {
     "states of an agent": { any: all, one: within("states", 1, 1), two: within("states", 2, 2), "3 and more": within("states", 3, 1e9) },
     dynamics: { any: all, linear: function (c) { return c.dynamics === "linear"; },
                 nonlinear: function (c) { return c.dynamics === "nonlinear"; } },
+    "left to learn": { any: all, open: function (c) { return c.tier === "open"; },
+                       hard: function (c) { return c.tier === "hard"; }, solved: function (c) { return c.tier === "solved"; } },
     "certified": { any: all, "above .99": function (c) { return c.bound > .99; },
                    ".5 to .99": within("bound", .5, .99), "below .5": function (c) { return !(c.bound >= .5); } }
   };

@@ -1,5 +1,6 @@
 from .catalogue import make_problem as make_problem
 from .catalogue import problem_ids as problem_ids
+from .catalogue import tier_of_id as tier_of_id
 from .ids import IDS as IDS
 from .ids import MODULES as MODULES
 from .ids import gymnasium_id as gymnasium_id
@@ -37,5 +38,6 @@ __all__ = [
     "register_suite",
     "resolve",
     "team_env",
+    "tier_of_id",
     "vector_env",
 ]

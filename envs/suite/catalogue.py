@@ -11,6 +11,7 @@ from typing import Any
 from ..agents import shown, unknown_argument
 from ..problem import Problem
 from .ids import MODULES, NAMESPACE, gymnasium_id
+from .tiers import NAMES, TIERS
 
 # Arguments that every problem takes: they are handed to `Problem.replace`.
 _CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
@@ -18,15 +19,29 @@ _CHANGES = ("initial_state", "initial_low", "initial_high", "disturbance_scale")
 _BY_GYMNASIUM = {gymnasium_id(id).removeprefix(f"{NAMESPACE}/"): id for id in MODULES}
 
 
-def problem_ids() -> tuple[str, ...]:
-    """Return the ids of the suite, in alphabetical order.
+def problem_ids(tier: str | None = None) -> tuple[str, ...]:
+    """Return the ids of the suite, or those of one tier, in alphabetical order.
+
+    Parameters
+    ----------
+    tier : "solved", "open", "hard" or "unrated", optional
+        What is left to learn, by what learners without help have reached (see `tiers`).
 
     Examples
     --------
     >>> "reach-avoid-v0" in problem_ids()
     True
+    >>> "reach-avoid-v0" in problem_ids("solved")
+    True
     """
-    return tuple(sorted(MODULES))
+    if tier is not None and tier not in NAMES:
+        raise ValueError(f"`tier`: expected {', '.join(map(repr, NAMES))}, got {shown(tier)}")
+    return tuple(id for id in sorted(MODULES) if tier in (None, tier_of_id(id)))
+
+
+def tier_of_id(id: str) -> str:
+    """Return the tier of an id; one that nobody has judged yet is unrated."""
+    return TIERS.get(id, "unrated")
 
 
 def make_problem(id: str, **arguments: Any) -> Problem:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ...synthesis.certificates import rounded_down, rounded_up
 from .standings import Leaderboard, Standing
+from .tiers import ALONE, tier_of
 
 HEAD = """# Leaderboard
 
@@ -17,6 +18,11 @@ problem:
   [learned policies](how-to/learned_policies.md);
 - **warm-ppo**: PPO that starts from a clone of the certified controllers: helped, so no independent baseline;
 - **random**: uniformly random inputs.
+
+**Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is larger.
+A problem is **solved** if a learner without help comes within .01 of what is known, **hard** if all of them stay below
+half of it (or next to nothing is known), and **open** otherwise. Open and hard problems come first; the best learner
+without help is bold.
 
 How long a learner learned is in the second table: a short time where a dash would stand else. What `certigym train`
 reaches with its defaults is in [learners](learners.md), how much a probe gains in two minutes in [probes](probes.md). A
@@ -40,16 +46,28 @@ the reward `sparse` is the success rate itself. Steps and seconds of training ar
 def page_of(board: Leaderboard) -> str:
     """Return the page: one table of success rates, and one of limits, returns and cost."""
     names = board.policies
-    lines = [HEAD, f"| id | at least | {' | '.join(names)} |", "|---" * (len(names) + 2) + "|"]
-    for problem in dict.fromkeys(row.problem for row in board.rows):
+    lines = [HEAD, f"| id | at least | tier | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
+    problems = list(dict.fromkeys(row.problem for row in board.rows))
+    tiers = {problem: tier_of(row for row in board.rows if row.problem == problem) for problem in problems}
+    for problem in sorted(problems, key=lambda problem: (ORDER.index(tiers[problem]), problem)):
         held = board.row(problem, "certified")
         bound = "-" if held is None or held.lower_bound is None else rounded_down(held.lower_bound, 4)
-        rates = (board.row(problem, name) for name in names)
-        shown = " | ".join("-" if row is None else f"{row.rate:.4f}" for row in rates)
-        lines.append(f"| [{problem}](environments/{problem}.md) | {bound} | {shown} |")
+        rates = {name: row.rate for name in names if (row := board.row(problem, name)) is not None}
+        best = max((rate for name, rate in rates.items() if name in ALONE), default=2.0)
+        cells = ["-" if name not in rates else _rate(rates[name], name in ALONE, best) for name in names]
+        lines.append(f"| [{problem}](environments/{problem}.md) | {bound} | {tiers[problem]} | {' | '.join(cells)} |")
     confidence = 100 * max((row.confidence for row in board.rows), default=0.999)
     text = "\n".join(lines) + "\n" + DETAILS.format(confidence=confidence)
     return text + "".join(_details(row) + "\n" for row in board.rows)
+
+
+ORDER = ("open", "hard", "unrated", "solved")
+"""Tiers in the order of the page: what is left to learn comes first."""
+
+
+def _rate(rate: float, is_alone: bool, best: float) -> str:
+    """Return a rate, bold if no learner without help has a larger one, and it is any."""
+    return f"**{rate:.4f}**" if is_alone and rate == best > 0.0 else f"{rate:.4f}"
 
 
 def _details(row: Standing) -> str:

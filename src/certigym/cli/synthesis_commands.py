@@ -10,7 +10,7 @@ import numpy as np
 
 from ..envs.agents import Agent, AnyAgent, LinearAgent, Pair, Proposition, counted
 from ..envs.problem import Problem
-from ..envs.suite import make_problem, problem_ids
+from ..envs.suite import make_problem, problem_ids, tier_of_id
 from ..synthesis.balls import check_rigorous
 from ..synthesis.certificates import load_certificate, save_certificate, shown_bound
 from ..synthesis.checking import check as check_certificate
@@ -199,13 +199,13 @@ def _check_in_balls(options: Namespace, certificate: Any, problem: Any) -> int:
 def _list_suite(options: Namespace) -> int:
     """Print one line per problem of the suite."""
     rows: list[dict[str, Any]] = []
-    for name in problem_ids():
+    for name in problem_ids(options.tier):
         problem = make_problem(name)
-        sizes = {"agents": problem.n_agents, "horizon": problem.horizon}
+        sizes = {"tier": tier_of_id(name), "agents": problem.n_agents, "horizon": problem.horizon}
         rows.append({"id": name, **sizes, "semantics": problem.specification.semantics, "task": _task(problem)})
-    width = max(len(str(row["id"])) for row in rows)
+    width = max((len(str(row["id"])) for row in rows), default=0)
     for row in rows:
-        size = f"{row['agents']:>3} agents  T={row['horizon']:<3}"
+        size = f"{row['tier']:<7} {row['agents']:>3} agents  T={row['horizon']:<3}"
         say(options, f"{row['id']:<{width}}  {size} {row['semantics']:<12}  {row['task']}")
     write_json(options, rows)
     return 0

@@ -1,0 +1,50 @@
+"""Tiers of the suite: what is left to learn on each problem.
+
+*solved*: a learner without help comes as far as is known to be possible; *open*: it gets somewhere, but not there;
+*hard*: less than half of the way; *unrated*: no learner was judged. The rule is in `validation.policies.tiers`, the
+numbers are those of docs/leaderboard.json. Written by `python docs/rate_problems.py`; not by hand.
+"""
+
+from __future__ import annotations
+
+NAMES = ("solved", "open", "hard", "unrated")
+
+TIERS: dict[str, str] = {
+    "building-automation-v0": "solved",
+    "car-park-planar-v0": "solved",
+    "car-park-v0": "open",
+    "car-slalom-v0": "unrated",
+    "corridor-v0": "hard",
+    "cyclic-delivery-v0": "hard",
+    "decoupled-chain-14-v0": "solved",
+    "decoupled-chain-v0": "solved",
+    "door-formation-v0": "solved",
+    "dubins-team-v0": "solved",
+    "fleet-v0": "unrated",
+    "integrator-chain-v0": "solved",
+    "invariance-20-v0": "solved",
+    "invariance-4-v0": "solved",
+    "invariance-b-100-v0": "hard",
+    "invariance-b-20-v0": "solved",
+    "invariance-v0": "solved",
+    "meeting-v0": "solved",
+    "package-delivery-eased-v0": "hard",
+    "package-delivery-kinematic-v0": "hard",
+    "package-delivery-single-v0": "solved",
+    "package-delivery-v0": "hard",
+    "patrol-recharge-v0": "open",
+    "patrol-robot-v0": "solved",
+    "platoon-distance-v0": "solved",
+    "platoon-v0": "solved",
+    "quadrotor-v0": "unrated",
+    "reach-avoid-20-v0": "open",
+    "reach-avoid-kinematic-v0": "solved",
+    "reach-avoid-n-v0": "solved",
+    "reach-avoid-planar-v0": "solved",
+    "reach-avoid-v0": "solved",
+    "rendezvous-v0": "hard",
+    "room-network-v0": "solved",
+    "swarm-v0": "hard",
+    "van-der-pol-v0": "open",
+    "windy-delivery-v0": "solved",
+}

@@ -1,0 +1,77 @@
+"""Tiers of the suite follow from the recorded leaderboard by one rule, and say the same wherever they are shown."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import certigym as cg
+import environment_pages
+import rate_problems
+from certigym.cli.main import main
+from certigym.envs.suite.tiers import NAMES, TIERS
+from certigym.validation.policies import Leaderboard, Standing, page_of, tier_of
+
+
+def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None = None) -> Standing:
+    """A row of 1000 episodes."""
+    limits = {"low": low, "high": 1.0, "confidence": 0.999}
+    rest = {"information": "", "gained": None, "steps": None, "seconds": None}
+    rest |= {"seeds": (), "successes": (successes,), "lower_bound": lower_bound}
+    return Standing("p", "f", policy, episodes=1000, **limits, **rest)  # type: ignore[arg-type]
+
+
+def test_the_table_is_what_the_rule_makes_of_the_record() -> None:
+    assert rate_problems.computed_tiers() == TIERS, "run `python docs/rate_problems.py`"
+    assert set(TIERS) == set(cg.problem_ids()) and set(TIERS.values()) <= set(NAMES)
+
+
+def test_the_rule_by_hand() -> None:
+    certified = row("certified", 950, 0.92, 0.9)
+    assert tier_of([certified]) == tier_of([certified, row("warm-ppo", 990)]) == "unrated"  # nobody without help
+    assert tier_of([certified, row("ppo", 911)]) == "solved"  # .92 is known, .911 is within .01 of it
+    assert tier_of([certified, row("ppo", 909)]) == "open"
+    assert tier_of([certified, row("ppo", 100), row("sac", 909)]) == "open"  # the best of them counts
+    assert tier_of([certified, row("ppo", 459)]) == "hard"
+    assert tier_of([replace(certified, low=0.0, lower_bound=None), row("ppo", 0)]) == "hard"  # nothing is known
+    # What a helped learner is known to reach is known to be possible.
+    assert tier_of([certified, row("warm-ppo", 999, 0.99), row("ppo", 930)]) == "open"
+
+
+def test_older_versions_of_a_problem_do_not_count() -> None:
+    board = Leaderboard.load(rate_problems.RECORDED)
+    old = Leaderboard(tuple(replace(row, fingerprint="of another version") for row in board.rows))
+    assert tier_of(row for row in old.rows if row.fingerprint == "now") == "unrated"
+
+
+def test_ids_are_listed_by_tier() -> None:
+    parts = [cg.problem_ids(tier) for tier in NAMES]
+    assert sorted(id for part in parts for id in part) == list(cg.problem_ids())
+    with pytest.raises(ValueError, match="`tier`: expected 'solved', 'open', 'hard', 'unrated', got 'easy'"):
+        cg.problem_ids("easy")
+
+
+def test_the_command_line_lists_a_tier(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["describe", "--tier", "hard", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert tuple(entry["id"] for entry in found) == cg.problem_ids("hard")
+    assert {entry["tier"] for entry in found} == {"hard"}
+
+
+def test_the_leaderboard_begins_with_what_is_open_and_has_the_best_learner_bold() -> None:
+    board = Leaderboard.load(rate_problems.RECORDED)
+    lines = [line for line in page_of(board).splitlines() if "](environments/" in line]
+    shown = [line.split(" | ")[2] for line in lines]
+    assert shown == sorted(shown, key=["open", "hard", "unrated", "solved"].index)
+    assert page_of(Leaderboard((row("ppo", 900), row("sac", 800), row("warm-ppo", 950)))).count("**0.9000**") == 1
+
+
+def test_cards_and_pages_say_the_tier() -> None:
+    folder = environment_pages.FOLDER
+    cards = (folder / "README.md").read_text(encoding="utf-8")
+    for id, tier in TIERS.items():
+        (card,) = [line for line in cards.splitlines() if line.startswith("| [![") and f"]({id}.md) |" in line]
+        assert f" · {tier} · " in card
+        assert f"- Tier: **{tier}**" in (folder / f"{id}.md").read_text(encoding="utf-8")
