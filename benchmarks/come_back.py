@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,92 @@ def rllib_ppo(seconds: float) -> Trained:
     return policy, None, steps
 
 
+def benchmarl_ippo(seconds: float) -> Trained:
+    """IPPO of BenchMARL, one network for all agents."""
+    from benchmarl.algorithms import IppoConfig
+    from benchmarl.experiment import Experiment, ExperimentConfig
+    from benchmarl.models.mlp import MlpConfig
+
+    from benchmarl_task import BenchmarlTask, StopAfter, TimeOver
+
+    with tempfile.TemporaryDirectory() as folder:
+        config = ExperimentConfig.get_from_yaml()
+        config.max_n_iters, config.max_n_frames, config.evaluation = None, 10**8, False
+        config.loggers, config.create_json, config.render, config.save_folder = [], False, False, folder
+        config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = 600, 1
+        config.on_policy_minibatch_size, config.on_policy_n_minibatch_iters = 200, 6
+        config.gamma, config.lr = 1.0, 1e-3
+        model = MlpConfig.get_from_yaml()
+        model.num_cells = [64, 64]
+        task = BenchmarlTask(ID, {"reward": "progress"})
+        experiment = Experiment(task, IppoConfig.get_from_yaml(), model, seed=0, config=config, callbacks=[StopAfter(seconds)])
+        with suppress(TimeOver):
+            experiment.run()
+    return next(iter(experiment.group_policies.values())), "parallel_env(actions=unit)", experiment.total_frames
+
+
+def skrl_ppo(seconds: float) -> Trained:
+    """PPO of skrl on the centralised environment; its actor is a module of torch."""
+    import torch
+    from skrl.agents.torch.ppo import PPO, PPO_CFG
+    from skrl.envs.wrappers.torch import wrap_env
+    from skrl.memories.torch import RandomMemory
+    from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+
+    torch.manual_seed(0)
+    env = wrap_env(cg.central_env(ID, reward="progress", dtype="float32"))
+    sizes = env.observation_space.shape[0], env.action_space.shape[0]
+
+    def net(n_outputs: int) -> Any:
+        layers = (torch.nn.Linear(sizes[0], 64), torch.nn.Tanh(), torch.nn.Linear(64, 64), torch.nn.Tanh())
+        return torch.nn.Sequential(*layers, torch.nn.Linear(64, n_outputs))
+
+    spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
+
+    class Actor(GaussianMixin, Model):
+        def __init__(self) -> None:
+            Model.__init__(self, **spaces)
+            GaussianMixin.__init__(self)
+            self.net, self.log_std = net(sizes[1]), torch.nn.Parameter(torch.zeros(sizes[1]))
+
+        def compute(self, inputs: Any, role: str = "") -> Any:
+            return self.net(inputs["observations"]), {"log_std": self.log_std}
+
+    class Critic(DeterministicMixin, Model):
+        def __init__(self) -> None:
+            Model.__init__(self, **spaces)
+            DeterministicMixin.__init__(self)
+            self.net = net(1)
+
+        def compute(self, inputs: Any, role: str = "") -> Any:
+            return self.net(inputs["observations"]), {}
+
+    models = {"policy": Actor(), "value": Critic()}
+    settings = PPO_CFG(rollouts=500, learning_epochs=6, mini_batches=4, discount_factor=1.0, learning_rate=1e-3)
+    settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
+    memory = RandomMemory(memory_size=500, num_envs=1, device=env.device)
+    agent = PPO(models=models, memory=memory, cfg=settings, device=env.device,
+                observation_space=env.observation_space, state_space=None, action_space=env.action_space)  # fmt: skip
+    agent.init()
+    agent.enable_training_mode(True)
+    until, steps = time.perf_counter() + seconds, 0
+    seen, _ = env.reset()
+    while time.perf_counter() < until:
+        agent.pre_interaction(timestep=steps, timesteps=10**9)
+        with torch.no_grad():
+            chosen, _ = agent.act(seen, None, timestep=steps, timesteps=10**9)
+            after, rewards, terminated, truncated, infos = env.step(chosen)
+            agent.record_transition(
+                observations=seen, states=None, actions=chosen, rewards=rewards, next_observations=after,
+                next_states=None, terminated=terminated, truncated=truncated, infos=infos,
+                timestep=steps, timesteps=10**9,
+            )  # fmt: skip
+        agent.post_interaction(timestep=steps, timesteps=10**9)
+        steps += 1
+        seen = env.reset()[0] if bool((terminated | truncated).any()) else after
+    return models["policy"].net, "central_env", steps
+
+
 CLIENTS: dict[str, tuple[str, Callable[[float], Trained]]] = {
     "sb3-ppo": ("stable-baselines3", sb3_ppo),
     "sb3-td3": ("stable-baselines3", sb3_td3),
@@ -297,6 +384,8 @@ CLIENTS: dict[str, tuple[str, Callable[[float], Trained]]] = {
     "torchrl": ("torchrl", torchrl_ppo),
     "tianshou": ("tianshou", tianshou_sac),
     "rllib": ("ray", rllib_ppo),
+    "benchmarl": ("benchmarl", benchmarl_ippo),
+    "skrl": ("skrl", skrl_ppo),
 }
 
 

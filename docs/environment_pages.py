@@ -84,7 +84,7 @@ DOMAINS = {
     "robots": (
         "Robots that share a floor",
         "They meet, pass doors, keep watch and stay out of each other's way.",
-        "corridor door-formation meeting patrol-recharge patrol-robot rendezvous swarm",
+        "corridor courier door-formation meeting needle patrol-recharge patrol-robot rendezvous rendezvous-3 swarm swarm-8",
     ),
     "deliveries": (
         "Deliveries",
@@ -95,7 +95,7 @@ DOMAINS = {
     "vehicles": (
         "Vehicles",
         "Cars that park and turn, platoons, a fleet on a circle, a quadrotor: most of them cannot move sideways.",
-        "car-park car-park-planar car-slalom dubins-team fleet platoon platoon-distance quadrotor",
+        "car-park car-park-planar car-park-rough car-slalom dubins-team fleet fleet-6 platoon platoon-distance quadrotor",
     ),
     "plants": (
         "Buildings and oscillators",
@@ -105,8 +105,8 @@ DOMAINS = {
     "scaling": (
         "Benchmarks that scale",
         "Simple agents, up to a hundred of them: the size is what is hard.",
-        "reach-avoid reach-avoid-planar reach-avoid-kinematic reach-avoid-n reach-avoid-20 invariance invariance-4 "
-        "invariance-20 invariance-b-20 invariance-b-100 decoupled-chain decoupled-chain-14",
+        "reach-avoid reach-avoid-planar reach-avoid-kinematic reach-avoid-n reach-avoid-20 reach-avoid-20-rough invariance invariance-4 "
+        "invariance-20 invariance-b-20 invariance-b-50 invariance-b-100 decoupled-chain decoupled-chain-14",
     ),
 }
 """Environments by domain: title, sentence, ids without their versions, in the order in which they are read."""

@@ -19,7 +19,7 @@ CUSTOMERS = {"bakery": (-3.5, 2.5), "school": (4.0, 3.0), "tower": (3.0, -2.5), 
 def problem(horizon: int = 30) -> Problem:
     """Return the errands of the module docstring."""
     robot = LinearAgent(
-        name="robot",
+        name="robot_0",
         A=[[1.0, 0.0], [0.0, 1.0]],
         B=[[1.0, 0.0], [0.0, 1.0]],
         noise_covariance=[[0.0625, 0.0], [0.0, 0.0625]],
@@ -30,7 +30,7 @@ def problem(horizon: int = 30) -> Problem:
         initial_state=[0.0, 0.0],
     )
     squares = {
-        name: Proposition("robot", [x - 0.8, y - 0.8], [x + 0.8, y + 0.8]) for name, (x, y) in CUSTOMERS.items()
+        name: Proposition("robot_0", [x - 0.8, y - 0.8], [x + 0.8, y + 0.8]) for name, (x, y) in CUSTOMERS.items()
     }
     visits = " & ".join(f"F {name}" for name in CUSTOMERS)
     return Problem(
@@ -39,8 +39,8 @@ def problem(horizon: int = 30) -> Problem:
         agents=[robot],
         propositions={
             **squares,
-            "home": Proposition("robot", [-1.0, -1.0], [1.0, 1.0]),
-            "pond": Proposition("robot", [1.4, -1.2], [2.4, 1.6]),
+            "home": Proposition("robot_0", [-1.0, -1.0], [1.0, 1.0]),
+            "pond": Proposition("robot_0", [1.4, -1.2], [2.4, 1.6]),
         },
         specification=Specification(f"G !pond & {visits} & F G home", "finite-trace"),
     )

@@ -22,7 +22,7 @@ HALF = 0.9
 def problem(horizon: int = 20) -> Problem:
     """Return the passage of the module docstring."""
     robot = LinearAgent(
-        name="robot",
+        name="robot_0",
         A=[[1.0, 0.0], [0.0, 1.0]],
         B=[[1.0, 0.0], [0.0, 1.0]],
         noise_covariance=[[0.0625, 0.0], [0.0, 0.0625]],
@@ -34,14 +34,14 @@ def problem(horizon: int = 20) -> Problem:
     )
     walls = {}
     for k, (x, y) in enumerate(GATES):
-        walls[f"below_{k}"] = Proposition("robot", [x - 0.5, -6.0], [x + 0.5, y - HALF])
-        walls[f"above_{k}"] = Proposition("robot", [x - 0.5, y + HALF], [x + 0.5, 6.0])
+        walls[f"below_{k}"] = Proposition("robot_0", [x - 0.5, -6.0], [x + 0.5, y - HALF])
+        walls[f"above_{k}"] = Proposition("robot_0", [x - 0.5, y + HALF], [x + 0.5, 6.0])
     off = " & ".join(f"!{wall}" for wall in walls)
     return Problem(
         name="needle-v0",
         horizon=horizon,
         agents=[robot],
-        propositions={**walls, "goal": Proposition("robot", [7.5, -1.0], [9.5, 1.0])},
+        propositions={**walls, "goal": Proposition("robot_0", [7.5, -1.0], [9.5, 1.0])},
         specification=Specification(f"({off}) U goal", "co-safe"),
     )
 
