@@ -287,7 +287,9 @@ def rllib_ppo(seconds: float) -> Trained:
 
 
 def benchmarl_ippo(seconds: float) -> Trained:
-    """IPPO of BenchMARL, one network for all agents."""
+    """IPPO of BenchMARL, one network for all agents; its weights come back as a plain network."""
+    import torch
+
     from benchmarl.algorithms import IppoConfig
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
@@ -304,10 +306,23 @@ def benchmarl_ippo(seconds: float) -> Trained:
         model = MlpConfig.get_from_yaml()
         model.num_cells = [64, 64]
         task = BenchmarlTask(ID, {"reward": "progress"})
-        experiment = Experiment(task, IppoConfig.get_from_yaml(), model, seed=0, config=config, callbacks=[StopAfter(seconds)])
+        experiment = Experiment(
+            task, IppoConfig.get_from_yaml(), model, seed=0, config=config, callbacks=[StopAfter(seconds)]
+        )
         with suppress(TimeOver):
             experiment.run()
-    return next(iter(experiment.group_policies.values())), "parallel_env(actions=unit)", experiment.total_frames
+
+    # One network for all agents: its weights are those of a plain network, whose first outputs are the means.
+    ((_, policy),) = experiment.group_policies.items()
+    numbers = [value.detach().squeeze(0) for value in policy.parameters()]
+    weights, biases = ([v for v in numbers if v.ndim == n] for n in (2, 1))
+    layers: list[Any] = []
+    for weight, bias in zip(weights, biases, strict=True):
+        size = 1 if weight is weights[-1] else len(weight)
+        layers += [torch.nn.Linear(weight.shape[1], size), torch.nn.Tanh()]
+        layers[-2].load_state_dict({"weight": weight[:size], "bias": bias[:size]})
+    net = torch.nn.Sequential(*layers[:-1])
+    return cg.as_policy(net, ID, "parallel_env(actions=unit)", squashed=True), None, experiment.total_frames
 
 
 def skrl_ppo(seconds: float) -> Trained:

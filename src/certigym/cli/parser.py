@@ -87,7 +87,11 @@ def _add_synthesis(commands: Any) -> None:
     describe.add_argument("problem", metavar="ID|FILE", nargs="?", help="suite id or TOML problem file (default: all)")
     add_horizon(describe)
     add_start(describe)
-    describe.add_argument("--tier", choices=("solved", "open", "hard", "unrated"), help="list problems of one tier: what is left to learn there")
+    describe.add_argument(
+        "--tier",
+        choices=("solved", "open", "hard", "unrated"),
+        help="list problems of one tier: what is left to learn there",
+    )
     describe.add_argument("--split", action="store_true", help="make agents of independent axes agents of their own")
 
     run = commands.add_parser("run", help="synthesize controllers, test their bound by rollouts, print a report")
