@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from benchmarl.experiment import Callback
 from benchmarl.environments.pettingzoo.common import PettingZooClass
+from benchmarl.experiment import Callback
 from torchrl.envs import PettingZooWrapper
 
 import certigym as cg
@@ -31,7 +31,7 @@ class StopAfter(Callback):
 
 
 class BenchmarlTask(PettingZooClass):
-    """A problem by its id, with options of `parallel_env`; what is not said here is as for all PettingZoo tasks of BenchMARL."""
+    """A problem by its id, with options of `parallel_env`; the rest is as for all PettingZoo tasks."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any

@@ -289,7 +289,6 @@ def rllib_ppo(seconds: float) -> Trained:
 def benchmarl_ippo(seconds: float) -> Trained:
     """IPPO of BenchMARL, one network for all agents; its weights come back as a plain network."""
     import torch
-
     from benchmarl.algorithms import IppoConfig
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig

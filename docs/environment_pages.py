@@ -70,20 +70,26 @@ _UNTESTED = " That this is the reason was not tested."
 HARD: dict[str, str] = {
     "courier-v0": "reward for success comes after four customers and the way home, in an order that nothing says, and "
     "one touch of the pond undoes it." + _UNTESTED,
-    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates, and so sees little of the "
+    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates, and so sees "
+    "little of the "
     "last one. More steps help, which was tested: PPO without help came to .02 after 175,000 world steps and to .34 "
     "after 357,000, one seed each.",
-    "fleet-6-v0": "all six want through the middle at the same time and see nobody, so a way around is wrong as soon as "
+    "fleet-6-v0": "all six want through the middle at the same time and see nobody, so a way around is wrong as "
+    "soon as "
     "another one changes its own." + _UNTESTED,
     "swarm-8-v0": "eight robots see nobody and must agree on one sense of going around; a robot that does it alone "
     "meets those that do not." + _UNTESTED,
-    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, so that an exploring leader "
+    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, so that an exploring leader"
+    " "
     "loses all of them, and they keep apart from one another on the way." + _UNTESTED,
-    "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of what one agent "
+    "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of "
+    "what one agent "
     "did. The number is what counts, which was tested: with 20 agents PPO comes to .999, with 100 to .002.",
-    "reach-avoid-20-rough-v0": "twenty agents have to succeed together, and what each loses to the noise multiplies; with "
+    "reach-avoid-20-rough-v0": "twenty agents have to succeed together, and what each loses to the noise "
+    "multiplies; with "
     "a noise of 1 in place of 1.3 times PPO comes to .85, with the longer training of that row.",
-    "car-park-rough-v0": "nobody comes far beyond .79, which is known from above; what is left is where a step of bad luck "
+    "car-park-rough-v0": "nobody comes far beyond .79, which is known from above; what is left is where a step of bad "
+    "luck "
     "costs least, and a learner gets next to no reward for such corners of the policy." + _UNTESTED,
 }
 """What is hard about problems that were made to tell learners apart, and whether an experiment has tested that."""
@@ -92,7 +98,8 @@ DOMAINS = {
     "robots": (
         "Robots that share a floor",
         "They meet, pass doors, keep watch and stay out of each other's way.",
-        "corridor courier door-formation meeting needle patrol-recharge patrol-robot rendezvous rendezvous-3 swarm swarm-8",
+        "corridor courier door-formation meeting needle patrol-recharge patrol-robot rendezvous rendezvous-3 "
+        "swarm swarm-8",
     ),
     "deliveries": (
         "Deliveries",
@@ -103,7 +110,8 @@ DOMAINS = {
     "vehicles": (
         "Vehicles",
         "Cars that park and turn, platoons, a fleet on a circle, a quadrotor: most of them cannot move sideways.",
-        "car-park car-park-planar car-park-rough car-slalom dubins-team fleet fleet-6 platoon platoon-distance quadrotor",
+        "car-park car-park-planar car-park-rough car-slalom dubins-team fleet fleet-6 platoon "
+        "platoon-distance quadrotor",
     ),
     "plants": (
         "Buildings and oscillators",
@@ -113,7 +121,8 @@ DOMAINS = {
     "scaling": (
         "Benchmarks that scale",
         "Simple agents, up to a hundred of them: the size is what is hard.",
-        "reach-avoid reach-avoid-planar reach-avoid-kinematic reach-avoid-n reach-avoid-20 reach-avoid-20-rough invariance invariance-4 "
+        "reach-avoid reach-avoid-planar reach-avoid-kinematic reach-avoid-n reach-avoid-20 "
+        "reach-avoid-20-rough invariance invariance-4 "
         "invariance-20 invariance-b-20 invariance-b-50 invariance-b-100 decoupled-chain decoupled-chain-14",
     ),
 }

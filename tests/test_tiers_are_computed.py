@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -17,10 +18,10 @@ from certigym.validation.policies import Leaderboard, Standing, page_of, tier_of
 
 def row(policy: str, successes: int, low: float = 0.0, lower_bound: float | None = None) -> Standing:
     """A row of 1000 episodes."""
-    limits = {"low": low, "high": 1.0, "confidence": 0.999}
-    rest = {"information": "", "gained": None, "steps": None, "seconds": None}
+    limits: dict[str, Any] = {"low": low, "high": 1.0, "confidence": 0.999}
+    rest: dict[str, Any] = {"information": "", "gained": None, "steps": None, "seconds": None}
     rest |= {"seeds": (), "successes": (successes,), "lower_bound": lower_bound}
-    return Standing("p", "f", policy, episodes=1000, **limits, **rest)  # type: ignore[arg-type]
+    return Standing("p", "f", policy, episodes=1000, **limits, **rest)
 
 
 def test_the_table_is_what_the_rule_makes_of_the_record() -> None:

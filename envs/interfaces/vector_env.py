@@ -129,7 +129,7 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._worlds: core.Worlds | None = None
-        # True joint states and what is read of them, (M, D): new arrays in each step, so infos hold the states as they are.
+        # True joint states and what is read of them, (M, D): new arrays in each step, so infos may hold them.
         self._joint = self.readings = np.zeros((self.num_envs, self.problem.n_states))
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._levels = np.zeros(self.num_envs)

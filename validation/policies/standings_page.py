@@ -19,10 +19,10 @@ problem:
 - **warm-ppo**: PPO that starts from a clone of the certified controllers: helped, so no independent baseline;
 - **random**: uniformly random inputs.
 
-**Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is larger.
-A problem is **solved** if a learner without help comes within .01 of what is known, **hard** if all of them stay below
-half of it (or next to nothing is known), and **open** otherwise. Open and hard problems come first; the best learner
-without help is bold.
+**Tiers** say what is left to learn. *Known* to be possible is the bound, or the lower limit of any row if that is
+larger. A problem is **solved** if a learner without help comes within .01 of what is known, **hard** if all of them
+stay below half of it (or next to nothing is known), and **open** otherwise. Open and hard problems come first; the best
+learner without help is bold.
 
 How long a learner learned is in the second table: a short time where a dash would stand else. What `certigym train`
 reaches with its defaults is in [learners](learners.md), how much a probe gains in two minutes in [probes](probes.md). A
