@@ -84,7 +84,7 @@ def test_processes_give_the_same_bits_and_a_killed_one_loses_nothing(
 ) -> None:
     with processes(2) as pool:
         np.testing.assert_array_equal(runs(certificate, pool), alone)
-        victims = list(pool._processes)  # type: ignore[attr-defined]
+        victims = list(pool._processes)
 
         def kill(_: int) -> None:
             if victims:

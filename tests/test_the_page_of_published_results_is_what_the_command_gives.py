@@ -16,7 +16,8 @@ from certigym.cli.main import main
 from certigym.validation.paper import RECORDED, TARGETS, arch
 from certigym.validation.paper.judged_lines import Line, judged_lines, lines_text
 from certigym.validation.paper.reproduce import fig3
-from certigym.validation.paper.targets import reproduced
+from certigym.validation.paper.reproduction import Found, Reproduction
+from certigym.validation.paper.targets import lines_of, target_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "published_results.md").read_text(encoding="utf-8")
@@ -115,7 +116,7 @@ def test_the_record_of_the_fields_benchmarks_is_that_of_their_page() -> None:
 @pytest.mark.slow
 def test_what_takes_seconds_is_as_recorded(tmp_path: Path) -> None:
     for target in ("fig4", "table1"):
-        _, lines = reproduced(target, tmp_path, lambda text: None)
+        lines = lines_of(target, target_of(target).rows(tmp_path))
         assert [line for line in lines if line["wrong"]] == [], target
 
 
@@ -124,7 +125,7 @@ def test_figure_3_is_as_recorded(tmp_path: Path) -> None:
     """A short horizon, one in the middle and the longest: here numbers were lost once without anybody's seeing it."""
     names = {"robust_tree_certified": "robust tree, certified", "a_posteriori": "a-posteriori, certified",
              "exact": "exact relation, certified"}  # fmt: skip
-    for row in fig3(tmp_path, (2, 7, 16)):
+    for row in fig3((2, 7, 16)).rows(tmp_path):
         for column, name in names.items():
             recorded, _ = RECORD["fig3"][f"T = {row['T']}: {name}"]
             assert recorded <= float(str(row[column])) < recorded + 1e-5, (row["T"], name)
@@ -152,7 +153,8 @@ def test_a_number_that_falls_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "higher" in lines_text(judged_lines("own", lines, record))
     # A row whose check fails certifies nothing, and the command says so by its status.
     failed = {"check": "NOT valid", "certified": 1.0, "published": None, "starts": None, "row": "bas-7"}
-    monkeypatch.setattr("certigym.validation.paper.targets.arch", lambda *_, **__: [failed])
+    refused = Reproduction({"bas-7": lambda: Found(failed, "nothing")}, lambda found, _: found)
+    monkeypatch.setattr("certigym.validation.paper.targets.arch", lambda _: refused)
     assert main(["reproduce", "arch", "--row", "bas-7", "--out", str(tmp_path / "out")]) == 1
 
 

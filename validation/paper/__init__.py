@@ -2,15 +2,17 @@
 
 from .judged_lines import RECORDED, lines_text, summary_text
 from .refutation import refute_published
-from .reproduce import silent
-from .targets import TARGETS, reproduced
+from .reproduction import Reproduction, computed
+from .targets import TARGETS, lines_of, target_of
 
 __all__ = [
     "RECORDED",
+    "Reproduction",
     "TARGETS",
+    "computed",
+    "lines_of",
     "lines_text",
     "refute_published",
-    "reproduced",
-    "silent",
+    "target_of",
     "summary_text",
 ]

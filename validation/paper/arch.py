@@ -10,7 +10,8 @@ from __future__ import annotations
 import csv
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from ...synthesis.nominal_paths import certified_starts
 from ...synthesis.synthesize import synthesize
 from ..simulation import rollout
 from ..statistics import clopper_pearson
+from .reproduction import Found, Reproduction
 
 Row = dict[str, Any]
 
@@ -41,10 +43,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def arch(
-    out: Path, row: str | None = None, folder: Path = FOLDER, progress: Callable[[str], None] = print
-) -> list[Row]:
-    """Certify the rows of the field's benchmarks, or one of them, and write CSV, JSON and a page into a folder.
+def arch(row: str | None = None, folder: Path = FOLDER) -> Reproduction:
+    """Certify the rows of the field's benchmarks, or one of them.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def arch(
     names = [entry["row"] for entry in wanted]
     if row is not None and row not in names:
         raise ValueError(f"`--row`: expected one of {', '.join(names)}, got {row!r}")
-    rows = []
-    for entry in wanted:
-        if row in (None, entry["row"]):
-            rows.append(_certified(entry, folder))
-            last = rows[-1]
-            progress(f"{last['row']:24} certified {last['certified']:<22} published {last['published'] or 'nothing'}")
+    pieces = {e["row"]: partial(_found, e, folder, EPISODES) for e in wanted if row in (None, e["row"])}
+    return Reproduction(pieces, _written)
+
+
+def _written(rows: Sequence[Row], out: Path) -> list[Row]:
+    """Write the rows as CSV, JSON and a page, and return them."""
     out.mkdir(parents=True, exist_ok=True)
     text = StringIO()
     writer = csv.DictWriter(text, COLUMNS)
@@ -71,10 +71,17 @@ def arch(
     write_text(out / "arch.csv", text.getvalue())
     write_json(out / "arch.json", rows)
     write_text(out / "arch.md", _page(rows))
-    return rows
+    return list(rows)
 
 
-def _certified(entry: Row, folder: Path) -> Row:
+def _found(entry: Row, folder: Path, episodes: int) -> Found:
+    """Return the row of an entry, and how it is told of."""
+    row = _certified(entry, folder, episodes)
+    beside = "" if row["published"] is None else f", published {row['published']:g}"
+    return Found(row, f"{significant_down(row['certified'], 6)}{beside}")
+
+
+def _certified(entry: Row, folder: Path, episodes: int = EPISODES) -> Row:
     """Return a row with what is certified, how long that took, and what rollouts say."""
     problem = load_problem(folder / entry["problem"])
     assert problem.automaton  # translating the formula is no part of what is timed
@@ -82,12 +89,12 @@ def _certified(entry: Row, folder: Path) -> Row:
     certificate: Any = synthesize(problem, entry.get("cells"), relation=entry["relation"]).certificate
     seconds = time.process_time() - began
     report = check(certificate, problem)
-    successes = rollout(problem, certificate.controller, EPISODES, seed=0).successes
-    _, high = clopper_pearson(successes, EPISODES, 1.0 - ERROR)
+    successes = rollout(problem, certificate.controller, episodes, seed=0).successes
+    _, high = clopper_pearson(successes, episodes, 1.0 - ERROR)
     # What is claimed, met and printed is the probability of a start that is neither in the target nor lost at once.
     share = 1.0 - entry.get("sure", 0.0) - entry.get("lost", 0.0)
     bound, met, high = (
-        (value - entry.get("sure", 0.0)) / share for value in (certificate.lower_bound, successes / EPISODES, high)
+        (value - entry.get("sure", 0.0)) / share for value in (certificate.lower_bound, successes / episodes, high)
     )
     published, failure = entry["published"], getattr(certificate, "failure", 1.0 - bound)
     outcome = "no published number"
@@ -134,7 +141,7 @@ def _asked(entry: Row) -> str:
     return f"{entry['relation']}, {' x '.join(map(str, cells)) if isinstance(cells, list) else cells}"
 
 
-def _page(rows: list[Row]) -> str:
+def _page(rows: Sequence[Row]) -> str:
     """Return the rows as a table in Markdown."""
     lines = [
         "| row | published | tool, seconds, machine | asked for | certified | failure at most | seconds | check "

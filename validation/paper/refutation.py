@@ -7,7 +7,9 @@ state. The claims at many initial states are tested at once (Holm's method over 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from ...synthesis.synthesize import synthesize
 from ..statistics import REFUTED, holm, p_at_least
 from ..verdicts import validate
 from .published import INPUTS, PublishedStep, published_curve, published_grid
+from .reproduction import Found, Reproduction
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,3 +145,19 @@ def _right_noise(horizon: int, episodes: int, seed: int, confidence: float) -> d
         outcomes[relation] = {"lower_bound": report.lower_bound, "estimate": report.estimate, "verdict": report.verdict}
     wrong = [outcome["verdict"] for outcome in outcomes.values() if outcome["verdict"] == REFUTED]
     return {"verdict": REFUTED if wrong else outcomes["paper"]["verdict"], **outcomes}
+
+
+def refutation() -> Reproduction:
+    """Refute the published certificate: one piece, whose result is its only row."""
+    return Reproduction({"the certificate at T = 6": _refuted}, _only)
+
+
+def _refuted() -> Found:
+    result = refute_published()
+    return Found(result, f"{result['verdict']} at {result['refuted']} of {result['initial_states']} states")
+
+
+def _only(found: Sequence[Any], out: Path) -> Any:
+    """Return the only result; its lines are all that is written."""
+    (result,) = found
+    return result

@@ -1,6 +1,6 @@
 """The paper's figures and tables, recomputed: published values beside ours.
 
-Each function writes numbers (CSV) and, if matplotlib is installed, a figure (PNG) into a folder, and returns the rows.
+Each reproduction writes numbers (CSV) and, if matplotlib is installed, a figure (PNG) into a folder.
 The name of each column says whether a number is a certificate for the continuous system at the stated noise, or only
 reproduces a published number:
 
@@ -14,17 +14,18 @@ from __future__ import annotations
 
 import csv
 import itertools
-import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...envs.agents import write_bytes, write_text
+from ...envs.agents import counted, write_bytes, write_text
 from ...envs.pictures import AGENTS
 from ...envs.suite import make_problem
+from ...synthesis.certificates import rounded_down
 from ...synthesis.models import abstract, join, start_of
 from ...synthesis.search import start_value
 from ...synthesis.synthesize import synthesize
@@ -32,9 +33,9 @@ from ..simulation import rollout
 from ..statistics import clopper_pearson
 from .heuristics import paper_steps
 from .published import published_curve
+from .reproduction import Found, Reproduction
 
 Row = dict[str, Any]
-Progress = Callable[[str], None]
 
 FIGURE_3 = (
     (0.127733, 0.127516), (0.277626, 0.277231), (0.448067, 0.447354), (0.632929, 0.632644), (0.837324, 0.837061),
@@ -55,135 +56,183 @@ FIGURE_4_CELLS = (40, 45, 50, 55, 59)
 """Start cells, the same for every agent, over which Fig. 4 averages."""
 
 
-def silent(text: str) -> None:
-    """Do nothing with a message about the progress."""
-
-
-def fig3(
-    out: Path, horizons: Sequence[int] = range(1, 17), cells: int = 1000, progress: Progress = silent
-) -> list[Row]:
+def fig3(horizons: Sequence[int] = range(1, 17), cells: int = 1000) -> Reproduction:
     """Recompute Fig. 3, reach-avoid: bounds, averaged over x1 in [-20, 0], x2 in [-5, -2.5], against the horizon."""
-    published = published_curve(max(horizons))
-    stated = published_curve(max(horizons), kernel_deviation=0.5)
+    pieces: dict[str, Callable[[], Found]] = {"the published computation": partial(_published_means, max(horizons))}
+    pieces |= {f"T = {t}": partial(_fig3_bounds, t, cells) for t in horizons}
+    return Reproduction(pieces, partial(_fig3_joined, tuple(horizons)))
+
+
+def _published_means(horizon: int) -> Found:
+    """Return the published values at all horizons, with the variance as deviation and at the stated noise."""
+    # One pass gives all horizons.
+    means = [(step.mean, stated.mean) for step, stated in zip(published_curve(horizon), published_curve(horizon, 0.5))]
+    return Found(means, f"{means[-1][0]:.6f} at T = {horizon}, {means[-1][1]:.6f} at the stated noise")
+
+
+def _fig3_bounds(t: int, cells: int) -> Found:
+    """Return what is certified at one horizon: every kind of bound for the policies that are best in it."""
+    problem = make_problem("reach-avoid-v0", horizon=t)
+    exact = synthesize(problem, cells, relation="exact").certificate
+    paper: Any = synthesize(problem, cells, relation="paper", epsilon=0.1).stats["largest_bounds"]
+    bounds = {
+        "robust_tree_certified": paper["robust tree"],
+        "a_posteriori": paper["a-posteriori"],
+        "exact": exact.lower_bound,
+    }
+    return Found(bounds, f"exact relation {rounded_down(exact.lower_bound, 6)}")
+
+
+def _fig3_joined(horizons: Sequence[int], found: Sequence[Any], out: Path) -> list[Row]:
+    """Write Fig. 3, and return its rows."""
+    means, *bounds = found
     rows = []
-    for t in horizons:
-        problem = make_problem("reach-avoid-v0", horizon=t)
-        exact = synthesize(problem, cells, relation="exact").certificate
-        # Every kind of bound for the policies that are best in it.
-        paper: Any = synthesize(problem, cells, relation="paper", epsilon=0.1).stats["largest_bounds"]
+    for t, certified in zip(horizons, bounds, strict=True):
         robust, a_posteriori = FIGURE_3[t - 1] if t <= len(FIGURE_3) else (None, None)
         rows.append(
             {
                 "T": t,
                 "published": robust,
-                "robust_tree_variance_as_std": published[t - 1].mean,
-                "robust_tree": stated[t - 1].mean,
-                "robust_tree_certified": paper["robust tree"],
+                "robust_tree_variance_as_std": means[t - 1][0],
+                "robust_tree": means[t - 1][1],
+                "robust_tree_certified": certified["robust_tree_certified"],
                 "a_posteriori_published": a_posteriori,
-                "a_posteriori": paper["a-posteriori"],
-                "exact": exact.lower_bound,
+                "a_posteriori": certified["a_posteriori"],
+                "exact": certified["exact"],
             }
         )
-        progress(f"T = {t}: exact {exact.lower_bound:.6f}")
     _write(out / "fig3.csv", rows)
     title = "Reach-avoid, two agents"
     _curves(out / "fig3.png", rows, "T", "lower bound, mean over the region", title, less="published")
     return rows
 
 
-def fig4(out: Path, horizon: int = 7, progress: Progress = silent) -> list[Row]:
+def fig4(horizon: int = 7) -> Reproduction:
     """Recompute Fig. 4, invariance of 4 and 20 agents in both settings: mean over five start cells by horizon."""
-    rows: list[Row] = [{"T": t} for t in range(1, horizon + 1)]
-    for setting in ("A", "B"):
-        for n in (4, 20):
-            problem = make_problem("invariance-v0", n_agents=n, setting=setting, horizon=horizon)
-            joint = join(problem, abstract(problem, 100, relation="paper", epsilon=0.1))
-            q = int(np.flatnonzero(~joint.absorbing)[0])
-            starts = np.array([[cell] * n for cell in FIGURE_4_CELLS])
-            # The paper's method gives all horizons in one pass, the exact relation one certificate per horizon.
-            for row, step in zip(rows, paper_steps(joint, "robust tree"), strict=True):
-                row[f"robust_tree_{setting}_{n}"] = float(np.mean(step.terms.at(q, starts)))
-            for row in rows:
-                shorter = problem.replace(horizon=row["T"])
-                certificate = synthesize(shorter, 100, relation="exact").certificate
-                centres = certificate.agents[0].grid.centres[list(FIGURE_4_CELLS), 0]
-                row[f"exact_{setting}_{n}"] = float(np.mean(certificate.at(np.repeat(centres[:, None], n, axis=1))))
-            progress(f"setting {setting}, {n} agents: exact {rows[-1][f'exact_{setting}_{n}']:.6f} at T = {horizon}")
+    cases = [(setting, n) for setting in ("A", "B") for n in (4, 20)]
+    pieces = {f"setting {setting}, {n} agents": partial(_fig4_columns, setting, n, horizon) for setting, n in cases}
+    return Reproduction(pieces, _fig4_joined)
+
+
+def _fig4_columns(setting: str, n: int, horizon: int) -> Found:
+    """Return both columns of one setting, for horizons 1, 2, ..."""
+    problem = make_problem("invariance-v0", n_agents=n, setting=setting, horizon=horizon)
+    joint = join(problem, abstract(problem, 100, relation="paper", epsilon=0.1))
+    q = int(np.flatnonzero(~joint.absorbing)[0])
+    starts = np.array([[cell] * n for cell in FIGURE_4_CELLS])
+    # The paper's method gives all horizons in one pass, the exact relation one certificate per horizon.
+    robust = [float(np.mean(step.terms.at(q, starts))) for step in paper_steps(joint, "robust tree")]
+    exact = []
+    for t in range(1, horizon + 1):
+        certificate = synthesize(problem.replace(horizon=t), 100, relation="exact").certificate
+        centres = certificate.agents[0].grid.centres[list(FIGURE_4_CELLS), 0]
+        exact.append(float(np.mean(certificate.at(np.repeat(centres[:, None], n, axis=1)))))
+    columns = {f"robust_tree_{setting}_{n}": robust, f"exact_{setting}_{n}": exact}
+    return Found(columns, f"exact relation {rounded_down(exact[-1], 6)} at T = {horizon}")
+
+
+def _fig4_joined(found: Sequence[Any], out: Path) -> list[Row]:
+    """Write Fig. 4, and return its rows."""
+    columns = {name: values for of_case in found for name, values in of_case.items()}
+    horizons = range(1, len(next(iter(columns.values()))) + 1)
+    rows: list[Row] = [{"T": t, **{name: values[t - 1] for name, values in columns.items()}} for t in horizons]
     _write(out / "fig4.csv", rows)
     _curves(out / "fig4.png", rows, "T", "lower bound, mean over five starts", "Invariance, 4 and 20 agents")
     return rows
 
 
-def table1(out: Path, progress: Progress = silent) -> list[Row]:
+def table1() -> Reproduction:
     """Recompute Table 1: bytes of a joint value function against one term of the tree, computed and measured."""
-    rows = []
-    for name, cells, published in (
-        ("reach-avoid-v0", 1000, (2.4e7, 1.6e4)),
-        ("invariance-20-v0", 100, (2.4e41, 1.6e4)),
-        ("package-delivery-v0", 1200, (1.02e26, 7.7e4)),
-    ):
-        # A short horizon and one sweep are enough to count bytes.
-        problem = make_problem(name)
-        small = problem.replace(horizon=min(problem.horizon, 7))
-        certificate = synthesize(small, cells, max_sweeps=1).certificate
-        sizes = [agent.grid.n_cells for agent in certificate.agents]
-        measured = sum(factors.nbytes for factors in certificate.tree.factors)
-        terms = sum(len(index) for index in certificate.tree.index)
-        rows.append(
-            {
-                "problem": name,
-                "agents": problem.n_agents,
-                "cells": cells,
-                "published_joint_bytes": published[0],
-                "joint_bytes": problem.automaton.n_states * 8.0 * float(np.prod([float(s) for s in sizes])),
-                "published_bytes_per_term": published[1],
-                "bytes_per_term": 8 * sum(sizes),
-                "terms": terms,
-                "measured_bytes": measured,
-                "measured_bytes_without_sharing": 8 * sum(sizes) * terms,
-            }
-        )
-        progress(f"{name}: {terms} terms in {measured} bytes")
-    _write(out / "table1.csv", rows)
-    return rows
+    published = {
+        "reach-avoid-v0": (1000, 2.4e7, 1.6e4),
+        "invariance-20-v0": (100, 2.4e41, 1.6e4),
+        "package-delivery-v0": (1200, 1.02e26, 7.7e4),
+    }
+    pieces = {name: partial(_bytes, name, *numbers) for name, numbers in published.items()}
+    return Reproduction(pieces, partial(_table_joined, "table1.csv"))
 
 
-def table2(out: Path, cells: int = 1200, episodes: int = 400_000, progress: Progress = silent) -> list[Row]:
+def _bytes(name: str, cells: int, published_joint: float, published_term: float) -> Found:
+    """Return the row of one problem: its bytes."""
+    # A short horizon and one sweep are enough to count bytes.
+    problem = make_problem(name)
+    small = problem.replace(horizon=min(problem.horizon, 7))
+    certificate = synthesize(small, cells, max_sweeps=1).certificate
+    sizes = [agent.grid.n_cells for agent in certificate.agents]
+    measured = sum(factors.nbytes for factors in certificate.tree.factors)
+    terms = sum(len(index) for index in certificate.tree.index)
+    row = {
+        "problem": name,
+        "agents": problem.n_agents,
+        "cells": cells,
+        "published_joint_bytes": published_joint,
+        "joint_bytes": problem.automaton.n_states * 8.0 * float(np.prod([float(s) for s in sizes])),
+        "published_bytes_per_term": published_term,
+        "bytes_per_term": 8 * sum(sizes),
+        "terms": terms,
+        "measured_bytes": measured,
+        "measured_bytes_without_sharing": 8 * sum(sizes) * terms,
+    }
+    return Found(row, f"{counted(terms, 'term')} in {measured} bytes")
+
+
+def table2(cells: int = 1200, episodes: int = 400_000) -> Reproduction:
     """Recompute Table 2, package delivery of four robots: the paper's method with disjoint letters, and ours."""
-    rows = []
+    pieces: dict[str, Callable[[], Found]] = {"the paper's method": partial(_paper_at_points, cells)}
+    for k in range(len(TABLE_2)):
+        pieces[f"point {k + 1}"] = partial(_at_point, k, "package-delivery-v0", cells, episodes)
+        pieces[f"point {k + 1}, eased"] = partial(_at_point, k, "package-delivery-eased-v0", cells, episodes)
+    return Reproduction(pieces, _table2_joined)
+
+
+def _paper_at_points(cells: int) -> Found:
+    """Return what the paper's method certifies from each point."""
+    # It does not depend on the start, so one run serves all points.
     problem = make_problem("package-delivery-v0")
-    # The paper's method does not depend on the start, so one run serves all points.
     joint = join(problem, abstract(problem, cells, relation="paper", epsilon=0.1))
-    began = time.perf_counter()
     *_, last = paper_steps(joint, "robust tree")
-    progress(f"the paper's method at the stated noise: {time.perf_counter() - began:.1f} s")
-    for point, published in TABLE_2:
-        for name in ("package-delivery-v0", "package-delivery-eased-v0"):
-            # Our certificates are synthesized from each point, and tested by rollouts from there.
-            here = make_problem(name).replace(initial_state=list(point))
-            eased = name != "package-delivery-v0"
-            result = synthesize(here, cells, relation="exact")
-            runs = rollout(here, result.controller, episodes, seed=0)
-            low, high = clopper_pearson(runs.successes, runs.episodes, 0.999)
-            rows.append(
-                {
-                    "problem": name,
-                    "initial_state": " ".join(f"{x:g}" for x in point),
-                    "published": None if eased else published,
-                    "robust_tree_certified": None if eased else start_value(start_of(here, joint), last.terms),
-                    "exact": result.certificate.lower_bound,
-                    "gap": result.certificate.gap,
-                    "estimate": runs.successes / runs.episodes,
-                    "ci_low": low,
-                    "ci_high": high,
-                    "episodes": runs.episodes,
-                    "seconds": result.stats["seconds"]["synthesize"],  # type: ignore[index]
-                }
-            )
-            where = rows[-1]["initial_state"]
-            progress(f"{name} from ({where}): {rows[-1]['exact']:.5f}, rollouts {rows[-1]['estimate']:.5f}")
-    _write(out / "table2.csv", rows)
-    return rows
+    starts = [start_of(problem.replace(initial_state=list(point)), joint) for point, _ in TABLE_2]
+    bounds = [start_value(start, last.terms) for start in starts]
+    return Found(bounds, ", ".join(rounded_down(bound, 6) for bound in bounds))
+
+
+def _at_point(k: int, name: str, cells: int, episodes: int) -> Found:
+    """Return the row of a point: our certificate is synthesized from there, and tested by rollouts from there."""
+    point, published = TABLE_2[k]
+    here = make_problem(name).replace(initial_state=list(point))
+    result = synthesize(here, cells, relation="exact")
+    runs = rollout(here, result.controller, episodes, seed=0)
+    low, high = clopper_pearson(runs.successes, runs.episodes, 0.999)
+    row = {
+        "problem": name,
+        "initial_state": " ".join(f"{x:g}" for x in point),
+        "published": None if "eased" in name else published,
+        "robust_tree_certified": None,
+        "exact": result.certificate.lower_bound,
+        "gap": result.certificate.gap,
+        "estimate": runs.successes / runs.episodes,
+        "ci_low": low,
+        "ci_high": high,
+        "episodes": runs.episodes,
+        "seconds": result.stats["seconds"]["synthesize"],  # type: ignore[index]
+    }
+    return Found(row, f"{rounded_down(result.certificate.lower_bound, 5)}, rollouts {row['estimate']:.5f}")
+
+
+def _table2_joined(found: Sequence[Any], out: Path) -> list[Row]:
+    """Write Table 2, and return its rows: what the paper's method certifies stands beside what was published."""
+    bounds, *rows = found
+    joined = [
+        {**row, "robust_tree_certified": None if row["published"] is None else bounds[k // 2]}
+        for k, row in enumerate(rows)
+    ]
+    return _table_joined("table2.csv", joined, out)
+
+
+def _table_joined(name: str, rows: Sequence[Row], out: Path) -> list[Row]:
+    """Write rows, and return them."""
+    _write(out / name, rows)
+    return list(rows)
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:

@@ -1,40 +1,38 @@
-"""All that can be reproduced, by name: each target computes its rows, and says which numbers were published of them."""
+"""All that can be reproduced, by name: what computes each target, and which numbers were published of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from . import reproduce
 from .arch import arch
 from .judged_lines import Line, judged_lines
-from .refutation import refute_published
+from .refutation import refutation
+from .reproduction import Reproduction
 
 TARGETS = ("fig3", "fig4", "table1", "table2", "refutation", "arch")
 """In the order in which ``all`` computes them."""
 
 
-def reproduced(
-    target: str, out: Path, progress: Callable[[str], None] = print, row: str | None = None
-) -> tuple[Any, list[dict[str, Any]]]:
-    """Compute a target, write its files into a folder, and return its rows beside its judged lines.
+def target_of(target: str, row: str | None = None) -> Reproduction:
+    """Return what computes a target, or one row of it.
 
     Raises
     ------
     ValueError
         If there is no such target or row.
     """
-    computed: dict[str, Callable[[], Any]] = {
-        "refutation": refute_published,
-        "arch": partial(arch, out, row, progress=progress),
-        **{name: partial(getattr(reproduce, name), out, progress=progress) for name in TARGETS[:4]},
-    }
-    if target not in computed:
+    if target not in TARGETS:
         raise ValueError(f"`target`: expected one of {', '.join(TARGETS)}, got {target!r}")
-    result = computed[target]()
-    return result, judged_lines(target, LINES[target](result), only=row)
+    if target == "arch":
+        return arch(row)
+    return refutation() if target == "refutation" else getattr(reproduce, target)()
+
+
+def lines_of(target: str, result: Any, row: str | None = None) -> list[dict[str, Any]]:
+    """Return the judged lines of what a target gave; with ``row`` none can be missing."""
+    return judged_lines(target, LINES[target](result), only=row)
 
 
 def _fig3(rows: Sequence[dict[str, Any]]) -> list[Line]:

@@ -1,7 +1,7 @@
 """Reproducible rollouts of the continuous system, on one core or many machines."""
 
 from .chunks import ChunkResult, Frame, chunks_of, frames, paths
-from .cluster import DaskExecutor, executor_for
+from .cluster import DaskExecutor, executor_for, processes
 from .loop import CHUNK, Batchable, BatchPolicy, Loop
 from .mismatch import FAMILIES, Mismatch
 from .report_text import INTERRUPTED, LABEL_WIDTH, Rows, html_table, labelled_lines
@@ -37,6 +37,7 @@ __all__ = [
     "labelled_lines",
     "paths",
     "planned",
+    "processes",
     "rollout",
     "stream",
     "task_tracks",

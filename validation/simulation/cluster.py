@@ -6,6 +6,7 @@ Both give the same numbers as no executor, bit by bit. Dask runs the jobs of a k
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 import signal
 import threading
@@ -19,6 +20,9 @@ from typing import Any
 
 from ...envs.agents import checked_count
 from .spread import Executor
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What libraries of linear algebra read when they are loaded: how many threads they use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +106,15 @@ def _distributed() -> tuple[Any, Any]:
 
 
 @contextmanager
-def processes(workers: int) -> Iterator[Executor]:
-    """Open an executor on ``workers`` new processes of this machine; Ctrl-C reaches the calling process alone."""
+def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Open an executor on ``workers`` new processes of this machine; Ctrl-C reaches the calling process alone.
+
+    Each has one thread for its linear algebra: those of several processes would wait for one another.
+    """
     count = _checked_workers(workers)
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_interrupts)
     try:
-        with _children_ignore_interrupts():
+        with _children_ignore_interrupts(), _children_have_one_thread():
             # No process is idle yet, so each of these jobs starts one.
             for started in [pool.submit(int) for _ in range(workers)]:
                 started.result()
@@ -140,6 +147,19 @@ def _children_ignore_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _children_have_one_thread() -> Iterator[None]:
+    """Let libraries of linear algebra use one thread in processes that are started meanwhile, unless the user says."""
+    # They read these names when they are loaded, which no initializer comes before.
+    added = [name for name in THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 def _ignore_interrupts() -> None:

@@ -40,7 +40,7 @@ MODULES = {
     "save-policy": "learning_commands",
     "plot": "picture_commands",
     "studio": "studio_commands",
-    "reproduce": "validation_commands",
+    "reproduce": "reproduce_command",
 }
 """The file of each command; the function in it has the command's name."""
 
@@ -170,6 +170,7 @@ def _add_validation(commands: Any) -> None:
     reproduce.add_argument("what", choices=["all", "fig3", "fig4", "table1", "table2", "refutation", "arch"])
     reproduce.add_argument("--row", metavar="NAME", help="one row of arch alone")
     reproduce.add_argument("--out", metavar="DIR", help="folder for numbers and figures (default: reproduced)")
+    reproduce.add_argument("--workers", type=int, default=2, metavar="N", help="processes side by side (default: 2)")
 
 
 def _add_learning(commands: Any) -> None:

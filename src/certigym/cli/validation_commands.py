@@ -1,26 +1,17 @@
-"""The commands that test: ``validate``, ``validate-field``, ``audit``, ``stress``, ``report``, ``reproduce``."""
+"""The commands that test: ``validate``, ``validate-field``, ``audit``, ``stress``, ``report``."""
 
 from __future__ import annotations
 
-import os
-import sys
-import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..envs.agents import write_json as save_json
 from ..envs.problem import Problem
 from ..synthesis.certificates import StartHull, load_certificate, rounded_down
 from ..synthesis.checking import CheckReport
 from ..validation.audits import audit as audit_certificate
-from ..validation.paper import TARGETS, lines_text, reproduced, silent, summary_text
 from ..validation.reports import report as write_report
 from ..validation.simulation import LABEL_WIDTH, Mismatch
 from ..validation.verdicts import (
@@ -139,44 +130,6 @@ def report(options: Namespace) -> int:
         content = write_report(options.certificate, options.out, plan, axes=options.axes)
     show(options, f"{content.validation.with_check(content.checked)}\nwritten to {options.out}", content.to_dict())
     return int(content.refuted)
-
-
-def reproduce(options: Namespace) -> int:
-    """Recompute what was published, print it beside ours; the status is 1 if a number is not as it was recorded."""
-    if options.out and Path(options.out).exists() and not Path(options.out).is_dir():
-        raise ValueError(f"`--out`: expected a folder, got the file {options.out!r}; name a folder, it is made")
-    if options.row is not None and options.what != "arch":
-        raise ValueError("`--row`: expected only with arch; leave it out")
-    began, folder, wrong = time.perf_counter(), Path(options.out or "reproduced"), 0
-    told: dict[str, dict[str, Any]] = {}
-
-    for target, result, lines in _reproduced(options, folder, partial(say, options)):
-        folder.mkdir(parents=True, exist_ok=True)
-        save_json(folder / f"{target}-lines.json", lines)
-        told[target] = {"result": result, "lines": lines}
-        wrong += sum(line["wrong"] is not None for line in lines)
-        say(options, f"{target}\n{lines_text(lines)}")
-        if target.startswith("fig") and not (folder / f"{target}.png").exists():
-            print('certigym: no figure without matplotlib; install "certigym[viz]" for it', file=sys.stderr)
-    if options.what == "all":
-        say(options, f"all\n{summary_text({target: of_target['lines'] for target, of_target in told.items()})}")
-    end = "PASS: every number is as it was recorded" if not wrong else f"FAIL: {wrong} numbers are not as recorded"
-    say(options, f"{end}; {(time.perf_counter() - began) / 60:.1f} minutes; written to {folder}")
-    write_json(options, told if options.what == "all" else told[options.what])
-    return int(wrong > 0)
-
-
-def _reproduced(options: Namespace, folder: Path, say: Callable[[str], None]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield target, result and lines of what is asked for; all targets share the cores."""
-    if options.what != "all":
-        yield (options.what, *reproduced(options.what, folder, say, options.row))
-        return
-    # The longest first, in processes of their own: threads would wait for one another.
-    names = ("arch", "table2", "fig3", *(name for name in TARGETS if name not in ("arch", "table2", "fig3")))
-    with ProcessPoolExecutor(min(len(names), os.cpu_count() or 1), get_context("spawn")) as pool:
-        begun = {name: pool.submit(reproduced, name, folder, silent) for name in names}
-        for name in TARGETS:
-            yield (name, *begun[name].result())
 
 
 def _starts(options: Namespace, problem: Problem) -> tuple[Any, tuple[int, ...] | None]:
