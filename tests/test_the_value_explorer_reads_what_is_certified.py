@@ -15,7 +15,8 @@ import pytest
 
 import certigym as cg
 from certigym.synthesis.checking import CheckReport
-from certigym.validation.reports.explorer import EPISODES, UNIT, _down, explored
+from certigym.validation.reports.explorer import EPISODES, UNIT, UNKNOWN, _down, explored
+from certigym.validation.reports.other_starts import begun_at, bounds_from
 from certigym.validation.simulation import task_tracks
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -129,3 +130,63 @@ def test_what_failed_or_says_nothing_is_the_headline(tmp_path: Path) -> None:
     assert nothing.lower_bound == 0.0
     cg.report(nothing, page, 300)
     assert '<h1 class="alarm">Nothing is claimed</h1>' in page.read_text(encoding="utf-8")
+
+
+FOLDER = Path(__file__).parents[1] / "benchmarks" / "arch"
+SAVED = Path(__file__).parents[1] / "examples" / "certificates" / "room_uniform_path.npz"
+
+
+def moved_inputs(certificate: Any, start: np.ndarray[Any, Any]) -> list[np.ndarray[Any, Any]]:
+    """The inputs that the certificate's own controllers give without noise from another start."""
+    inputs, states = [], np.split(start, [columns.stop for columns in certificate.problem.columns][:-1])
+    for t in range(certificate.n_steps):
+        pairs = zip(certificate.paths, certificate.controller.nominal, states, strict=True)
+        now = [path.inputs[t] + path.gains[t] @ (x - nominal[t]) for path, nominal, x in pairs]
+        inputs.append(np.concatenate(now))
+        agents = zip(certificate.problem.agents, states, now, strict=True)
+        states = [agent.A @ x + agent.B @ u + agent.offset for agent, x, u in agents]
+    return inputs
+
+
+def test_a_path_moved_to_another_start_is_followed_by_the_same_controllers() -> None:
+    """Its nominal inputs are those of the old controllers there, so that ``u`` is the same for every noise."""
+    certificate: Any = cg.synthesize(FOLDER / "bas_4_deviation.toml", relation="path").certificate
+    start = np.concatenate([agent.initial.low for agent in certificate.problem.agents])
+    assert np.any(certificate.paths[0].gain), "without feedback nothing would be seen"
+    moved = begun_at(certificate, start + 0.01)
+    for t, inputs in enumerate(moved_inputs(certificate, start + 0.01)):
+        np.testing.assert_allclose(np.concatenate([path.inputs[t] for path in moved.paths]), inputs, rtol=1e-12)
+    assert moved.lower_bound == 0.0, "it claims nothing before it is checked"
+
+
+@pytest.mark.parametrize("source", ["bas_4_deviation.toml", "saved"])
+def test_what_is_shown_elsewhere_is_what_rollouts_keep(source: str) -> None:
+    """2000 episodes from five starts; 1e-6 for all of them. A linear path and a nonlinear one; outside nothing is."""
+    found = cg.load_certificate(SAVED) if source == "saved" else cg.synthesize(FOLDER / source, relation="path")
+    certificate: Any = getattr(found, "certificate", found)
+    problem = certificate.problem
+    start = np.concatenate([agent.initial.low for agent in problem.agents])
+    width = problem.agents[0].state_high - problem.agents[0].state_low
+    starts = start + np.outer([0.0, 0.02, 0.06, 0.12, 10.0], np.eye(len(start))[-1] * width)
+    bounds = bounds_from(certificate, starts)
+    assert bounds[0] >= certificate.lower_bound and bounds[-1] == 0.0 and len(np.unique(bounds)) > 2
+    for bound, place in zip(bounds[:-1], starts[:-1], strict=True):
+        report = cg.validate(begun_at(certificate, place), 2000, confidence=1 - 2e-7)
+        assert report.ci_high >= bound, place
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_explorer_of_one_start_says_what_it_is_about(tmp_path: Path) -> None:
+    """A pair that keeps apart: a bound at its own start, episodes from all, and no number where nothing is known."""
+    certificate: Any = cg.synthesize("corridor-v0", 12).certificate
+    page = tmp_path / "r.html"
+    shown = cg.report(certificate, page, 200).explored
+    assert shown is not None and shown.own is not None and np.isnan(shown.bounds).sum() == len(shown.bounds) - 1
+    seen = dragged(page, tmp_path, shown.shape)
+    assert seen["errors"] == [] and seen["paths"] > 0 and seen["later"] == []
+    for point, units, text in seen["read"]:
+        if point == shown.own:
+            assert units / UNIT <= certificate.lower_bound < (units + 2) / UNIT and text.startswith("P ≥ ")
+        else:
+            assert units == UNKNOWN and text == "No bound is known"
+    assert {point for point, *_ in seen["read"]} == set(range(len(shown.bounds)))

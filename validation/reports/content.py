@@ -30,8 +30,8 @@ class ReportContent:
     Parameters
     ----------
     certificate : certificate of any kind
-        Those about pairs and along paths speak of one start: they have neither audit nor map nor bounds by steps, which
-        are None.
+        Those about pairs and along paths speak of one start: they have neither audit nor tests at other starts nor
+        bounds by steps, which are None.
     validation : ValidationReport
     audit : AuditReport or None
     checked : CheckReport
@@ -46,7 +46,7 @@ class ReportContent:
     success : (M,) bool array
         Which of these rollouts satisfied the task.
     explored : Explored or None
-        What the value explorer shows; None if the check failed, or of certificates that speak of one start.
+        What the value explorer shows; None if the check failed.
     """
 
     certificate: AnyCertificate

@@ -2,7 +2,9 @@
 
 Everything that the page can show is computed before it is written, at the points of a grid: lower bounds at every time
 and automaton state, and the paths of episodes from the start. The page itself computes nothing, so that what it shows
-is what ``Certificate.at`` and ``value_in_time`` say at the same points, rounded down.
+is what ``Certificate.at`` and ``value_in_time`` say at the same points, rounded down. A certificate that speaks of its
+own start alone has that start among the points, with its bound; at the others stands what the check proves of the same
+controllers (`other_starts`), or that nothing is known.
 """
 
 from __future__ import annotations
@@ -17,11 +19,18 @@ from numpy.typing import NDArray
 
 from ...envs.pictures import AGENTS, Panel, coordinate_name, panels
 from ...envs.problem import Problem
-from ...synthesis.certificates import Certificate
+from ...synthesis.certificates import (
+    Certificate,
+    ProductCertificate,
+    TeamCertificate,
+    TimedCertificate,
+    speaks_of_one_start,
+)
 from ...synthesis.checking import ValueInTime, claimed_values
 from ..simulation import Loop, paths
-from ..verdicts import slice_axes, slice_starts
+from ..verdicts import slice_axes, slice_starts, start_box
 from .inline_pictures import panel_axes
+from .other_starts import MOST_WORK, along_paths, bounds_from, reach, work_of
 
 EPISODES = 10
 """Episodes that are shown from each start."""
@@ -29,17 +38,23 @@ EPISODES = 10
 LINE_POINTS = 41
 """Starts along a line."""
 
-MAP_POINTS = (17, 15, 13, 11, 9, 7, 5)
+MAP_POINTS = (29, 25, 21, 17, 15, 13, 11, 9, 7, 5)
 """Starts along each axis of a map: the first number is taken with which the page stays small."""
 
 MOST_NUMBERS = 300_000
 """Coordinates of episodes, and values: each of both adds less than two megabytes to a page."""
+
+FEWEST_POINTS = 4
+"""Starts along each axis with which a map of what is proved is worth its time."""
 
 MOST_PANELS = 4
 """Panels in which episodes are drawn."""
 
 UNIT = 1_000_000_000
 """Bounds are handed over as whole numbers of this part, rounded down."""
+
+UNKNOWN = 2**32 - 1
+"""What is handed over where no bound is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +70,7 @@ class Explored:
     shape : tuple of int
         Points per axis.
     bounds : (N,) array
-        Lower bounds from these starts, at the start of an episode.
+        Lower bounds from these starts, at the start of an episode; NaN where none is known.
     times : tuple of int
         Times of ``values``: all of them, or evenly many if there are too many; none for independent tasks.
     values : (len(times), Q, N) array
@@ -63,6 +78,8 @@ class Explored:
     states : (T + 1, N * EPISODES, D) array
         Episodes; number ``r`` begins at start ``r`` modulo N. NaN after their decision.
     success : (N * EPISODES,) bool array
+    own : int or None
+        Number of the start that the certificate is about, if it is about one alone.
     """
 
     axes: tuple[int, ...]
@@ -73,18 +90,55 @@ class Explored:
     values: NDArray[Any]
     states: NDArray[Any]
     success: NDArray[np.bool_]
+    own: int | None = None
 
 
 def explored(certificate: Any, seed: int, axes: Sequence[int] | None = None) -> Explored:
-    """Return what can be explored of a certificate that speaks of many starts."""
+    """Return what can be explored of a certificate."""
     problem = certificate.problem
     chosen = _axes(problem) if axes is None else slice_axes(problem, axes)
-    shape = _shape(problem, len(chosen))
-    starts = slice_starts(problem, chosen, shape)
+    own = None
+    if speaks_of_one_start(certificate) and not has_values(certificate):
+        starts, shape, own, bounds = _around_one_start(certificate, chosen)
+    else:
+        shape = _shape(problem, len(chosen))
+        starts = slice_starts(problem, chosen, shape)
+        bounds = certificate.at(starts)
     count = EPISODES * len(starts)
     states, success = paths(Loop(problem, certificate.controller, seed, count, starts), count)
     times, values = _in_time(certificate, starts)
-    return Explored(chosen, starts, shape, certificate.at(starts), times, values, states, success)
+    return Explored(chosen, starts, shape, bounds, times, values, states, success, own)
+
+
+def has_values(certificate: Any) -> bool:
+    """Whether a certificate knows its bound at every start: on grids, of joint agents and of written out times, too."""
+    parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
+    bases = [part.base if isinstance(part, TeamCertificate) else part for part in parts]
+    return all(isinstance(part, Certificate | TimedCertificate) for part in bases)
+
+
+def _around_one_start(
+    certificate: Any, axes: tuple[int, ...]
+) -> tuple[NDArray[Any], tuple[int, ...], int, NDArray[Any]]:
+    """Return starts, points per axis, the number of the certificate's own start, and what is known from them."""
+    problem, (most, *_) = certificate.problem, _shape(certificate.problem, len(axes))
+    known = along_paths(certificate)
+    points = int((MOST_WORK / work_of(certificate)) ** (1.0 / len(axes))) if known else 0
+    known = points >= FEWEST_POINTS
+    shape = (min(most, points) if known else min(most, 17),) * len(axes)
+    starts = slice_starts(problem, axes, shape, box=reach(certificate, axes) if known else None)
+    # The point that is nearest to its own start becomes that start.
+    middle, number = 0.5 * np.sum(start_box(problem), axis=0), 0
+    for axis, count in zip(axes, shape, strict=True):
+        line = np.unique(starts[:, axis])
+        nearest = int(np.argmin(np.abs(line - middle[axis])))
+        starts[starts[:, axis] == line[nearest], axis] = middle[axis]
+        number = number * count + nearest
+    if known:
+        return starts, shape, number, bounds_from(certificate, starts)
+    low, high = start_box(problem)
+    inside = np.all((starts >= low) & (starts <= high), axis=1)
+    return starts, shape, number, np.where(inside, certificate.lower_bound, np.nan)
 
 
 def _axes(problem: Problem) -> tuple[int, ...]:
@@ -129,6 +183,7 @@ def explorer_data(content: Explored, problem: Problem) -> dict[str, Any]:
         "low": [float(x[0] - h) for x, h in zip(grid, half)],
         "high": [float(x[-1] + h) for x, h in zip(grid, half)],
         "unit": UNIT,
+        "own": content.own,
         "bounds": _packed(_down(content.bounds), "<u4"),
         "times": list(content.times),
         "states": list(problem.automaton.state_names) if content.times else [],
@@ -176,7 +231,7 @@ def _down(bounds: NDArray[Any]) -> NDArray[Any]:
     """Return bounds as whole numbers of `UNIT`, rounded down."""
     whole = np.floor(bounds * UNIT)
     # The product is rounded: one unit less where it was rounded up.
-    return np.where(whole / UNIT > bounds, whole - 1, whole)
+    return np.where(np.isnan(bounds), UNKNOWN, np.where(whole / UNIT > bounds, whole - 1, whole))
 
 
 def _packed(numbers: NDArray[Any], kind: str) -> str:

@@ -6,6 +6,7 @@ EXPLORER_STYLE = """
 .explorer svg{touch-action:pan-y}.explorer .map{touch-action:none;cursor:crosshair;user-select:none}
 .x-region{fill:none;stroke-width:1.4}.x-handle{fill:#fff;stroke:#111;stroke-width:2.5}
 .x-handle:focus{outline:none;stroke-width:4;stroke:var(--run)}
+.x-own{fill:none;stroke:#111;stroke-width:2}.x-blank{fill:none;stroke:var(--line);stroke-width:.5}
 .x-cross{stroke:#111;stroke-width:.7;stroke-dasharray:3 3}
 .x-path{fill:none;stroke-width:1.3;stroke-opacity:.75}.x-path.lost{stroke-dasharray:3 2}
 .x-lost{stroke:var(--bad)!important;
@@ -23,7 +24,8 @@ var d=JSON.parse(box.textContent),ns="http://www.w3.org/2000/svg",map=home.query
 function bytes(text){var raw=atob(text),out=new Uint8Array(raw.length);
 for(var k=0;k<raw.length;k++)out[k]=raw.charCodeAt(k);return out.buffer}
 var bounds=new Uint32Array(bytes(d.bounds)),values=new Uint32Array(bytes(d.values)),
-nx=d.grid[0].length,ny=flat?1:d.grid[1].length,count=nx*ny,at=[d.middle[0],flat?0:d.middle[1]];
+nx=d.grid[0].length,ny=flat?1:d.grid[1].length,count=nx*ny,at=d.own===null?[d.middle[0],flat?0:d.middle[1]]:[Math.floor(d.own/(flat?1:d.grid[1].length)),
+d.own%(flat?1:d.grid[1].length)];
 d.panels.forEach(function(p){p.forEach(function(c){c.xy=new Int16Array(bytes(c.points))})});
 function make(g,name,set,text){var e=document.createElementNS(ns,name);for(var k in set)e.setAttribute(k,set[k]);
 if(text!==undefined)e.textContent=text;g.appendChild(e);return e}
@@ -48,14 +50,17 @@ make(over,"text",{"class":"name middle",transform:"rotate(-90 12 "+(B.top+B.heig
 "start of "+d.names[1])}
 var lineX=make(over,"line",{"class":"x-cross",y1:B.top,y2:B.top+B.height}),
 lineY=make(over,"line",{"class":"x-cross",x1:B.left,x2:B.left+B.width}),
-handle=make(over,"circle",{"class":"x-handle",r:7,tabindex:0,role:"slider","aria-label":"start"});
+UNKNOWN=4294967295,handle=make(over,"circle",{"class":"x-handle",r:7,tabindex:0,role:"slider","aria-label":"start"});
 d.states.forEach(function(name,q){pick.add(new Option(name,q))});
 if(d.times.length){slide.max=d.times.length-1}else home.querySelector(".later").hidden=true;
 function later(){return d.times.length&&pick.value!=="start"}
 function whole(p){if(!later())return bounds[p];return values[(+slide.value*d.states.length+ +pick.value)*count+p]}
 function digits(n){var s=String(n).padStart(9,"0"),cut=n>=d.unit?"1":"0."+s.slice(0,6);
 if(n<d.unit&&n>.9999*d.unit)cut="0."+s;return cut}
-function colour(){for(var p=0;p<count;p++)rects[p].style.fillOpacity=(.05+.95*whole(p)/d.unit).toFixed(3)}
+if(d.own!==null){var ox=px(d.grid[0][Math.floor(d.own/ny)]),oy=flat?py(0):py(d.grid[1][d.own%ny]);
+over.insertBefore(make(over,"path",{"class":"x-own",d:"M"+(ox-6)+" "+oy+"h12m-6 -6v12"}),handle)}
+function colour(){for(var p=0;p<count;p++){rects[p].style.fillOpacity=
+whole(p)===UNKNOWN?0:(.05+.95*whole(p)/d.unit).toFixed(3)}}
 function show(){var p=where(at[0],at[1]),x=px(d.grid[0][at[0]]),y=flat?py(0):py(d.grid[1][at[1]]),good=0,n=d.episodes;
 handle.setAttribute("cx",x);handle.setAttribute("cy",y);
 [["x1",x],["x2",x]].forEach(function(s){lineX.setAttribute(s[0],s[1])});
@@ -70,10 +75,14 @@ if(t){if(d.success[r])make(g,"circle",{"class":c.role,cx:lx,cy:ly,r:2.2});
 else make(g,"path",{"class":"x-lost",d:"M"+(lx-3)+" "+(ly-3)+"l6 6m0 -6l-6 6"})}}})});
 var spot=d.names.map(function(name,k){return name+" = "+(+d.grid[k][at[k]].toPrecision(5))}).join(", ");
 read.innerHTML="";var big=document.createElement("b"),value=digits(whole(p));
-big.textContent="P \u2265 "+value;big.dataset.units=whole(p);big.dataset.point=p;
-read.append(big," certified "+(later()?"from here on, at time "+d.times[+slide.value]+" with the automaton in "+
-d.states[+pick.value]:"from this start")+": "+spot+". "+(later()?"":good+" of "+n+" episodes satisfied the task."));
-handle.setAttribute("aria-valuenow",whole(p)/d.unit);handle.setAttribute("aria-valuetext",read.textContent);
+big.textContent=whole(p)===UNKNOWN?"No bound is known":"P \u2265 "+value;big.dataset.units=whole(p);big.dataset.point=p;
+var whence=later()?" certified from here on, at time "+d.times[+slide.value]+" with the automaton in "+
+d.states[+pick.value]:whole(p)===UNKNOWN?" from this start, which the certificate is not about":
+p===d.own?" certified from this start, which the certificate is about":
+d.own!==null?" proved by the check for the same controllers from this start":" certified from this start";
+read.append(big,whence+": "+spot+". "+(later()?"":good+" of "+n+" episodes satisfied the task."));
+document.querySelectorAll(".x-tube").forEach(function(g){g.style.display=p===d.own?"":"none"});
+handle.setAttribute("aria-valuenow",whole(p)===UNKNOWN?0:whole(p)/d.unit);handle.setAttribute("aria-valuetext",read.textContent);
 home.querySelector(".when").textContent=later()?"time "+d.times[+slide.value]:"time 0";
 slide.disabled=!later()}
 function go(i,j){at=[Math.max(0,Math.min(nx-1,i)),Math.max(0,Math.min(ny-1,j))];show()}

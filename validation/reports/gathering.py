@@ -57,7 +57,8 @@ def report(
     Parameters
     ----------
     certificate : Synthesis, certificate of any kind, or path
-        Those about pairs of agents and along paths speak of one start: their pages have neither audit nor map.
+        Those about pairs of agents and along paths speak of one start: their pages have neither audit nor tests at
+        other starts; the explorer shows what the check proves of the same controllers from other starts, if anything.
     path : str or Path
         The page (``.html``).
     plan, **trial
@@ -87,10 +88,11 @@ def gathered(
     problem = claim.problem
     checked = check(claim) if checked is None else checked
     if speaks_of_one_start(claim):
-        # It has neither audit nor map: it says nothing of other states and times.
+        # It has neither audit nor map of tests: it says nothing of other states and times.
         states, success = paths(Loop(problem, claim.controller, plan.seed, max(DRAWN, 1)), DRAWN)
         nothing: dict[str, Any] = {"audit": None, "field": None, "axes": (), "bounds": None}
         tests: dict[str, Any] = {"validation": validate(certificate, plan), "checked": checked}
+        tests["explored"] = explored(claim, plan.seed, axes) if checked else None
         return ReportContent(certificate=claim, states=states, success=success, **tests, **nothing)
     claim = as_certificate(claim)
     shown = slice_axes(problem, axes)

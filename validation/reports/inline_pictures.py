@@ -192,12 +192,22 @@ def rollouts_picture(
     return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
 
 
-def empty_panel(panel: Panel, horizon: int, number: int) -> str:
-    """Draw the regions of a panel, and a group into which the explorer of the page draws episodes."""
+def empty_panel(panel: Panel, horizon: int, number: int, tubes: Mapping[int, Tube] | None = None) -> str:
+    """Draw the regions of a panel, and a group into which the explorer of the page draws episodes.
+
+    Tubes, by the numbers of their curves, are in a group that is shown while the ring is at the certificate's start.
+    """
     axes = panel_axes(panel, horizon)
     names = ("first coordinate", "second coordinate") if panel.is_map else ("control step", "position")
     shapes = svg.frame(axes, *names, whole=not panel.is_map)
     shapes += [_region(axes, r, panel.is_map, horizon) for r in panel.drawn]
+    drawn = [
+        _tube(panel, axes, tubes[c.number], f"tube agent{c.number % len(AGENTS)}")
+        for c in panel.curves
+        if tubes and c.number in tubes
+    ]
+    if drawn:
+        shapes += ['<g class="x-tube">', *(shape for tube in drawn for shape in tube), "</g>"]
     shapes += [*_region_names(axes, panel), f'<g class="x-paths" data-panel="{number}"></g>']
     return svg.picture(axes, shapes, "Episodes from the chosen start")
 

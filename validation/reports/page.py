@@ -66,6 +66,12 @@ LINEAR_TUBE = (
 OTHER_TUBE = "; shaded: {:.1f} standard deviations around the nominal path, of linear deviations alone"
 """What is said of a tube that is drawn, of one of an agent that is not linear, and of noise that is not normal."""
 
+ONE_START = (
+    "<b>The certificate is about one start, which the cross marks.</b> Elsewhere stands what the separate check proves "
+    "of the same controllers from there; where it was not asked, no bound is known, and the point is empty."
+)
+"""What is said of the explorer of a certificate that speaks of its own start."""
+
 HEADLINES = {INVALID: "Not certified", REFUTED: "Refuted by rollouts", VACUOUS: "Nothing is claimed"}
 """What stands over the page in place of the name where the claim failed, or says nothing."""
 
@@ -135,14 +141,17 @@ def _explorer(content: ReportContent) -> str:
         return ""
     problem = content.certificate.problem
     shown = panels(problem)[:MOST_PANELS]
-    drawings = "".join(
-        _figure("", empty_panel(panel, problem.horizon, k), _names(panel)) for k, panel in enumerate(shown)
-    )
+    of_one = content.explored.own is not None
+    drawings = ""
+    for k, panel in enumerate(shown):
+        tubes = _tubes(content, panel) if of_one else {}
+        drawing = empty_panel(panel, problem.horizon, k, tubes)
+        drawings += _figure("", drawing, _names(panel) + _about(tubes.values()))
     height = 320 if len(content.explored.axes) == 2 else 120
+    others = ONE_START if of_one else "The others start where the problem says."
     body = (
         '<div class="explorer" hidden><p class=soft>Drag the ring, or move it with the arrow keys. The stronger the '
-        "colour, the larger the certified bound at that point; the paths are ten episodes from there. The others start "
-        "where the problem says.</p>"
+        f"colour, the larger the certified bound at that point; the paths are ten episodes from there. {others}</p>"
         '<div class=controls><span class=later><label>automaton <select><option value="start">at the start</option>'
         '</select></label> <label><span class=when></span> <input type="range" min="0" value="0"></label></span></div>'
         "<p class=read aria-live=polite></p><div class=row><figure>"
@@ -231,6 +240,12 @@ def _names(panel: Panel) -> str:
     return ", ".join(agents) + rest + looks
 
 
+def _tubes(content: ReportContent, panel: Panel) -> dict[int, Tube]:
+    """Return the tubes along nominal paths that a panel shows, by the numbers of their curves."""
+    found = {curve.number: tube_along(content.certificate, curve.rows) for curve in panel.curves}
+    return {number: tube for number, tube in found.items() if tube is not None}
+
+
 def _about(tubes: Iterable[Tube]) -> str:
     """Return what is said of the tubes of a picture; nothing if there are none."""
     shown = list(tubes)
@@ -245,7 +260,7 @@ def _rollouts(content: ReportContent) -> str:
     lost = int((~content.success).sum())
     figures = []
     for number, panel in enumerate(shown[:MOST_PANELS_DRAWN]):
-        tubes = {c.number: tube for c in panel.curves if (tube := tube_along(content.certificate, c.rows)) is not None}
+        tubes = _tubes(content, panel)
         drawing = rollouts_picture(panel, content.states, content.success, number, tubes)
         figures.append(_figure("", drawing, _names(panel) + _about(tubes.values())))
     words = f"{counted(len(content.success), 'rollout')} of the continuous system"
