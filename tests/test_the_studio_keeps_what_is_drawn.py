@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import http.client
 import json
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from contextlib import closing, suppress
@@ -13,10 +15,10 @@ from typing import Any
 import pytest
 
 import certigym as cg
-from certigym.validation.studio import work
+from certigym.validation.studio import certifying, work
 from certigym.validation.studio.carets import mark
 from certigym.validation.studio.folder import place
-from certigym.validation.studio.looking import look
+from certigym.validation.studio.looking import _MOVED, look
 from certigym.validation.studio.server import MOST_BYTES, Studio
 from certigym.validation.studio.toml_edits import edited
 from certigym.validation.studio.toml_spans import places
@@ -168,11 +170,50 @@ def test_what_can_be_moved_is_drawn_where_the_task_has_it(path: Path) -> None:
     data = tomllib.loads(text)
     for panel in seen["picture"]["panels"]:
         for shape in panel["shapes"]:
-            for key in {"box": ["low", "high"], "disc": ["centre", "radius"], "polygon": ["corners"]}[shape["kind"]]:
+            for key in _MOVED[shape["kind"]]:
                 value = data["propositions"][shape["name"]]
                 for step in (*shape["at"], key):
                     value = value[step]
                 assert value == shape[key]
+
+
+PARTS = """
+name = "ship"
+horizon = 8
+specification = "F light & G !danger"
+[agents.ship]
+states = ["x", "y"]
+inputs = ["u", "v"]
+dynamics = ["x + u", "y + v"]
+noise_covariance = [[0.01, 0], [0, 0.01]]
+state_low = [0, 0]
+state_high = [10, 8]
+input_low = [-1, -1]
+input_high = [1, 1]
+initial_state = [2, 4]
+[propositions]
+shore = { agent = "ship", halfspace = { normal = [0, 1], offset = 1 } }
+light = { agent = "ship", cone = { tip = [9, 4], axis = [-1, 0], angle = 0.8 } }
+danger = { agent = "ship", union = ["shore", { disc = { centre = [5, 5], radius = 0.7 } },
+    { complement = { box = { low = [0.5, 0.5], high = [9.5, 7.5] } } }] }
+"""
+
+
+def test_half_spaces_cones_and_parts_can_be_moved(tmp_path: Path) -> None:
+    """Each part of a union is a shape of its own, whose numbers are changed where they stand; the rest stays."""
+    seen = look(PARTS, "ship.toml", tmp_path)
+    assert seen["error"] is None
+    shapes = {shape["id"]: shape for shape in seen["picture"]["panels"][0]["shapes"]}
+    assert {name: (shape["kind"], shape["part"]) for name, shape in shapes.items()} == {
+        "shore": ("halfspace", False),
+        "light": ("cone", False),
+        "danger/union/1": ("disc", True),
+        "danger/union/2/complement": ("box", True),
+    }
+    box = shapes["danger/union/2/complement"]
+    path = ["propositions", box["name"], *box["at"], "high"]
+    moved = edited(PARTS, {"set": [[path, [9.0, 7.0]], [["propositions", "shore", "halfspace", "offset"], 1.5]]})
+    assert moved == PARTS.replace("[9.5, 7.5]", "[9.0, 7.0]").replace("offset = 1 ", "offset = 1.5 ")
 
 
 def test_regions_are_drawn_while_the_task_is_not_whole(tmp_path: Path) -> None:
@@ -345,7 +386,7 @@ def test_what_is_stopped_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) 
             raise KeyboardInterrupt
 
     problem = cg.make_problem("car-park-v0")
-    monkeypatch.setattr(work, "problem_from_toml", lambda *_: problem)
+    monkeypatch.setattr(certifying, "problem_from_toml", lambda *_: problem)
     job = {"job": "certify", "number": 1, "text": "", "source": "", "folder": ".", "seconds": None}
     answer = work.Desk(send).do(job)
     assert answer["certificate"]["lower_bound"] > 0.0
@@ -377,6 +418,50 @@ def test_a_process_that_ends_is_told_and_replaced(tmp_path: Path) -> None:
         assert state["job"]["state"] in ("failed", "done") and state["text"]
     finally:
         page.stop()
+
+
+def test_what_was_certified_outlives_its_process(tmp_path: Path) -> None:
+    """Stopped twice while it certifies again, and killed: the certificate before is there to be played and saved."""
+    (tmp_path / "a.toml").write_text((ROOT / "validation" / "studio" / "template_first.toml").read_text())
+    page = Studio(tmp_path, "a.toml").start()
+
+    def waited(over: tuple[str, ...]) -> dict[str, Any]:
+        state = page.session.state(-1, 0.0)
+        while state["job"]["state"] in over or state["seen"] is None:
+            state = page.session.state(state["version"], 30.0)
+        return state
+
+    try:
+        session = page.session
+        waited(("starting",))
+        session.certify(2.0)
+        first = waited(("running",))["job"]["result"]
+        session.certify(60.0)
+        session.stop()
+        session.stop()
+        state = session.state(-1, 0.0)
+        assert state["job"]["state"] == "done" and state["job"]["result"] == first
+        session.play(0)
+        waited(("playing",))
+        assert session._run is not None and session._run["estimate"] >= first["lower_bound"] - 0.1
+        assert session._computer is not None
+        session._computer._process.kill()
+        session._computer._process.join(10.0)
+        while session._giving:
+            session.state(-1, 0.1)
+        session.save_certificate("a.npz")
+        while not session._message:
+            session.state(session._version, 30.0)
+        assert session._message == "saved a.npz" and cg.check(tmp_path / "a.npz")
+    finally:
+        page.stop()
+
+
+def test_texts_are_read_before_the_rest_is_loaded() -> None:
+    """What a process that reads texts imports is small: neither searches nor reports."""
+    code = "import sys, certigym.validation.studio.work; print([n for n in sys.modules if 'certigym.synthesis' in n])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 # In a browser.
@@ -472,6 +557,39 @@ def test_from_an_empty_file_to_a_certificate(browser: Chromium, tmp_path: Path) 
         assert certificate.problem.fingerprint == cg.load_problem(tmp_path / "task.toml").fingerprint
         assert cg.check(certificate) and float(bound.removeprefix("P ≥ ").split()[0]) <= certificate.lower_bound
         assert sorted(path.name for path in tmp_path.iterdir()) == ["task.npz", "task.toml"]
+    finally:
+        page.stop()
+
+
+def test_edges_cones_and_parts_follow_the_pointer(browser: Chromium, tmp_path: Path) -> None:
+    (tmp_path / "ship.toml").write_text(PARTS)
+    page = Studio(tmp_path, "ship.toml").start()
+
+    def regions(tab: Tab) -> dict[str, Any]:
+        return dict(tomllib.loads(tab.run("studio.link.text"))["propositions"])
+
+    try:
+        tab = browser.open(page.address)
+        tab.until(f"{SEEN} && document.querySelectorAll('#panels .body').length === 4")
+        # The water is drawn up, and its edge turned around its left end.
+        tab.drag(spot(tab, 3, 0.2), spot(tab, 3, 0.7))
+        tab.until("studio.link.text.includes('offset = 1.5')")
+        tab.drag(spot(tab, 10, 1.5), spot(tab, 10, 2.5))
+        tab.until(r"/normal = \[-0.(099|1)\d*, 0.99/.test(studio.link.text)")
+        shore = regions(tab)["shore"]["halfspace"]
+        assert abs(shore["offset"] / shore["normal"][1] - 1.5) < 0.05
+        # The light is moved by its body, turned by its axis, and closed by a ray.
+        tab.drag(spot(tab, 7.5, 4), spot(tab, 7, 4.5))
+        tab.until("studio.link.text.includes('tip = [8.5, 4.5]')")
+        tab.drag(spot(tab, 6.5, 4.5), spot(tab, 6.9, 6.1))
+        tab.until(r"/axis = \[-0.7[01]\d*, 0.7[01]/.test(studio.link.text)")
+        # A part of a union is a shape of its own.
+        tab.drag(spot(tab, 5, 5), spot(tab, 4, 5.5))
+        tab.until("studio.link.text.includes('centre = [4, 5.5]')")
+        tab.drag(spot(tab, 4.7, 5.5), spot(tab, 5, 5.5))
+        tab.until("studio.link.text.includes('radius = 1')")
+        assert regions(tab)["danger"]["union"][2] == {"complement": {"box": {"low": [0.5, 0.5], "high": [9.5, 7.5]}}}
+        assert tab.run("studio.link.state.seen.error") is None
     finally:
         page.stop()
 

@@ -251,20 +251,53 @@ def _shapes(
         if not isinstance(member, Proposition) or not isinstance(table, Mapping):
             continue
         i = problem.agent_names.index(member.agent)
-        found = _shape(problem.agents[i], i, table, shown[i][0]) if i in shown else None
-        if found is not None and (found["kind"] == "box" or None not in found["axes"]):
-            yield {"name": name, **found}
+        if i not in shown:
+            continue
+        for found in _written_shapes(problem.agents[i], i, table, shown[i][0]):
+            if found["kind"] == "box" or None not in found["axes"]:
+                yield {"name": name, "id": "/".join([name, *map(str, found["at"][:-1])]), **found}
+
+
+_MOVED = {
+    "box": ("low", "high"),
+    "disc": ("centre", "radius"),
+    "polygon": ("corners",),
+    "halfspace": ("normal", "offset"),
+    "cone": ("tip", "axis", "angle"),
+}
+"""Shapes that can be moved, and the numbers that say where they are."""
+
+
+def _written_shapes(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> Iterator[dict[str, Any]]:
+    """Yield the shape of a table, or those of the parts of which it is a union, intersection or complement.
+
+    ``at`` leads from the proposition to the numbers of a shape; ``part`` says whether it is one of several.
+    """
+    found = _shape(agent, i, table, axes)
+    if found is not None:
+        yield {**found, "part": False}
+        return
+    inner: list[tuple[tuple[str | int, ...], Any]] = [
+        ((kind, k), part) for kind in ("union", "intersection") for k, part in enumerate(table.get(kind) or ())
+    ]
+    inner += [(("complement",), table["complement"])] if "complement" in table else []
+    for path, part in inner:
+        if isinstance(part, Mapping):
+            for shape in _written_shapes(agent, i, part, axes):
+                yield {**shape, "at": [*path, *shape["at"]], "part": True}
 
 
 def _shape(agent: Any, i: int, table: Mapping[str, Any], axes: list[Axis]) -> dict[str, Any] | None:
-    """Return kind, numbers and axes of one proposition; None if it is not made of numbers that can be moved."""
+    """Return kind, numbers and axes of one shape; None if it is not made of numbers that can be moved."""
     if _numbers(table.get("low")) and _numbers(table.get("high")):
         outputs = [_output(agent, axis, i) for axis in axes]
         box = {"low": table["low"], "high": table["high"], "at": []}
         return {"kind": "box", "axes": outputs, **box} if any(k is not None for k in outputs) else None
-    for kind, keys in (("box", ("low", "high")), ("disc", ("centre", "radius")), ("polygon", ("corners",))):
+    for kind, keys in _MOVED.items():
         shape = table.get(kind)
         if isinstance(shape, Mapping) and all(_numbers(shape.get(key)) for key in keys):
+            if len(shape.get("normal", shape.get("tip", "xy"))) != 2:
+                return None  # in space its edge on a panel is not known
             of = _of(agent, shape.get("of"), kind, shape)
             shown = [
                 of.index(axis[1]) if axis is not None and axis[0] == i and axis[1] in of else None for axis in axes

@@ -104,7 +104,7 @@ export class Picture {
     WIDTH = this.picture.panels.length > 1 || innerWidth < 700 ? NARROW : WIDE;
     const figures = this.picture.panels.map((panel, p) => this.panel(panel, p));
     at("panels").replaceChildren(...figures);
-    at("remove").disabled = !this.picture.panels.some(p => p.shapes.some(s => s.name === this.chosen));
+    at("remove").disabled = !this.picture.panels.some(p => p.shapes.some(s => s.id === this.chosen && !s.part));
     if (focus) { const again = at("panels").querySelector('[data-key="' + CSS.escape(focus) + '"]'); if (again) again.focus(); }
     this.redraw();
   }
@@ -148,7 +148,7 @@ export class Picture {
 
   /** Draws regions, starts and knobs of one panel anew. */
   shapes(view, p) {
-    const {panel, axes, inside, names, above} = view, moved = new Set(panel.shapes.map(s => s.name));
+    const {panel, axes, inside, names, above} = view, moved = new Set(panel.shapes.filter(s => !s.part).map(s => s.name));
     for (const g of [inside, names, above]) g.replaceChildren();
     const trace = points => "M" + points.map(q => axes.x(q[0]).toFixed(1) + " " + axes.y(q[1]).toFixed(1)).join("L") + "Z";
     const title = (x, y, name) => make(names, "text", {class: "shape-name", x: Math.max(LEFT + 4, x + 5), y: Math.max(TOP + 15, y + 16)}, name);
@@ -174,6 +174,7 @@ export class Picture {
   ends(s, axes) {
     const on = axes.panel.map ? s.axes : [null, ...s.axes], low = [...axes.low], high = [...axes.high];
     if (s.kind === "disc") return [s.centre.map(v => v - s.radius), s.centre.map(v => v + s.radius)].map(v => on.map(k => v[k]));
+    if (s.kind === "halfspace" || s.kind === "cone") return [low, high];
     if (s.kind === "polygon") return [Math.min, Math.max].map(f => on.map(k => f(...s.corners.map(c => c[k]))));
     on.forEach((k, j) => { if (k !== null) { low[j] = s.low[k]; high[j] = s.high[k]; } });
     return [low, high];
@@ -185,9 +186,11 @@ export class Picture {
   }
 
   shape(view, p, s, trace, title) {
-    const {axes, inside, above, panel} = view, chosen = s.name === this.chosen, [low, high] = this.ends(s, axes);
-    const set = {class: "body r-" + this.roleOf(panel, s.name) + (chosen ? " chosen" : ""), tabindex: 0, role: "button",
-      "aria-label": "region " + s.name, "data-key": p + "/" + s.name};
+    const {axes, inside, above, panel} = view, chosen = s.id === this.chosen, [low, high] = this.ends(s, axes);
+    const look = "body r-" + this.roleOf(panel, s.name) + (chosen ? " chosen" : "") + (s.part ? " part" : "") + (s.at.includes("complement") ? " hole" : "");
+    const set = {class: look, tabindex: 0, role: "button", "data-key": p + "/" + s.id,
+      "aria-label": "region " + s.name + (s.part ? ", a part of it" : "")};
+    let corner = [low[0], high[1]];
     let body;
     if (s.kind === "disc") {
       const c = s.axes.map(k => s.centre[k]);
@@ -195,13 +198,16 @@ export class Picture {
         rx: axes.x(c[0] + s.radius) - axes.x(c[0]), ry: axes.y(c[1]) - axes.y(c[1] + s.radius)});
     } else {
       const corners = s.kind === "polygon" ? s.corners.map(c => s.axes.map(k => c[k])) :
+        s.kind === "halfspace" ? this.half(s, axes).corners : s.kind === "cone" ? this.rays(s, axes) :
         [low, [high[0], low[1]], high, [low[0], high[1]]];
-      body = make(inside, "path", {...set, d: trace(corners)});
+      if (s.kind === "cone") corner = corners[0];
+      if (s.kind === "halfspace" && corners.length) corner = [Math.min(...corners.map(c => c[0])), Math.max(...corners.map(c => c[1]))];
+      body = make(inside, "path", {...set, d: corners.length ? trace(corners) : ""});
     }
     body.addEventListener("pointerdown", event => this.tool === "move" ? this.hold(event, p, s, "all") : this.begin(event, p));
     body.addEventListener("keydown", event => this.key_(event, p, s));
-    body.addEventListener("focus", () => this.choose(s.name));
-    title(axes.x(low[0]), axes.y(high[1]), s.name);
+    body.addEventListener("focus", () => this.choose(s.id));
+    if (!s.part) title(axes.x(corner[0]), axes.y(corner[1]), s.name);
     if (chosen) for (const knob of this.knobs(s, axes)) {
       const dot = make(above, "circle", {class: "knob" + (knob.middle ? " middle" : ""), r: knob.middle ? 5 : 6.5,
         cx: axes.x(knob.at[0]), cy: axes.y(knob.at[1]), "data-knob": knob.part.join("/")});
@@ -210,8 +216,42 @@ export class Picture {
     }
   }
 
+  /** What a half-space has of a panel: its corners, and both ends of its edge. */
+  half(s, axes) {
+    const n = s.axes.map(k => s.normal[k]), over = q => n[0] * q[0] + n[1] * q[1] - s.offset;
+    const frame = [axes.low, [axes.high[0], axes.low[1]], axes.high, [axes.low[0], axes.high[1]]], corners = [], edge = [];
+    frame.forEach((a, k) => {
+      const b = frame[(k + 1) % 4], u = over(a), v = over(b);
+      if (u <= 0) corners.push(a);
+      if (u <= 0 === v > 0) {
+        const cut = [0, 1].map(j => a[j] + (b[j] - a[j]) * u / (u - v));
+        corners.push(cut);
+        edge.push(cut);
+      }
+    });
+    return {corners, edge};
+  }
+
+  /** The tip of a cone, and points on its rays beyond the panel. */
+  rays(s, axes) {
+    const tip = s.axes.map(k => s.tip[k]), far = 4 * Math.max(...[0, 1].map(k => axes.high[k] - axes.low[k]));
+    return [tip, ...[-1, 0, 1].map(side => this.along(s, side, far))];
+  }
+
+  /** A point at a distance from the tip of a cone: on its axis, or on the ray to one side of it. */
+  along(s, side, far) {
+    const tip = s.axes.map(k => s.tip[k]), axis = s.axes.map(k => s.axis[k]);
+    const angle = Math.atan2(axis[1], axis[0]) + side * s.angle / 2;
+    return [tip[0] + far * Math.cos(angle), tip[1] + far * Math.sin(angle)];
+  }
+
   /** What resizes a shape: where, and which part of it. */
   knobs(s, axes) {
+    if (s.kind === "halfspace") return this.half(s, axes).edge.map((place, k) => ({at: place, part: ["turn", k]}));
+    if (s.kind === "cone") {
+      const near = 0.25 * Math.min(...[0, 1].map(k => axes.high[k] - axes.low[k]));
+      return [["axis", 0], ["angle", 1], ["angle", -1]].map(([what, side]) => ({at: this.along(s, side, near), part: [what, side]}));
+    }
     const [low, high] = this.ends(s, axes), middle = [0, 1].map(k => (low[k] + high[k]) / 2);
     if (s.kind === "disc") return [[high[0], middle[1]], [low[0], middle[1]], [middle[0], high[1]], [middle[0], low[1]]]
       .map((place, k) => ({at: place, part: ["radius", k]}));
@@ -258,12 +298,12 @@ export class Picture {
     event.preventDefault();
     event.stopPropagation();
     const {axes, svg} = this.views[p];
-    if (part !== "start") this.chosen = thing.name;
+    if (part !== "start") this.chosen = thing.id;
     const from = axes.point(svg, event);
     this.held = {p, part, thing, from, first: copy(thing), name: thing.name, moved: false};
     if (part[0] === "between") this.between(thing, part[1]);
     this.draw();
-    const key = p + "/" + (part === "start" ? "" : thing.name), body = at("panels").querySelector('[data-key="' + CSS.escape(key) + '"]');
+    const key = p + "/" + (part === "start" ? "" : thing.id), body = at("panels").querySelector('[data-key="' + CSS.escape(key) + '"]');
     if (body) body.focus({preventScroll: true});
   }
 
@@ -312,6 +352,10 @@ export class Picture {
 
   /** Moves a region or a start. */
   shift(thing, axes, by) {
+    if (thing.kind === "halfspace") {
+      this.push(thing, axes, thing.offset + thing.axes.reduce((sum, k, j) => sum + thing.normal[k] * by[j], 0));
+      return;
+    }
     const on = axes.panel.map ? thing.axes : [null, ...thing.axes];
     on.forEach((k, j) => {
       if (k === null) return;
@@ -322,13 +366,29 @@ export class Picture {
         add(thing.low, place);
         add(thing.high, place);
       } else if (thing.kind === "disc") add(thing.centre, k);
+      else if (thing.kind === "cone") add(thing.tip, k);
       else if (thing.kind === "polygon") thing.corners.forEach(c => add(c, k));
       else { add(thing.low, k); add(thing.high, k); }
     });
   }
 
+  /** Puts the edge of a half-space somewhere, by a number that is short to write. */
+  push(s, axes, offset) {
+    const step = Math.hypot(...s.normal) * Math.min(...axes.steps);
+    s.offset = +offset.toFixed(Math.max(0, Math.ceil(-Math.log10(step))));
+  }
+
   resize(s, axes, part, by, to) {
     const [what, i, j] = part;
+    if (what === "turn") { this.turn(s, axes, i, to); return; }
+    if (what === "axis" || what === "angle") {
+      const way = s.axes.map((k, n) => to[n] - s.tip[k]), old = s.axes.map(k => s.axis[k]), far = Math.hypot(...way);
+      if (far < Math.max(...axes.steps)) return;
+      const cosine = (way[0] * old[0] + way[1] * old[1]) / far / Math.hypot(...old);
+      if (what === "angle") s.angle = +Math.min(3.1, Math.max(0.05, 2 * Math.acos(Math.max(-1, Math.min(1, cosine))))).toFixed(2);
+      else s.axes.forEach((k, n) => { s.axis[k] = +(way[n] / far * Math.hypot(...old)).toPrecision(3); });
+      return;
+    }
     if (what === "side") {
       const on = axes.panel.map ? s.axes : [null, ...s.axes];
       [i, j].forEach((side, k) => {
@@ -345,6 +405,16 @@ export class Picture {
       // A polygon stays convex: a corner that would turn inwards stays where it is.
       if (!this.convex(s.corners)) { corner.splice(0, corner.length, ...was); if (what === "between") s.corners.splice(i + 1, 1); }
     }
+  }
+
+  /** Turns the edge of a half-space around its other end. */
+  turn(s, axes, end, to) {
+    const edge = this.half(s, axes).edge, pivot = edge[1 - end], old = s.axes.map(k => s.normal[k]);
+    const way = pivot && [0, 1].map(k => to[k] - pivot[k]), far = way && Math.hypot(...way), length = Math.hypot(...old);
+    if (!far || far < Math.max(...axes.steps)) return;
+    const side = [-way[1] / far, way[0] / far], sign = side[0] * old[0] + side[1] * old[1] < 0 ? -1 : 1;
+    s.axes.forEach((k, n) => { s.normal[k] = +(sign * side[n] * length).toPrecision(3); });
+    this.push(s, axes, s.axes.reduce((sum, k, n) => sum + s.normal[k] * pivot[n], 0));
   }
 
   /** Puts a corner into the middle of an edge. */
@@ -370,7 +440,8 @@ export class Picture {
 
   /** The values of the text that say where a region is. */
   shapeSets(s) {
-    const keys = {box: ["low", "high"], disc: ["centre", "radius"], polygon: ["corners"]}[s.kind];
+    const keys = {box: ["low", "high"], disc: ["centre", "radius"], polygon: ["corners"], halfspace: ["normal", "offset"],
+      cone: ["tip", "axis", "angle"]}[s.kind];
     return keys.map(key => [["propositions", s.name, ...s.at, key], copy(s[key])]);
   }
 
@@ -391,7 +462,7 @@ export class Picture {
   key_(event, p, s) {
     const {axes} = this.views[p], by = this.arrow(event, axes);
     if (by) { this.shift(s, axes, by); this.send(this.shapeSets(s)); this.draw(); }
-    if (event.key === "Delete" || event.key === "Backspace") { event.preventDefault(); this.remove(s.name); }
+    if (event.key === "Delete" || event.key === "Backspace") { event.preventDefault(); if (!s.part) this.remove(s.name); }
   }
 
   // New regions.

@@ -13,13 +13,12 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from ..reports import PATTERNS, STYLE
 from .session import Refused, Session
 
 HERE = Path(__file__).parent
@@ -73,6 +72,7 @@ class Studio:
             self.session.close()
             raise
         self._thread: threading.Thread | None = None
+        _looks()  # while the first text is being read
 
     @property
     def address(self) -> str:
@@ -283,17 +283,28 @@ def _text(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
 
 
+@cache
+def _looks() -> tuple[str, str]:
+    """Return style sheet and hatches, which are those of reports.
+
+    They are loaded here: processes that read texts import this file, and have no use for them.
+    """
+    from ..reports import PATTERNS, STYLE
+
+    return STYLE, PATTERNS
+
+
 def _page() -> str:
     """Return the page; beginnings of tasks stand in it as templates."""
     templates = "".join(f'<template id="begin-{n}">{_text(f"template_{n}.toml")}</template>' for n in TEMPLATES)
-    return _text("page.html").replace("<!-- patterns -->", PATTERNS).replace("<!-- templates -->", templates)
+    return _text("page.html").replace("<!-- patterns -->", _looks()[1]).replace("<!-- templates -->", templates)
 
 
 SCRIPTS = ("page.js", "link.js", "editor.js", "picture.js", "result.js")
 
 FILES: dict[str, tuple[str, Callable[[], str]]] = {
     "": ("text/html", _page),
-    "page.css": ("text/css", lambda: STYLE + _text("page.css")),
+    "page.css": ("text/css", lambda: _looks()[0] + _text("page.css")),
 }
 FILES |= {name: ("text/javascript", partial(_text, name)) for name in SCRIPTS}
 """What is served: kind and content."""

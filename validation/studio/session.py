@@ -54,6 +54,8 @@ class Session:
         self._looking_since: float | None = None
         self._job: dict[str, Any] = {"state": "none", "number": 0}
         self._run: dict[str, Any] | None = None
+        self._kept: bytes | None = None
+        self._giving = False
         self._message = ""
         self._looker = Worker(self._hear_look)
         self._computer: Worker | None = None
@@ -96,6 +98,7 @@ class Session:
         """Return the process that computes; it is begun once the first text was read, which comes first."""
         if self._computer is None:
             self._computer = Worker(self._hear_work)
+            self._computer.send({"job": "ready", "number": -1})
         return self._computer
 
     def _touch(self) -> None:
@@ -205,7 +208,8 @@ class Session:
                 self._worker().stop()
             elif state == "stopping":
                 self._worker().replace()
-                self._end("stopped at once: nothing was kept", lost=True)
+                self._give_back()
+                self._end("stopped at once")
             self._touch()
 
     def play(self, seed: Any) -> None:
@@ -225,8 +229,12 @@ class Session:
                 if message["told"] == self._job["number"]:
                     self._take_told(message)
             elif "died" in message:
+                self._give_back()
                 if self._job["state"] in ("running", "stopping", "playing"):
-                    self._end("the process that computes has ended; is there enough memory?", lost=True)
+                    self._end("the process that computes has ended; is there enough memory?")
+            elif message["done"] in ("ready", "take"):
+                self._giving &= message["done"] != "take"
+                return
             elif message["done"] == "save":
                 self._message = (
                     f"saved {message['saved']}" if "saved" in message else message.get("failed", "not saved")
@@ -254,15 +262,25 @@ class Session:
         if "certificate" not in message:
             self._end(message.get("failed", "stopped before anything was certified"))
             return
-        stopped = self._job["state"] == "stopping"
+        stopped, self._kept = self._job["state"] == "stopping", message["kept"]
         result = message["certificate"] | {"valid": message["valid"], "failures": message["failures"]}
         result |= {"seconds": message["seconds"], "stopped": stopped}
         self._job |= {"state": "done", "result": result, "before": None, "why": ""}
         self._run = None
 
-    def _end(self, why: str, lost: bool = False) -> None:
-        """Note that what was begun gave nothing; what was certified before is kept, unless its process is gone."""
-        before = None if lost else self._job.get("result") or self._job.get("before")
+    def _give_back(self) -> None:
+        """Hand the last certificate to a new process: the one that had it is gone."""
+        if self._giving:
+            # The new one has ended, too: it would go on like that.
+            self._kept, self._giving = None, False
+            self._job |= {"state": "failed", "result": None, "before": None, "why": "the certificate was lost"}
+        if self._kept is not None and not self.closed:
+            self._giving = True
+            self._worker().send({"job": "take", "number": -1, "kept": self._kept})
+
+    def _end(self, why: str) -> None:
+        """Note that what was begun gave nothing; what was certified before is kept."""
+        before = self._job.get("result") or self._job.get("before")
         state = {"state": "done", "result": before} if before else {"state": "failed", "result": None}
         self._job |= {**state, "why": why}
 
