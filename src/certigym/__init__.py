@@ -8,7 +8,7 @@ from pathlib import Path
 
 import lazy_loader
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HERE = Path(__file__).parent
 if not (_HERE / "envs" / "__init__.py").is_file() and (_HERE.parents[1] / "pyproject.toml").is_file():
