@@ -125,3 +125,10 @@ def test_the_command_says_on_standard_error_what_it_computes_and_finds(
     assert "\nfailed\n" in out and "FAIL: not recorded" in out.rsplit("\nfailed\n")[-1]
     assert out.splitlines()[-1].startswith("FAIL: ")
     assert main(["reproduce", "arch", "--workers", "0", "--out", str(tmp_path)]) == 2
+
+
+def test_the_keys_of_lines_are_explained(record: Path) -> None:
+    (line,) = judged_lines("own", [Line("a", 0.25, 0.5, "bound")], record, only="a")
+    page = (PAGE.parent / "command_line.md").read_text(encoding="utf-8")
+    (row,) = [row for row in page.splitlines() if row.startswith("| each of `lines` |")]
+    assert all(f"`{key}`" in row for key in line)
