@@ -1,9 +1,9 @@
 """Environment steps per CPU second, beside a classic-control environment of Gymnasium in the same run.
 
-`python benchmarks/environments.py [ID] [--seconds S] [--json PATH]`, or `--ratios` for four ratios to environments of
+`python benchmarks/environments.py [ID] [--seconds S] [--json PATH]`, or `--ratios` for ratios to environments of
 others: these are taken in turns, since the speed of a machine changes while it measures. A joint step moves all
-agents of one world; resets count, because episodes end. Actions are drawn before the clock starts. CPU time is that of the process (one core;
-numpy's threads have nothing to do in arrays of this size).
+agents of one world; resets count, because episodes end. Actions are drawn before the clock starts. CPU time is that of
+the process (one core; numpy's threads have nothing to do in arrays of this size).
 """
 
 from __future__ import annotations

@@ -92,6 +92,8 @@ def test_filters_show_what_the_problems_say(tmp_path: Path) -> None:
     assert set(seen["states of an agent: two"]) == ids(lambda p: states(p) == 2) != set()
     assert set(seen["states of an agent: 3 and more"]) == ids(lambda p: states(p) >= 3) != set()
     assert set(seen["dynamics: linear"]) == ids(linear) != set()
+    for tier in ("open", "hard", "solved"):
+        assert set(seen[f"left to learn: {tier}"]) == set(cg.problem_ids(tier)) != set()
     assert set(seen["both"]) == ids(lambda p: p.n_agents == 1 and not linear(p)) != set()
     assert seen["said"] == f"{len(seen['both'])} of {len(problems)}"
     bands = [set(seen[f"certified: {band}"]) for band in ("above .99", ".5 to .99", "below .5")]
