@@ -1,6 +1,6 @@
 """Write the tiers of the suite from the recorded leaderboard: `python docs/rate_problems.py`.
 
-The rule is `certigym.validation.policies.tiers.tier_of`; a test computes all tiers again and compares.
+The rule is `certigym.validation.policies.tier_rule.tier_of`; a test computes all tiers again and compares.
 """
 
 from __future__ import annotations

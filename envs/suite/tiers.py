@@ -1,7 +1,7 @@
 """Tiers of the suite: what is left to learn on each problem.
 
 *solved*: a learner without help comes as far as is known to be possible; *open*: it gets somewhere, but not there;
-*hard*: less than half of the way; *unrated*: no learner was judged. The rule is in `validation.policies.tiers`, the
+*hard*: less than half of the way; *unrated*: no learner was judged. The rule is in `validation.policies.tier_rule`, the
 numbers are those of docs/leaderboard.json. Written by `python docs/rate_problems.py`; not by hand.
 """
 

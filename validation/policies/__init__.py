@@ -8,7 +8,7 @@ from .recording import Recording, checked_dataset, record
 from .rollout_policies import IdleController, RandomController, as_controller
 from .standings import Leaderboard, Standing, judged, judging_plan, leaderboard
 from .standings_page import page_of
-from .tiers import tier_of
+from .tier_rule import tier_of
 from .training import ALGORITHMS, Training, certificate_of, train
 
 __all__ = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...synthesis.certificates import rounded_down, rounded_up
 from .standings import Leaderboard, Standing
-from .tiers import ALONE, tier_of
+from .tier_rule import ALONE, tier_of
 
 HEAD = """# Leaderboard
 
