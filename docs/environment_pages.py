@@ -70,27 +70,22 @@ _UNTESTED = " That this is the reason was not tested."
 HARD: dict[str, str] = {
     "courier-v0": "reward for success comes after four customers and the way home, in an order that nothing says, and "
     "one touch of the pond undoes it." + _UNTESTED,
-    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates, and so sees "
-    "little of the "
-    "last one. More steps help, which was tested: PPO without help came to .02 after 175,000 world steps and to .34 "
-    "after 357,000, one seed each.",
-    "fleet-6-v0": "all six want through the middle at the same time and see nobody, so a way around is wrong as "
-    "soon as "
-    "another one changes its own." + _UNTESTED,
+    "needle-v0": "a learner that keeps noise in its actions hardly ever passes all three gates, and so sees little of "
+    "the last one. More steps help, which was tested: PPO without help came to .02 after 175,000 world steps and to "
+    ".34 after 357,000, one seed each.",
+    "fleet-6-v0": "all six want through the middle at the same time and see nobody, so a way around is wrong as soon "
+    "as another one changes its own." + _UNTESTED,
     "swarm-8-v0": "eight robots see nobody and must agree on one sense of going around; a robot that does it alone "
     "meets those that do not." + _UNTESTED,
-    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, so that an exploring leader"
-    " "
-    "loses all of them, and they keep apart from one another on the way." + _UNTESTED,
-    "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of "
-    "what one agent "
-    "did. The number is what counts, which was tested: with 20 agents PPO comes to .999, with 100 to .002.",
-    "reach-avoid-20-rough-v0": "twenty agents have to succeed together, and what each loses to the noise "
-    "multiplies; with "
-    "a noise of 1 in place of 1.3 times PPO comes to .85, with the longer training of that row.",
+    "rendezvous-3-v0": "three followers keep within reach of a leader that they do not see, so that an exploring "
+    "leader loses all of them, and they keep apart from one another on the way." + _UNTESTED,
+    "invariance-b-50-v0": "the task is lost by whoever leaves first of fifty, so the return says little of what one "
+    "agent did. The number is what counts, which was tested: with 20 agents PPO comes to .999, with 100 to .002.",
+    "reach-avoid-20-rough-v0": "twenty agents have to succeed together, and what each loses to the noise multiplies. "
+    "With a noise of 1 in place of 1.3 times PPO came to .85 after 76,800 steps of the world; here it had 29,184, so "
+    "that the noise need not be all of the difference.",
     "car-park-rough-v0": "nobody comes far beyond .79, which is known from above; what is left is where a step of bad "
-    "luck "
-    "costs least, and a learner gets next to no reward for such corners of the policy." + _UNTESTED,
+    "luck costs least, and a learner gets next to no reward for such corners of the policy." + _UNTESTED,
 }
 """What is hard about problems that were made to tell learners apart, and whether an experiment has tested that."""
 
