@@ -31,6 +31,9 @@ EPISODES, PANELS, NAMES = 6, 2, 5
 COLORS = 40
 """Colours of a file."""
 
+CROWDED, FAINT = 0.7, 0.3
+"""Share of a panel from which on regions are drawn faintly, and how much of their colour is left."""
+
 
 def card(id: str) -> Any:
     """Return the figure of one environment."""
@@ -72,11 +75,13 @@ def _few() -> Any:
 
 def _regions(plot: Any, panel: Panel, horizon: int) -> None:
     """Draw the regions in the looks of their roles, with names where there are few."""
+    # Where regions cover hardly less than everything their hatches would hide the episodes.
+    faint = FAINT if _covered(panel, horizon) > CROWDED else 1.0
     for region in panel.drawn:
         look, (corner, size) = LOOKS[region.role], _box(panel, region, horizon)
-        plot.add_patch(Rectangle(corner, *size, facecolor=look.color, alpha=0.2, linewidth=0, zorder=0.5))
+        plot.add_patch(Rectangle(corner, *size, facecolor=look.color, alpha=0.2 * faint, linewidth=0, zorder=0.5))
         lines: dict[str, Any] = {"fill": False, "edgecolor": look.color, "zorder": 0.6}
-        plot.add_patch(Rectangle(corner, *size, hatch=2 * look.hatch, alpha=0.45, linewidth=0, **lines))
+        plot.add_patch(Rectangle(corner, *size, hatch=2 * look.hatch, alpha=0.45 * faint, linewidth=0, **lines))
         plot.add_patch(Rectangle(corner, *size, linewidth=0.9, **lines))
     named = panel.named if len(panel.named) <= NAMES else ()
     for region in named:
@@ -87,6 +92,13 @@ def _regions(plot: Any, panel: Panel, horizon: int) -> None:
         middle = min(max(0.5 * (x + right), panel.low[0]), panel.high[0]) if panel.is_map else 0.97 * horizon
         align = "center" if panel.is_map else "right"
         plot.text(middle, y + 0.5 * height, region.name, ha=align, va="center", bbox=box, **place)
+
+
+def _covered(panel: Panel, horizon: int) -> float:
+    """Return the areas of all regions, as a share of the panel."""
+    width = panel.high[0] - panel.low[0] if panel.is_map else horizon
+    sizes = [_box(panel, region, horizon)[1] for region in panel.drawn]
+    return float(sum(a * b for a, b in sizes) / (width * (panel.high[-1] - panel.low[-1])))
 
 
 def _box(panel: Panel, region: Region, horizon: int) -> tuple[tuple[float, float], tuple[float, float]]:

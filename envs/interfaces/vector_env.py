@@ -122,7 +122,8 @@ class ProblemVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._potential = None if reward == "sparse" else Potential.of(self._dynamics)
         self._spread = checked_share(spread)
         self._scattered = np.zeros(self.num_envs, dtype=bool)
-        # Scattered starts and disturbances that look at the worlds need them cut out one from the other.
+        # Scattered starts and disturbances that look at the worlds need them cut out one from the other. Whoever has
+        # `_begun` or `_moved` of its own says so here: worlds that move all at once ask neither.
         self._is_plain = self._spread == 0.0 and isinstance(disturbance, str)
         self.single_observation_space = observation_space(self.problem, joint_bounds(self.problem.agents), self._form)
         self.single_action_space = action_space(self.problem.agents, actions)

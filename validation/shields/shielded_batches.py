@@ -55,6 +55,7 @@ class ShieldedVectorEnv(ProblemVectorEnv):
     ) -> None:
         super().__init__(problem, num_envs, render_mode, **options)
         self.shield, self._watch = shield, Watch(shield, num_envs)
+        self._is_plain = False  # a shield sees worlds that begin before others move, and judges what moves them
 
     @property
     def budget(self) -> np.ndarray:
