@@ -31,8 +31,8 @@ EPISODES, PANELS, NAMES = 6, 2, 5
 COLORS = 40
 """Colours of a file."""
 
-CROWDED, FAINT = 0.7, 0.3
-"""Share of a panel from which on regions are drawn faintly, and how much of their colour is left."""
+CROWDED, FAINT = 1.0, 0.3
+"""Areas of regions, in panels, from which on they are drawn faintly, and how much of their colour is left."""
 
 
 def card(id: str) -> Any:
