@@ -80,7 +80,11 @@ def teams(problem: cg.Problem, n_worlds: int = CHUNK, **options: Any) -> Callabl
 
 
 def parallel(problem: cg.Problem, **options: Any) -> Callable[[], int]:
-    env = cg.parallel_env(problem, **options)
+    return joint_steps(cg.parallel_env(problem, **options))
+
+
+def joint_steps(env: Any) -> Callable[[], int]:
+    """Return 500 joint steps of an environment of PettingZoo, whosever it is."""
     for agent in env.possible_agents:
         env.action_space(agent).seed(0)
     actions = [{agent: env.action_space(agent).sample() for agent in env.possible_agents} for _ in range(64)]
@@ -149,21 +153,7 @@ def spread_of_three() -> Callable[[], int]:
     """Simple spread of MPE2, three agents (`pip install mpe2`)."""
     from mpe2 import simple_spread_v3
 
-    env = simple_spread_v3.parallel_env(N=3, max_cycles=25)
-    for agent in env.possible_agents:
-        env.action_space(agent).seed(0)
-    actions = [{agent: env.action_space(agent).sample() for agent in env.possible_agents} for _ in range(64)]
-
-    def steps() -> int:
-        count = 0
-        while count < 500:
-            env.reset()
-            while env.agents:
-                env.step(actions[count % 64])
-                count += 1
-        return count
-
-    return steps
+    return joint_steps(simple_spread_v3.parallel_env(N=3, max_cycles=25))
 
 
 def in_turns(one: Callable[[], int], other: Callable[[], int], seconds: float) -> float:

@@ -31,6 +31,9 @@ REFUSAL = (
 )
 """What is said where pairs are not understood."""
 
+LEAST_DISTANCE = 1e-140
+"""Least and, inverted, largest distance whose square is a number with all its digits."""
+
 MOST_BY_DEFAULT = 2
 """Most outputs that a distance is about without being told: of three, one may be a heading."""
 
@@ -170,9 +173,9 @@ class Pair:
 
 def _checked_distance(distance: Any) -> float:
     value = float(float_array([distance], "distance", (1,), "1.0")[0])
-    # Squares are compared, so that they have to be numbers above 0, too.
-    if not (value > 0.0 and 0.0 < value * value < math.inf):
-        raise ValueError(f"`distance`: expected a number above 0, got {shown(distance)}")
+    # Squares are compared: they have to be numbers with all their digits, too.
+    if not LEAST_DISTANCE <= value <= 1.0 / LEAST_DISTANCE:
+        raise ValueError(f"`distance`: expected a number above 0, from {LEAST_DISTANCE:g} on, got {shown(distance)}")
     return value
 
 
@@ -283,7 +286,9 @@ INSIDE = 1.0 - 1e-12
 
 
 def holds(difference: Any, low: Any, high: Any, radius: Any) -> Any:
-    """Return whether differences (p, ...) are in boxes and shorter than radii, which may be infinite (exact).
+    """Return whether differences (p, ...) are in boxes and shorter than radii, which may be infinite.
+
+    Exact for boxes, and up to the rounding of squares for lengths.
 
     Components may be numbers or arrays, in a list or in an array; differences that are no numbers are in nothing.
     """
