@@ -320,6 +320,8 @@ MUTANTS = [
             "corner = np.minimum(normal * pair.low, normal * pair.high)",
         ),
         ("largest = pair.radius * length", "largest = 0.5 * pair.radius * length"),
+        ("common[k] = 2.0 * float(a @ b)", "common[k] = -2.0 * float(abs(a @ b))"),
+        ("if shared[0].shape[1]:", "if shared[0].shape[1] > 100:"),
         ("LEAST_SIZE = 1e-6", "LEAST_SIZE = 1e-323"),
         ("drift[here] += now[i].chain.drift(matrix)", "drift[here] = now[i].chain.drift(matrix)"),
         ("variance[here] += own", "variance[here] = own"),

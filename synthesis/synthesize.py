@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from ..envs.problem import Problem
+from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
 from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
@@ -23,7 +23,16 @@ from .nominal_paths import path_certificate
 from .on_cells import Plan, plain
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
-from .task_ways import names_inputs, still_problem, ways_in_time, ways_of, ways_of_named_inputs, ways_within
+from .task_ways import (
+    has_usual_search,
+    names_inputs,
+    path_way,
+    still_problem,
+    ways_in_time,
+    ways_of,
+    ways_of_named_inputs,
+    ways_within,
+)
 from .together import ways_together
 from .values import HOST, device_put
 
@@ -151,6 +160,8 @@ def _of_task(
     problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None = None
 ) -> Synthesis:
     """Synthesize one task, in the ways that relations, budget and start leave open."""
+    if problem.joint_noise:
+        return best_of(_under_joint_noise(problem, cells, relation, plan, start), plan.effort)
     if problem.labeling.pairs:
         if plan.budget is not None and cells is not None:
             raise ValueError("`cells`: expected either cells or a budget `memory`, `accuracy`, got both; leave one out")
@@ -197,7 +208,9 @@ def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
     def nothing(*arguments: object) -> Synthesis:
         raise AssertionError("a way that is looked at was taken")
 
-    if problem.labeling.pairs:
+    if problem.joint_noise:
+        ways = _under_joint_noise(problem, None, "auto", plan, None)
+    elif problem.labeling.pairs:
         ways = ways_together(problem, None, "auto", plan, nothing)
     elif problem.names_time:
         ways = ways_in_time(problem, plan, nothing)
@@ -206,6 +219,16 @@ def ways_ahead(problem: Problem) -> Iterator[tuple[Problem, list[Way]]]:
     else:
         ways = ways_of(problem, None, ["auto"] * problem.n_agents, plan)
     yield problem, in_order(ways)
+
+
+def _under_joint_noise(
+    problem: Problem, cells: CellCounts, relation: Relations, plan: Plan, start: Certificate | None
+) -> list[Way]:
+    """Return the ways of teams that share noise: a path. Whatever multiplies over agents takes them for independent."""
+    grids = cells is not None or plan.budget is not None or start is not None or not has_usual_search(plan)
+    if grids or relation not in ("auto", "best", "path"):
+        raise RelationRefused(JOINT_NOISE_REFUSAL)
+    return [path_way(problem, plan)]
 
 
 def _in_time(

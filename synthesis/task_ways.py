@@ -85,10 +85,10 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
     if is_beyond_grids(problem):
         # Where a grid does not reach a path may. Without noise in some states neither is better as a rule.
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
-        path = replace(_path(problem, plan), work=0.0, ends=ends)
+        path = replace(path_way(problem, plan), work=0.0, ends=ends)
         on_grids = Way("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
         return [path, on_grids] if plan.paths else [on_grids]
-    return [*_on_grids(problem, kinds, plan), *([_path(problem, plan)] if plan.paths else [])]
+    return [*_on_grids(problem, kinds, plan), *([path_way(problem, plan)] if plan.paths else [])]
 
 
 def ways_within(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
@@ -144,7 +144,7 @@ def still_problem(problem: Problem) -> Problem:
 
 def ways_in_time(problem: Problem, plan: Plan, on_grids: Callable[[], Synthesis]) -> list[Way]:
     """Return the ways of tasks that name the time: a path, and grids of the task written out where it leaves much."""
-    path = replace(_path(problem, plan), work=0.0, ends=PATH_ENDS)
+    path = replace(path_way(problem, plan), work=0.0, ends=PATH_ENDS)
     return [path, Way("grids", lambda results: on_grids(), 1.0, enough=PATH_ENDS)]
 
 
@@ -198,7 +198,7 @@ def _on_grids(problem: Problem, kinds: Sequence[str], plan: Plan) -> list[Way]:
     return ways
 
 
-def _path(problem: Problem, plan: Plan) -> Way:
+def path_way(problem: Problem, plan: Plan) -> Way:
     """Return the way along a path: no grid, any number of states."""
     try:
         refuse_without_path(problem)

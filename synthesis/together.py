@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.problem import Problem
-from .cells import CellCounts, RelationRefused
+from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
-from .choosing import Results, Way, refused
+from .choosing import SOLVED, Results, Way, refused
 from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
 from .nominal_paths import path_certificate, refuse_without_path
 from .on_cells import Plan
@@ -32,6 +32,9 @@ WAYS = ("auto", "exact", "joint", "path")
 
 PATH = 0.012
 """Work of paths for each step and state of a team."""
+
+SUBTRACTION = 1e-5
+"""Work of subtraction for each cell and step of two agents."""
 
 ROUNDS = 6
 """Most times that every agent answers to the others: as a rule two are enough."""
@@ -93,8 +96,25 @@ def ways_together(
         refuse_without_path(problem)
     except RelationRefused as error:
         along = replace(refused("path", error), work=along.work)
-    ways = [Way("exact", subtraction, 0.0, ENOUGH, ENOUGH), Way("joint", joint, 1.0, ENOUGH, ENOUGH), along]
+    subtracted = Way("exact", subtraction, _subtraction_work(problem), ENOUGH, ENOUGH)
+    if subtracted.work > along.work:
+        # A path in seconds comes before grids in minutes, which are left out only where nothing is left to gain.
+        subtracted, along = replace(subtracted, enough=SOLVED), replace(along, ends=SOLVED)
+    # Without a grid of its own a joint agent is one more path.
+    after = along if problem.n_states > MOST_GRID_STATES else subtracted
+    ways = [subtracted, Way("joint", joint, 1.0 + after.work, ENOUGH, ENOUGH), along]
     return [way for way in ways if relation in ("auto", way.name)]
+
+
+def _subtraction_work(problem: Problem) -> float:
+    """Return about how much work grids of all agents are: next to nothing where each has a single state.
+
+    Trees grow with the agents that answer to each other.
+    """
+    if all(agent.n_states == 1 for agent in problem.agents):
+        return 0.0
+    cells = sum(float(np.prod(cells_of_agent(agent, None))) for agent in problem.agents)
+    return SUBTRACTION * cells * problem.horizon * (problem.n_agents - 1) ** 2
 
 
 def _asks_for_grid(plan: Plan, has_start: bool) -> bool:

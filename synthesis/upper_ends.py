@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.agents import tree_text
-from ..envs.problem import Problem, Specification
+from ..envs.problem import Problem, Specification, refuse_joint_noise
 from ..envs.suite import as_problem
 from .bridges import certifiable
 from .cells import CellCounts
@@ -49,6 +49,7 @@ class UpperEnd:
 
 def opposite_of(problem: Problem) -> Problem:
     """Return the problem whose task is judged at the horizon, and satisfied where the one of ``problem`` is not."""
+    refuse_joint_noise(problem)
     automaton = replace(problem.automaton, semantics="finite-trace", accepting=~problem.automaton.accepting)
     return Problem(
         name=f"not {problem.name}",

@@ -110,6 +110,8 @@ class Block:
         Positions of the agents in the problem.
     motion : LinearMotion or WrittenMotion
     noise_factor : np.ndarray, shape (d, d, n, 1)
+    shared_noise : tuple of (int, int, np.ndarray of shape (n, 1))
+        Noise that agents share: state, source, and what the source adds to that state of each agent.
     noise_of : AnyAgent
         An agent with the laws of noise that all of them have.
     state_low, state_high, initial_low, initial_high : np.ndarray, shape (d, n, 1)
@@ -129,6 +131,7 @@ class Block:
     agents: np.ndarray
     motion: LinearMotion | WrittenMotion
     noise_factor: np.ndarray
+    shared_noise: tuple[tuple[int, int, np.ndarray], ...]
     noise_of: AnyAgent
     state_low: np.ndarray
     state_high: np.ndarray
@@ -333,7 +336,9 @@ def block_of(problem: Problem, group: list[int]) -> Block:
     return Block(
         agents=read_only(np.array(group)),
         motion=_motion(agents, stacked),
-        noise_factor=stacked([a.noise_factor for a in agents]),
+        # What agents share comes on top of it.
+        noise_factor=stacked([problem.written_agents[i].noise_factor for i in group]),
+        shared_noise=_shared(problem, group),
         noise_of=agents[0],
         state_low=stacked([a.state_low for a in agents]),
         state_high=stacked([a.state_high for a in agents]),
@@ -352,6 +357,13 @@ def block_of(problem: Problem, group: list[int]) -> Block:
         ),
         beside=read_only(np.stack([_beside(problem, agent) for agent in agents], axis=1)),
     )
+
+
+def _shared(problem: Problem, group: list[int]) -> tuple[tuple[int, int, np.ndarray], ...]:
+    """Return what sources add to the agents of a block, leaving out those that add nothing."""
+    factors = np.stack([problem.shared_noise[i] for i in group], axis=-1)
+    places = np.argwhere(np.any(factors != 0.0, axis=-1)).tolist()
+    return tuple((c, k, read_only(factors[c, k][:, None].copy())) for c, k in places)
 
 
 def _beside(problem: Problem, agent: AnyAgent) -> np.ndarray:

@@ -28,6 +28,7 @@ from ..agents import (
     row_times,
     slices_of,
 )
+from ..arrays import to_host
 from .blocks import WrittenMotion
 from .disturbances import Against, named_disturbances
 from .rules import decided, moved, noisy
@@ -133,6 +134,8 @@ class OneWorld:
         Per automaton state: whether acceptance is out of reach.
     n_draws : int
         Standard normal numbers drawn in one step.
+    shared : tuple of tuples of (int, int, float)
+        Per agent: state, position of a number drawn, and what it adds to that state, for noise that agents share.
     """
 
     dynamics: Dynamics
@@ -141,6 +144,7 @@ class OneWorld:
     judged: tuple[bool, ...]
     dead: tuple[bool, ...]
     n_draws: int
+    shared: tuple[tuple[tuple[int, int, float], ...], ...]
     _following: dict[tuple[int, int], int] = field(default_factory=dict)
     _names: dict[int, tuple[str, ...]] = field(default_factory=dict)
     _regions: dict[int, tuple[Any, ...]] = field(default_factory=dict)
@@ -164,7 +168,9 @@ class OneWorld:
             draws = positions[: agent.n_states], positions[agent.n_states :]
             corners = still.low[i].T, still.high[i].T
             beside = [place_of(name, problem.agents) for name in agent.others] if isinstance(agent, Agent) else []
-            own = _numbers(agent, *corners, labeling.agent_propositions[i], draws)
+            own = _numbers(
+                agent, problem.written_agents[i].noise_factor, *corners, labeling.agent_propositions[i], draws
+            )
             motion = dynamics.blocks[block].motion
             if isinstance(motion, WrittenMotion):  # agents of a block share what is compiled
                 own = own._replace(beside=tuple(beside), motion=motion)
@@ -177,7 +183,8 @@ class OneWorld:
             tuple(dynamics.accepting.tolist()),
             tuple(finite.tolist()),
             tuple(automaton.dead.tolist()),
-            block_draws[-1].stop,
+            block_draws[-1].stop + len(problem.joint_noise),
+            _shared(dynamics, block_draws[-1].stop),
         )
 
     def begin(self, worlds: Worlds) -> World:
@@ -209,6 +216,10 @@ class OneWorld:
         now = world.time
         with self._quiet():
             states = tuple([a.moved(x, u, [normals[k] for k in a.draws], v, team, now) for a, x, u, v in steps])
+            if self.dynamics.problem.joint_noise:
+                for x, own in zip(states, self.shared):
+                    for c, k, factor in own:
+                        x[c] = x[c] + factor * normals[k]
             letter, outside = self._letter(states, now + 1)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
@@ -334,17 +345,18 @@ class OneWorld:
 
 def _numbers(
     agent: AnyAgent,
+    factor: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     propositions: np.ndarray,
     draws: tuple[tuple[int, ...], tuple[int, ...]],
 ) -> AgentNumbers:
-    """Return one agent as plain numbers; `low` and `high` have one row per proposition."""
+    """Return one agent as plain numbers; `factor` is that of its own noise, `low` and `high` have a row per region."""
     return AgentNumbers(
         A=agent.A.tolist() if isinstance(agent, LinearAgent) else None,
         B=agent.B.tolist() if isinstance(agent, LinearAgent) else None,
         offset=agent.offset.tolist() if isinstance(agent, LinearAgent) else None,
-        noise_factor=agent.noise_factor.tolist(),
+        noise_factor=factor.tolist(),
         C=agent.output_matrix.tolist() if isinstance(agent, LinearAgent) and not agent.has_identity_output else None,
         state_low=agent.state_low.tolist(),
         state_high=agent.state_high.tolist(),
@@ -354,10 +366,20 @@ def _numbers(
         draws=draws[0],
         extra=draws[1],
         motion=None,
-        noise_rows=[sparse_row(row) for row in agent.noise_factor],
+        noise_rows=[sparse_row(row) for row in factor],
         beside=(),
         lawful=None if agent.laws is None else agent,
     )
+
+
+def _shared(dynamics: Dynamics, first: int) -> tuple[tuple[tuple[int, int, float], ...], ...]:
+    """Return what sources add to each agent; their numbers are drawn from position `first` on."""
+    result = []
+    for block, place in dynamics.position:
+        # Those that add to another agent of the block stay, as 0, so that the bits are those of the batch.
+        own = dynamics.blocks[block].shared_noise
+        result.append(tuple((c, first + k, float(to_host(factor)[place, 0])) for c, k, factor in own))
+    return tuple(result)
 
 
 def sparse_row(row: np.ndarray) -> tuple[list[float], list[int]]:

@@ -9,7 +9,8 @@ written for anything that adds, multiplies and compares: this module runs them o
 
 One step, in this order:
 
-1. `x' = A x + B u + c + L z`, or `f(x, u, t) + L z`, with `z` standard normal and `L L' = Sigma`;
+1. `x' = A x + B u + c + L z`, or `f(x, u, t) + L z`, with `z` standard normal and `L L' = Sigma`; then what agents
+   share, source by source (`problem.joint_noise`);
 2. a world in which any agent has left its workspace fails, even if another agent would complete the task in this step;
 3. the automaton reads the letter of x', with the regions of the time after the step;
 4. a co-safe task is accepted on entering an accepting state.
@@ -299,10 +300,13 @@ def selected(worlds: Worlds, which: np.ndarray) -> Worlds:
 def noise(dynamics: Dynamics, rng: Draws, n_worlds: int) -> tuple[np.ndarray, ...]:
     """Return standard normal numbers for one step, one array (d, n, M) per block.
 
-    Blocks whose disturbances are random have a further row for each disturbance.
+    Blocks whose disturbances are random have a further row for each disturbance. Where agents share noise, the numbers
+    of all sources (K, M) come last.
     """
     shapes = ((len(block.columns) + extra_rows(dynamics, block), len(block.agents)) for block in dynamics.blocks)
-    return tuple(rng.standard_normal((*shape, n_worlds)) for shape in shapes)
+    own = tuple(rng.standard_normal((*shape, n_worlds)) for shape in shapes)
+    n_sources = len(dynamics.problem.joint_noise)
+    return (*own, rng.standard_normal((n_sources, n_worlds))) if n_sources else own
 
 
 def extra_rows(dynamics: Dynamics, block: Block) -> int:
@@ -346,7 +350,7 @@ def transition(
     inputs : sequence of np.ndarray, shape (m, n, M)
         One array per block, used as they are: the caller has to keep them in the input box.
     normals : sequence of np.ndarray, shape (d, n, M)
-        Numbers that `noise` has drawn; more rows where disturbances are random.
+        Numbers that `noise` has drawn; more rows where disturbances are random, and one array more for shared noise.
 
     Raises
     ------
@@ -374,7 +378,18 @@ def _successors(
     others = neighbours(dynamics, worlds.states, inputs)
     steps = zip(dynamics.blocks, worlds.states, inputs, normals, unknown, others)
     now = worlds.time
-    return tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
+    states = tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
+    if dynamics.problem.joint_noise:
+        states = tuple(_shaken(block, x, normals[-1]) for block, x in zip(dynamics.blocks, states))
+    return states
+
+
+def _shaken(block: Block, x: np.ndarray, sources: np.ndarray) -> np.ndarray:
+    """Return states (d, n, M) with what sources (K, M) of noise add to them, one after the other."""
+    rows = list(x)
+    for c, k, factor in block.shared_noise:
+        rows[c] = rows[c] + factor * sources[k]
+    return namespace(x).stack(rows)
 
 
 def neighbours(

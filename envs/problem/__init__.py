@@ -1,5 +1,7 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
+from .joint_noise import REFUSAL as JOINT_NOISE_REFUSAL
+from .joint_noise import refuse_joint_noise
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
@@ -7,6 +9,7 @@ from .split import split_axes
 from .writing_out import Places, states_in_time, written_out
 
 __all__ = [
+    "JOINT_NOISE_REFUSAL",
     "Places",
     "Problem",
     "Specification",
@@ -14,6 +17,7 @@ __all__ = [
     "load_problem",
     "problem_from_dict",
     "problem_from_toml",
+    "refuse_joint_noise",
     "split_axes",
     "states_in_time",
     "written_out",

@@ -10,6 +10,8 @@ Layout of a file:
                                       # `noise_std = [0.1]`, one for each state, says the same as `noise_covariance`;
                                       # `initial_state = [[0.0], [3.0]]` beside `copies = 2` is one start for each;
                                       # numbers of boxes may be "pi / 2", those of the input box "2 + sin(0.3*t)"
+    [joint_noise]                     # noise that agents share: what one normal number per step adds to states of each
+    wind = { "drone_*" = { x = 0.03, y = -0.01 }, kite = [0.05, 0.0] }   # by names of states, or one for each
     [propositions]
     goal = { agent = "left", low = [0.0], high = [5.0] }      # or a family: agent = "drone_*"
     dock = { agent = "ship", disc = { centre = [1, 2], radius = 0.5 } }   # or another shape (see ``agents.shapes``)
@@ -136,7 +138,7 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
     ValueError
         If anything is wrong. The message is one line that names table and field.
     """
-    _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"))
+    _check_keys(data, "the problem", ("name", "horizon", "agents", "propositions", "specification"), ["joint_noise"])
     agents = _agents(data["agents"], data["horizon"])
     propositions = _propositions(data["propositions"])
     expand(propositions, [agent.name for agent in agents])  # errors in patterns come before those of the task
@@ -148,6 +150,7 @@ def problem_from_dict(data: Mapping[str, Any], folder: Path | None = None) -> Pr
             agents=agents,
             propositions=propositions,
             specification=specification,
+            joint_noise=data.get("joint_noise"),
         )
     except FormulaError as error:
         raise ValueError(f"[specification]: `formula`: {_line(error)}") from error

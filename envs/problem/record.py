@@ -37,6 +37,7 @@ from ..agents import (
 from ..logic import Automaton, Formula, over_propositions, translate, with_meanings, within
 from .families import AnyProposition, checked_propositions, expand
 from .groups import MOST_STATES, Group, independent_groups, joint_automaton
+from .joint_noise import checked_sources, scaled_sources, with_sources
 from .regions import regions_of
 from .specification import Specification
 from .summary import summary_html, summary_text
@@ -67,6 +68,9 @@ class Problem:
         agent that matches, named by what the `*` stands for (`safe` on `drone_*` gives `safe_0`, `safe_1`, ...), or per
         pair (`near` on pairs of `drone_*` gives `near_0_1`, `near_0_2`, ...).
     specification : Specification
+    joint_noise : mapping from str to mapping, optional
+        Noise that agents share, by name: what one standard normal number per step adds to the states of each, such as
+        ``{"wind": {"drone_*": {"x": 0.03}, "kite": [0.0, 0.05]}}``, in units of the states (see ``joint_noise``).
 
     Attributes
     ----------
@@ -89,6 +93,9 @@ class Problem:
         Membership, classes and letters.
     groups : tuple of Group
         Agents with independent tasks, if the automaton of the whole is not built; empty otherwise.
+    shared_noise : tuple of np.ndarray, shape (d, K)
+        Per agent: what each of the K sources of `joint_noise` adds to its states. The `agents` have all the noise that
+        they feel; the `written_agents` have their own alone.
 
     Raises
     ------
@@ -124,6 +131,8 @@ class Problem:
     specification: Specification
     labeling: Labeling
     groups: tuple[Group, ...]
+    joint_noise: Mapping[str, Mapping[str, Any]]
+    shared_noise: tuple[np.ndarray, ...]
     _automaton: Automaton | None
 
     def __init__(
@@ -134,6 +143,7 @@ class Problem:
         agents: Sequence[AnyAgent],
         propositions: Mapping[str, AnyProposition | Mapping[str, Any]],
         specification: Specification,
+        joint_noise: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         title = _checked_title(name)
         if not isinstance(specification, Specification):
@@ -143,7 +153,8 @@ class Problem:
         declared = checked_propositions(propositions)
         expanded, families = expand(declared, [agent.name for agent in written_agents])
         regions = regions_of(written_agents, expanded, families)
-        members = tied(regions.agents)
+        sources, shared = checked_sources(joint_noise, written_agents)
+        members = tied(_shaken(regions.agents, written_agents, shared))
         labeling = Labeling.of(members, regions.boxes)
         # The task speaks of regions as they were written; letters are those of boxes.
         owners = dict(zip(labeling.names, labeling.owners, strict=True))
@@ -153,6 +164,7 @@ class Problem:
         groups = _groups(specification, {key: owners[key] for key in names}, families, len(members))
         automaton = None if groups else _automaton(specification, names, families, labeling.names)
         are_coupled = any(getattr(agent, "others", ()) for agent in members)
+        are_coupled |= any(np.any(own) for own in shared)
         if groups and (are_coupled or labeling.pairs):
             # Whoever moves, or is compared, with others has no task alone: the whole may have fewer states than feared.
             formula = specification.formula or ""
@@ -160,9 +172,9 @@ class Problem:
             groups = () if automaton is not None else groups
         if groups and are_coupled:
             raise ValueError(
-                "`specification`: expected one task of agents whose dynamics name states or inputs of others, got "
-                f"independent tasks whose joint automaton has more than {MOST_STATES} states; take fewer agents or "
-                "another formula"
+                "`specification`: expected one task of agents whose dynamics name states or inputs of others, or that "
+                f"share noise, got independent tasks whose joint automaton has more than {MOST_STATES} states; take "
+                "fewer agents or another formula"
             )
         if automaton is not None and regions.meanings:
             automaton = with_meanings(automaton, labeling.names, regions.meanings)
@@ -182,6 +194,8 @@ class Problem:
             "specification": specification,
             "labeling": labeling,
             "groups": groups,
+            "joint_noise": MappingProxyType(sources),
+            "shared_noise": shared,
             "_automaton": automaton,
         }
         for key, value in values.items():
@@ -202,7 +216,9 @@ class Problem:
         else:
             automaton = ("automaton", counted(self.automaton.n_states, "state"))
         declared = f" ({names_text(list(self.declared))})" if self.declared else ""
+        shared = [("joint noise", names_text(list(self.joint_noise)))] if self.joint_noise else []
         return [
+            *shared,
             ("propositions", f"{len(self.written)}{declared}"),
             ("task", shortened(self.specification.formula or "given as an automaton", 200)),
             ("semantics", self.specification.semantics),
@@ -212,7 +228,10 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickle the arguments alone: unpickling builds and checks the rest anew.
-        return _rebuilt, (self.name, self.horizon, self.written_agents, dict(self.declared), self.specification)
+        return _rebuilt, (
+            self.name, self.horizon, self.written_agents, dict(self.declared), self.specification,
+            dict(self.joint_noise),
+        )  # fmt: skip
 
     @cached_property
     def automaton(self) -> Automaton:
@@ -388,6 +407,11 @@ class Problem:
             for key in ("agents", "written_agents"):
                 agents = changes.get(key, getattr(self, key))
                 changes[key] = tuple(agent.with_noise_times(factor) for agent in agents)
+            if self.joint_noise:
+                sources = scaled_sources(self.joint_noise, factor)
+                changes["joint_noise"], shared = checked_sources(sources, changes["written_agents"])
+                changes["shared_noise"] = shared
+                changes["agents"] = _shaken(changes["agents"], changes["written_agents"], shared)
         if "agents" in changes:
             changes["agents"] = tied(changes["agents"])
         return self._with(changes)
@@ -435,13 +459,23 @@ class Problem:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the problem as plain values, keyed as in problem files (exact); `problem_from_dict` reads it back."""
+        shared = {"joint_noise": {key: dict(value) for key, value in self.joint_noise.items()}}
         return {
             "name": self.name,
             "horizon": self.horizon,
             "agents": [agent.to_dict() for agent in self.written_agents],
+            **(shared if self.joint_noise else {}),
             "propositions": {key: value.to_dict() for key, value in self.declared.items()},
             "specification": self.specification.to_dict(),
         }
+
+
+def _shaken(
+    agents: Iterable[AnyAgent], written: Iterable[AnyAgent], shared: Iterable[np.ndarray]
+) -> tuple[AnyAgent, ...]:
+    """Return agents with all the noise that they feel: their own, as it was written, and what they share."""
+    each = zip(agents, written, shared, strict=True)
+    return tuple(with_sources(agent, own.noise_covariance, factors) for agent, own, factors in each)
 
 
 def _holds(meaning: Formula, holding: set[str]) -> bool:
@@ -467,7 +501,7 @@ def _task_names(
 
 def _rebuilt(*values: Any) -> Problem:
     """Return the problem with these arguments (for pickling)."""
-    return Problem(**dict(zip(("name", "horizon", "agents", "propositions", "specification"), values)))
+    return Problem(**dict(zip(("name", "horizon", "agents", "propositions", "specification", "joint_noise"), values)))
 
 
 def checked_problem(value: Any) -> Problem:

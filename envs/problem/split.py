@@ -28,6 +28,7 @@ import numpy as np
 
 from ..agents import REFUSAL, AnyAgent, LinearAgent, Proposition
 from ..logic import Formula, parse_formula, with_sides
+from .joint_noise import refuse_joint_noise
 from .record import Problem, checked_problem
 from .specification import Specification
 
@@ -61,6 +62,7 @@ def split_axes(problem: Problem) -> Problem:
     """
     if checked_problem(problem).labeling.pairs:
         raise ValueError(REFUSAL)
+    refuse_joint_noise(problem)
     blocks = [_blocks(agent) for agent in problem.agents]
     if all(len(agent_blocks) == 1 for agent_blocks in blocks):
         return problem

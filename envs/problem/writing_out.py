@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..agents import Agent, AnyAgent, Proposition
 from ..logic import Automaton, DecisionDiagrams, automaton_from_diagrams
 from .families import AnyProposition
+from .joint_noise import refuse_joint_noise
 from .record import Problem
 from .specification import Specification
 
@@ -39,6 +40,7 @@ def written_out(problem: Problem) -> Problem:
             "`problem`: expected propositions of single agents beside the time `t`, got some about pairs; ask for the "
             "relation `path`"
         )
+    refuse_joint_noise(problem)
     agents = [clocked(agent, problem.horizon) for agent in problem.agents]
     if not problem.labeling.moves:
         return Problem(

@@ -15,7 +15,15 @@ from .grid import FloatArray, Grid, start_share
 from .grid_dynamics import GridDynamics, grid_covariance, grid_laws, in_grid_coordinates, sharpness
 from .labels import CellLabels, cell_labels, error_labels
 from .lookup import axis_finder, cell_finder
-from .refusal import FEWER, NoRunFound, RelationRefused, linear_agent, refuse_uneven_noise, to_who_asked_for_none
+from .refusal import (
+    FEWER,
+    NoRunFound,
+    RelationRefused,
+    linear_agent,
+    refuse_shared_noise,
+    refuse_uneven_noise,
+    to_who_asked_for_none,
+)
 from .sizes import alike_text, shape_text
 
 __all__ = [
@@ -50,6 +58,7 @@ __all__ = [
     "lattice_axes",
     "linear_agent",
     "of_cells",
+    "refuse_shared_noise",
     "refuse_uneven_noise",
     "region_boundaries",
     "shape_text",

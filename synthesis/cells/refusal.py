@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ...envs.agents import AnyAgent, LinearAgent
+from ...envs.problem import JOINT_NOISE_REFUSAL, Problem
 
 LAWFUL = ("exact", "boxes")
 """Relations that hold for noise of any law."""
@@ -22,6 +23,12 @@ FEWER = "; ask for fewer `cells` or `targets_per_cell`"
 def to_who_asked_for_none(text: object) -> str:
     """Return why cells take too much, in one line, without the advice to ask for fewer: nobody asked for any."""
     return " ".join(str(text).split()).replace(FEWER, "")
+
+
+def refuse_shared_noise(problem: Problem) -> None:
+    """Raise RelationRefused where agents share noise, for relations that take them for independent."""
+    if problem.joint_noise:
+        raise RelationRefused(JOINT_NOISE_REFUSAL)
 
 
 class NoRunFound(RelationRefused):

@@ -120,7 +120,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     """
     certificate = checkable(certificate)
     problem = certificate.problem if problem is None else as_problem(problem)
-    if isinstance(certificate, ProductCertificate):
+    if isinstance(certificate, ProductCertificate) and not problem.joint_noise:
         return _check_product(certificate, problem)
     kinds: dict[type, Callable[[Any, Problem], CheckReport]] = {
         PathCertificate: _check_path,
@@ -130,6 +130,9 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
         StartHull: _check_hull,
     }
     one = kinds.get(type(certificate), _check_one)
+    if problem.joint_noise and one is not _check_path:
+        failures = ("its problem has agents that share noise, which it takes for independent",)
+        return CheckReport(False, certificate.lower_bound, float("nan"), failures)
     if problem.names_time and one in (_check_one, _check_pairs, _check_team):
         failures = ("its problem names the time, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)

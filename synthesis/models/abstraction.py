@@ -40,6 +40,7 @@ from ..cells import (
     label_room,
     linear_agent,
     of_cells,
+    refuse_shared_noise,
     refuse_uneven_noise,
     shape_text,
     spread,
@@ -319,6 +320,7 @@ def abstract(
 
 def abstraction_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], settings: Settings) -> Abstraction:
     """Return finite models under one kind of relation per agent; settings that no agent uses are refused."""
+    refuse_shared_noise(problem)
     if problem.names_time:
         raise RelationRefused(TIME_REFUSAL)
     foreign = set(settings.given) - set(settings.of_kinds(kinds).given)

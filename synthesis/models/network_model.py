@@ -22,6 +22,7 @@ from ..cells import (
     agent_grid,
     cell_labels,
     cells_of_agent,
+    refuse_shared_noise,
     refuse_uneven_noise,
 )
 from ..relations import BoxRelation, NetworkPolicy, box_relation, network_linear_relation
@@ -107,6 +108,7 @@ def network_abstraction(
         the relation does not know.
     """
     models = []
+    refuse_shared_noise(problem)
     idle = np.flatnonzero(problem.automaton.absorbing).tolist()
     for i, (agent, policy) in enumerate(zip(problem.agents, policies, strict=True)):
         if not isinstance(agent, LinearAgent):

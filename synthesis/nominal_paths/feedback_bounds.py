@@ -47,8 +47,9 @@ class Spreads:
     outputs: tuple[FloatArray, FloatArray]
     inputs: tuple[FloatArray, FloatArray]
     slabs: FloatArray
-    pairs: Mapping[int, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
-    """By times: drifts, variances and what one step adds to these (.., J), of what pairs ask of the agent."""
+    pairs: Mapping[int, tuple[FloatArray, ...]] = field(default_factory=dict)
+    """By times: drifts, variances and what one step adds to these (.., J), of what pairs ask of the agent; then what
+    each number of noise that agents share adds to its rows (.., J, t K), which is not in these variances."""
 
     def of(self, candidate: int) -> Spreads:
         """Return those of one candidate."""
@@ -56,7 +57,7 @@ class Spreads:
         def one(both: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
             return both[0][:, candidate], both[1][:, candidate]
 
-        pairs = {t: (a[candidate], b[candidate], c[candidate]) for t, (a, b, c) in self.pairs.items()}
+        pairs = {t: tuple(part[candidate] for part in parts) for t, parts in self.pairs.items()}
         return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.slabs[:, candidate], pairs)
 
 
@@ -71,7 +72,9 @@ class OtherSides:
     low, high : (.., J) arrays
         Distances of the nominal differences from their limits, less the drifts of the others.
     variance, largest : (.., J) arrays
-        Variances that the others add, and what one step adds to these at most.
+        Variances that the others add by what is theirs alone, and what one step adds to these at most.
+    shared : (.., J, t K) array
+        What they add by each number of noise that agents share.
     """
 
     forms: FloatArray
@@ -79,6 +82,7 @@ class OtherSides:
     high: FloatArray
     variance: FloatArray
     largest: FloatArray
+    shared: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +164,7 @@ class _Walk:
             self.slopes = each(lambda p: p.scales[1])
         self.asked = _padded(paths, which)
         self.needs_outputs = any(len(path.limits.limited) or path.pairs for path in paths)
+        self.shared = self.model.shared
         steps, d = self.steps, self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
         self.drifts = np.zeros((self.n, steps + 1, d))
@@ -191,10 +196,17 @@ class _Walk:
         each = np.sum(np.matmul(moved, self.each_noise[:, :t]) * moved, axis=3)
         return np.asarray(each.max(axis=1)) * OUTWARD
 
+    def by_sources(self, t: int, rows: FloatArray) -> FloatArray:
+        """Return what each number of shared noise adds to rows (N, J, d) at time t, as (N, J, t K)."""
+        if self.shared is None:
+            return np.zeros((*rows.shape[:2], 0))
+        each = np.matmul(np.matmul(rows[:, None], self.products[:, 1 : t + 1]), self.shared)
+        return np.asarray(each.swapaxes(1, 2).reshape(*rows.shape[:2], -1))
+
     def walked(self) -> tuple[Worth, Spreads]:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
         states, outputs = np.zeros((2, steps + 1, n, d)), np.zeros((2, steps + 1, n, self.agent.n_outputs))
-        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, FloatArray, FloatArray]]()
+        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, ...]]()
         slabs = np.full((steps + 1, n, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
@@ -247,10 +259,10 @@ class _Walk:
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
         return sd, drift
 
-    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, ...]:
         """Add the limits of differences of this agent and others; return what it adds to them (N, J).
 
-        That are drifts, variances, and what one step adds to these.
+        That are drifts, variances by what it does not share, what one step adds to these, and what sources add.
         """
         rows = np.matmul(asked.forms, self.C[t])
         (drift, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
@@ -259,9 +271,12 @@ class _Walk:
             drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), self._off_outputs(t, reach)) * OUTWARD
         nothing = np.full(drift.shape, np.inf)
         names = [f"{PAIR} at step {t}"] * drift.shape[1]
-        both = variance + asked.variance, largest + asked.largest
+        shared = self.by_sources(t, rows)
+        variance = np.maximum(variance - np.sum(shared**2, axis=2), 0.0)
+        together = np.sum(both_sources(shared, asked.shared) ** 2, axis=2)
+        both = variance + asked.variance + together, largest + asked.largest
         self.worth.add(asked.low - drift, asked.high - drift, nothing, both[0], names, both[1])
-        return drift, variance, largest
+        return drift, variance, largest, shared
 
     def _step(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises."""
@@ -322,6 +337,11 @@ class _Walk:
         return sd, drift, np.concatenate([slab, noise_slab], axis=1)
 
 
+def both_sources(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return sums of what sources add to rows (.., J, n); one of them may know no sources (n = 0)."""
+    return first + second if first.shape[-1] == second.shape[-1] else max(first, second, key=lambda one: one.shape[-1])
+
+
 def _padded(paths: Sequence[NominalPath], which: NDArray[np.int64]) -> dict[int, OtherSides]:
     """Return what pairs ask of N candidates at each time, with rows that ask for nothing where some have fewer."""
     result = {}
@@ -331,11 +351,13 @@ def _padded(paths: Sequence[NominalPath], which: NDArray[np.int64]) -> dict[int,
         forms = np.zeros((len(paths), most, p))
         variance, largest = np.zeros((2, len(paths), most))
         low, high = np.full((len(paths), most), np.inf), np.full((len(paths), most), np.inf)
+        shared = np.zeros((len(paths), most, max(path.pairs[t].shared.shape[1] for path in paths if t in path.pairs)))
         for k, path in enumerate(paths):
             if t in path.pairs:
                 one = path.pairs[t]
                 count = len(one.low)
                 forms[k, :count], variance[k, :count], largest[k, :count] = one.forms, one.variance, one.largest
                 low[k, :count], high[k, :count] = one.low, one.high
-        result[t] = OtherSides(forms[which], low[which], high[which], variance[which], largest[which])
+                shared[k, :count, : one.shared.shape[1]] = one.shared
+        result[t] = OtherSides(forms[which], low[which], high[which], variance[which], largest[which], shared[which])
     return result

@@ -26,6 +26,8 @@ class NonlinearModel:
     """The dynamics of an agent as programs of states, inputs and unknowns."""
 
     agent: AnyAgent
+    shared: FloatArray | None = None
+    """Factors (d, K) of sources of noise that other agents share; they are part of the agent's covariance."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:

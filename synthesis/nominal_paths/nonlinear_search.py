@@ -80,7 +80,8 @@ class NonlinearSearch:
 
     def __init__(self, problem: Problem, i: int) -> None:
         self.problem, self.agent = problem, problem.agents[i]
-        self.model = NonlinearModel(self.agent)
+        shared = problem.shared_noise[i]
+        self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
         self.rng = np.random.default_rng([20261123, i])
         self.tried = 0
         agent = self.agent

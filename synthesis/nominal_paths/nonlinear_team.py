@@ -149,7 +149,7 @@ class _Apart:
                 break
             if plan not in self.done:
                 each = [search.full(letters, one, is_over) for search, one in zip(self.searches, found, strict=True)]
-                self.done[plan] = _refined(plan.times, letters, each)
+                self.done[plan] = _refined(self.problem, plan.times, letters, each)
             one = self.done[plan]
             best = one if best is None or one.failure < best.failure else best
         assert best is not None
@@ -161,7 +161,7 @@ class _Apart:
             if best.failure <= GOOD or is_over():
                 break
             each = [polished(search, path, is_over) for search, path in zip(self.searches, one.found, strict=True)]
-            moved = _refined(one.times, one.letters, each)
+            moved = _refined(self.problem, one.times, one.letters, each)
             best = moved if moved.failure < best.failure else best
         return best
 
@@ -171,9 +171,16 @@ class _Apart:
                 if self.problem.propositions[names[p]].agent == agent.name]  # fmt: skip
 
 
-def _refined(times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Found]) -> Refined:
-    """Return a plan of agents that are independent."""
-    failure = float(-np.expm1(sum(np.log1p(-min(one.failure, HOPELESS)) for one in found)))
+def any_failure(problem: Problem, failures: Sequence[float]) -> float:
+    """Return an upper bound on the probability that an agent fails: all of them added up where they share noise."""
+    if problem.joint_noise:
+        return min(1.0, sum(failures) * (1.0 + 1e-12))
+    return float(-np.expm1(sum(np.log1p(-min(failure, HOPELESS)) for failure in failures)))
+
+
+def _refined(problem: Problem, times: tuple[int, ...], letters: NDArray[np.int8], found: Sequence[Found]) -> Refined:
+    """Return a plan of agents that do not look at each other."""
+    failure = any_failure(problem, [one.failure for one in found])
     return Refined(times, letters, found, failure, max(found, key=lambda one: one.failure).weakest)
 
 

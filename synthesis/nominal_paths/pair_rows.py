@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cells import FloatArray
-from .feedback_bounds import OtherSides
+from .feedback_bounds import OtherSides, both_sources
 from .limit_rows import INWARD, Worth
 from .pair_costs import PairLimits
 
-Contributions = Mapping[int, tuple[FloatArray, FloatArray, FloatArray]]
-"""By times: what an agent adds to drifts, variances and what one step adds to these (J,) of its rows."""
+Contributions = Mapping[int, tuple[FloatArray, ...]]
+"""By times: what an agent adds to drifts, variances and what one step adds to these (J,) of its rows; and by sources
+(J, t K) of noise that agents share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,29 +52,35 @@ class PairRows:
             asked = {}
             for t, side in sides.items():
                 rows = side.rows
-                drift, variance, largest = (total[rows] for total in totals[t])
+                drift, variance, largest, shared = (total[rows] for total in totals[t])
                 if t in own:
-                    parts = zip((drift, variance, largest), own[t], strict=True)
+                    parts = zip((drift, variance, largest), own[t], strict=False)
                     drift, variance, largest = (max_0(a - b[: len(rows)]) for a, b in parts)
+                    shared = both_sources(shared, -own[t][3][: len(rows)])
                 low, high = self.low[t][rows] - drift, self.high[t][rows] - drift
-                asked[t] = OtherSides(side.forms, low, high, variance, largest)
+                asked[t] = OtherSides(side.forms, low, high, variance, largest, shared)
             result.append(asked)
         return result
 
     def add_to(self, worth: Worth, contributions: Sequence[Contributions]) -> None:
         """Add all rows once, with what both agents add, to the rows (1, J) of a team."""
-        for t, (drift, variance, largest) in self._totals(contributions).items():
+        for t, (drift, variance, largest, shared) in self._totals(contributions).items():
+            variance = variance + np.sum(shared**2, axis=1)
             low, high = self.low[t] - drift, self.high[t] - drift
             names = [f"a pair at step {t}"] * len(low)
             worth.add(low[None], high[None], np.full((1, len(low)), np.inf), variance[None], names, largest[None])
 
-    def _totals(self, contributions: Sequence[Contributions]) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
-        totals = {t: (np.zeros(len(low)), np.zeros(len(low)), np.zeros(len(low))) for t, low in self.low.items()}
+    def _totals(self, contributions: Sequence[Contributions]) -> dict[int, tuple[FloatArray, ...]]:
+        totals = {}
+        for t, low in self.low.items():
+            sources = max((own[t][3].shape[1] for own in contributions if t in own), default=0)
+            totals[t] = (*np.zeros((3, len(low))), np.zeros((len(low), sources)))
         for own, sides in zip(contributions, self.sides, strict=True):
             for t in own:
                 for total, part in zip(totals[t], own[t], strict=True):
                     rows = sides[t].rows
-                    total[rows] += part[: len(rows)]  # others of the same batch may have had more
+                    if part.ndim == 1 or part.shape[1]:
+                        total[rows] += part[: len(rows)]  # others of the same batch may have had more
         return totals
 
 

@@ -18,7 +18,7 @@ from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
-from .nonlinear_team import nonlinear_certificate, refuse_other_noise
+from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
 from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
@@ -192,14 +192,14 @@ class _Finder:
         if letters is None:
             return None
         faces = np.full(letters.shape, -1)
-        log_kept, paths = 0.0, []
+        failures, paths = list[float](), []
         for i in range(problem.n_agents):
             failure, path = self._of_agent(i, letters, faces)
             if path is None or failure >= 1.0:
                 return None
-            log_kept += float(np.log1p(-failure))
+            failures.append(failure)
             paths.append(path)
-        return float(-np.expm1(log_kept)) * (1.0 + 1e-12), (paths, letters, faces)
+        return any_failure(problem, failures) * (1.0 + 1e-12), (paths, letters, faces)
 
     def _of_agent(self, i: int, letters: NDArray[np.int8], faces: NDArray[np.int64]) -> tuple[float, AgentPath | None]:
         """Return failure and path of one agent; its columns of ``faces`` are set."""

@@ -356,7 +356,8 @@ def search_key(search: NonlinearSearch) -> object:
     """Return what searches have in common whose candidates are looked at together."""
     agent = search.agent
     ends = (agent.state_low, agent.state_high, agent.input_low, agent.input_high)
-    return key_of(agent), tuple(end.tobytes() for end in ends)
+    shared = search.model.shared
+    return key_of(agent), None if shared is None else shared.tobytes(), tuple(end.tobytes() for end in ends)
 
 
 def _within(limits: FloatArray, spread: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...envs.agents import Proposition
 from ...envs.logic import Automaton
 from ...envs.problem import Problem, Specification
-from ..cells import RelationRefused
+from ..cells import RelationRefused, refuse_shared_noise
 
 
 def usual_values(problem: Problem) -> NDArray[np.bool_]:
@@ -49,6 +49,7 @@ def without_pairs(problem: Problem, usual: NDArray[np.bool_]) -> Problem:
     RelationRefused
         If states cannot keep their numbers: too many of them are out of reach without the pairs.
     """
+    refuse_shared_noise(problem)
     first = problem.labeling.first_pair
     automaton = _cut(problem.automaton, first, usual)
     result = Problem(

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from ...envs.agents import LinearAgent, PairRegion, Proposition
 from ...envs.problem import Problem, Specification
-from ..cells import FloatArray, RelationRefused
+from ..cells import FloatArray, RelationRefused, refuse_shared_noise
 
 TEAM = "team"
 """Name of the joint agent."""
@@ -26,6 +26,7 @@ def joint_problem(problem: Problem) -> Problem:
         If an agent is not linear, its noise is not Gaussian, a pair is a distance in the plane or in space, or rounding
         moves the start across a face of a region.
     """
+    refuse_shared_noise(problem)
     if any(pair.is_round for pair in problem.labeling.pairs):
         raise RelationRefused("a joint agent has boxes of differences, got a distance of several outputs")
     agents = [agent for agent in problem.agents if isinstance(agent, LinearAgent) and agent.laws is None]

@@ -105,6 +105,26 @@ class Chain:
         variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL) + least
         return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0) + least
 
+    def by_sources(self, rows: FloatArray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what each number of shared noise adds to rows (J, d) of the linear deviation, and what it is off.
+
+        Parameters
+        ----------
+        rows : (J, d) array
+        factors : (d, K) array
+            What one number of each source adds to the states, at every step.
+
+        Returns
+        -------
+        (J, t K) array, and upper bounds (J,) on the Euclidean lengths of the differences from the true rows.
+        """
+        rows, factors = rows * self.units, factors / self.units[:, None]
+        moved, wrong = self._moved(rows, np.linalg.norm(rows, axis=1) * TAIL)
+        size, d = float(np.linalg.norm(factors)) * TAIL, len(self.units)
+        each = moved[:, 1:] @ factors
+        off = size * (wrong[:, 1:] + (d + 2.0) * UNIT * np.linalg.norm(moved[:, 1:], axis=2) * TAIL)
+        return each.reshape(len(rows), -1), np.linalg.norm(off, axis=1) * TAIL
+
     def _moved(self, rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows times products (J, t + 1, d) as computed, and bounds (J, t + 1) on the lengths of what they are off."""
         moved = np.einsum("jd,sde->jse", rows, self.products)

@@ -7,12 +7,13 @@ to hold, there are two limits for each output that is compared. With the Jacobia
 
     variance   n' (C_i S_i C_i' + C_j S_j C_j') n,      drift   D_i(n'C_i) + D_j(n'C_j) + |n|'(off_i + off_j),
 
-because noises of different agents are independent, and both tubes hold (docs/theory/paths.md, "Teams").
+where noises of different agents are independent, and both tubes hold (docs/theory/paths.md, "Teams"). Where agents
+share sources of noise, what both sides make of the same numbers is added: twice the product of their coefficients.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,7 @@ def team_failure(certificate: PathCertificate) -> float:
             if now[0].t:
                 for moment in now:
                     moment.limits(certificate, rows)
-                _add_pairs(now, _forms(certificate, now[0].t), rows)
+                _add_pairs(now, _forms(certificate, now[0].t), rows, problem.shared_noise)
     except NothingKnownError:
         return 1.0
     return rows.failure()
@@ -97,8 +98,8 @@ def _forms(certificate: PathCertificate, t: int) -> list[Form]:
     return forms
 
 
-def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities) -> None:
-    """Add inequalities on differences of two agents."""
+def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities, shared: Sequence[FloatArray]) -> None:
+    """Add inequalities on differences of two agents; ``shared`` (d, K) are factors of the noise that agents share."""
     if not forms:
         return
     below = np.empty(len(forms))
@@ -121,8 +122,37 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities)
         own, steps = now[i].chain.spreads(matrix)
         variance[here] += own
         largest[here] = np.maximum(largest[here], steps)
+    if shared[0].shape[1]:
+        common, rounded = _common(now, of_agents, shared, len(forms))
+        # What is left may be next to nothing: rounding is a share of what was added and taken off.
+        variance = np.maximum(variance + common, 0.0) + rounded + 8.0 * UNIT * variance
+        largest = 4.0 * largest
     drift, variance = drift * TAIL, variance * TAIL
     rows.add(below - drift, above - drift, np.full(len(forms), np.inf), variance, largest)
+
+
+def _common(
+    now: Sequence[Moment],
+    of_agents: Mapping[int, Sequence[tuple[int, FloatArray]]],
+    shared: Sequence[FloatArray],
+    count: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what sources that both agents share add (J,) to the variances of forms, and bounds on what that is off.
+
+    With coefficients a and b of the two sides the variance of ``a e + b e`` is that of either side and twice ``a b``.
+    """
+    sides: list[list[tuple[FloatArray, float]]] = [[] for _ in range(count)]
+    for i, members in of_agents.items():
+        each, off = now[i].chain.by_sources(np.array([row for _, row in members]), shared[i])
+        for (k, _), row, wrong in zip(members, each, off.tolist(), strict=True):
+            sides[k].append((row, wrong))
+    common, rounded = np.zeros((2, count))
+    for k, ((a, a_off), (b, b_off)) in enumerate(sides):
+        length = float(np.linalg.norm(a)) * TAIL, float(np.linalg.norm(b)) * TAIL
+        common[k] = 2.0 * float(a @ b)
+        wrong = length[0] * b_off + length[1] * a_off + a_off * b_off
+        rounded[k] = 2.0 * (wrong + (len(a) + 4.0) * UNIT * length[0] * length[1]) * TAIL
+    return common, rounded
 
 
 def _of_agent(now: Moment, form: Form, sign: float) -> tuple[FloatArray, tuple[float, float], float]:

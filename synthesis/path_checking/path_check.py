@@ -177,7 +177,8 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
         return failures, 1.0
     if problem.labeling.pairs:
         return [], min(1.0, team_failure(certificate))
-    each, log_kept = [], 0.0
+    each: list[float] = []
+    log_kept = 0.0
     for i, (agent, path) in enumerate(zip(problem.agents, certificate.paths, strict=True)):
         if path.states is not None:
             failure = nonlinear_failure(certificate, i)
@@ -186,6 +187,9 @@ def wrong_paths(certificate: PathCertificate) -> tuple[list[str], float]:
             failure = _failure(certificate, Motion.of(agent, path))
         each.append(failure)
         log_kept += float(np.log1p(-min(1.0 - 1e-16, failure)))
+    if problem.joint_noise:
+        # Agents that share noise are not independent.
+        return [], min(1.0, float(np.sum(each)) * TAIL)
     any_failure = min(1.0, float(-np.expm1(log_kept)) * TAIL)
     state("any", np.array(each), any_failure)
     return [], any_failure
