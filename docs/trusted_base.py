@@ -27,7 +27,8 @@ TRUSTED = {
         "envs.agents.products envs.agents.proposition envs.agents.shapes envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
-        "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.problem_file "
+        "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.joint_noise "
+        "envs.problem.problem_file "
         "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification "
         "envs.problem.writing_out"
     ),
@@ -104,7 +105,7 @@ FIRST = {
 
 THEN = {
     "the problem itself": "envs.agents.agent envs.agents.noise envs.agents.proposition envs.agents.labeling "
-    "envs.problem.specification envs.problem.record",
+    "envs.problem.specification envs.problem.record envs.problem.joint_noise",
     "the formula": "envs.logic.automaton envs.logic.parser envs.logic.normal_form envs.logic.obligations "
     "envs.logic.translation envs.logic.minimal",
     "files": "synthesis.certificates.certificate_file synthesis.certificates.certificate_reader "

@@ -1,7 +1,6 @@
 """A problem: agents, propositions, specification and horizon, checked once; problem files; independent tasks."""
 
-from .joint_noise import REFUSAL as JOINT_NOISE_REFUSAL
-from .joint_noise import refuse_joint_noise
+from .joint_noise import JOINT_NOISE_REFUSAL, refuse_joint_noise
 from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification

@@ -29,7 +29,7 @@ LEAST_FACTOR = 1e-100
 Sources = Mapping[str, Mapping[str, Any]]
 """By name of the source and of an agent, or a pattern with one `*`: its factors, by names of states or one for each."""
 
-REFUSAL = (
+JOINT_NOISE_REFUSAL = (
     "`joint_noise`: expected agents whose noise is independent, got some that share a source; certificates on grids "
     "multiply over agents: ask for the relation `path`"
 )
@@ -83,7 +83,7 @@ def checked_sources(value: Any, agents: Sequence[AnyAgent]) -> tuple[dict[str, d
 def refuse_joint_noise(problem: Any) -> None:
     """Raise ValueError if agents of a problem share noise; for whoever takes them for independent."""
     if problem.joint_noise:
-        raise ValueError(REFUSAL)
+        raise ValueError(JOINT_NOISE_REFUSAL)
 
 
 def with_sources(agent: AnyAgent, own: np.ndarray, factors: np.ndarray) -> AnyAgent:
