@@ -40,6 +40,7 @@ def describe(options: Namespace) -> int:
     ]
     for agent in problem.written_agents[:MOST_AGENTS_SHOWN]:
         lines += _agent_lines(agent)
+    lines += _shared_lines(problem)
     if problem.n_agents > MOST_AGENTS_SHOWN:
         lines.append(f"... and {counted(problem.n_agents - MOST_AGENTS_SHOWN, 'more agent')}")
     regions = list(problem.written.items())
@@ -220,6 +221,14 @@ def _agent_lines(agent: AnyAgent) -> list[str]:
     return [
         f"agent {agent.name}: {_motion(agent)}, {_noise(agent)}",
         f"    workspace {workspace}, inputs {inputs}, start {start}",
+    ]
+
+
+def _shared_lines(problem: Problem) -> list[str]:
+    """Return the sources of noise that agents share, with the deviations that they cause."""
+    return [
+        f"joint noise {name}: " + ", ".join(f"{agent} {deviations}" for agent, deviations in own.items())
+        for name, own in problem.joint_noise.items()
     ]
 
 
