@@ -19,6 +19,7 @@ from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
 from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
+from certigym.validation.reports import explorer
 from network_problems import RNG
 
 # A suite that draws anew fails by luck; `pytest --hypothesis-profile=anew` explores.
@@ -44,6 +45,8 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.
     (imitation, "ROUNDS", 600),
     (probing, "CHOOSING", 1000),
+    # Reports ask the check about a tenth of the starts around that of a path.
+    (explorer, "MOST_WORK", 400),
 )
 """Modules, constants, and values with which searches end earlier."""
 
@@ -62,10 +65,13 @@ USUAL = [getattr(module, name) for module, name, _ in SMALLER]
 
 @pytest.fixture(autouse=True)
 def usual_searches(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Searches as users have them, for tests marked ``thorough``."""
-    if request.node.get_closest_marker("thorough") is not None:
+    """Searches as users have them, for tests marked ``thorough``: all of them, or the modules that the mark names."""
+    mark = request.node.get_closest_marker("thorough")
+    if mark is not None:
+        assert {*mark.args} <= {module for module, _, _ in SMALLER}, mark.args
         for (module, name, _), value in zip(SMALLER, USUAL, strict=True):
-            monkeypatch.setattr(module, name, value)
+            if not mark.args or module in mark.args:
+                monkeypatch.setattr(module, name, value)
 
 
 SLOW = """

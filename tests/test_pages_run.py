@@ -72,7 +72,6 @@ LEARNING = {"learned_policies.md", "probe.md"}
 
 
 @pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.relative_to(ROOT).as_posix())
-@pytest.mark.thorough
 def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name in LEARNING:
         pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
