@@ -89,11 +89,17 @@ def room_of(module: str) -> str:
     return module if modules()[module].stem == "__init__" else module.rpartition(".")[0]
 
 
+@cache
+def import_nodes(text: str) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """All imports of a text: most texts are asked about by every test here."""
+    return tuple(node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import | ast.ImportFrom))
+
+
 def imports(module: str) -> Iterator[tuple[str, str]]:
     """Everything of the house that a module imports anywhere, as (module, name)."""
     path = modules()[module]
     package = module.split(".") if path.stem == "__init__" else module.split(".")[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_nodes(path.read_text(encoding="utf-8")):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
             assert not any(name.split(".")[0] in (*WINGS, "certigym") for name in names), f"{module} imports {names}"
