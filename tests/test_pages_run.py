@@ -21,7 +21,6 @@ from certigym.cli.main import build_parser, main
 from certigym.envs.problem.problem_file import problem_from_toml
 from certigym.validation.figures import certificate_figures as figures
 from certigym.validation.figures import figure_scenes
-from certigym.validation.policies import imitation, probing
 
 pytestmark = pytest.mark.slow
 
@@ -77,10 +76,6 @@ def test_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     if page.name in ("devices.md", "batches.md"):
         pytest.importorskip("torch", reason="needs torch")
-    if page.name in LEARNING:
-        # What clones are worth is for the tests of learners, not for those of pages.
-        monkeypatch.setattr(imitation, "ROUNDS", 600)
-        monkeypatch.setattr(probing, "CHOOSING", 1000)
     if page == DOCS / "environments" / "README.md":
         (tmp_path / "my-task.toml").write_bytes((ROOT / "examples" / "courier_and_drones.toml").read_bytes())
     names = run_page(page, tmp_path, monkeypatch)
