@@ -6,6 +6,7 @@ same code. Tests of how much is found say so: ``pytest.mark.thorough``.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -89,19 +90,30 @@ SLOW = """
     menus_keep_what_they_promise models_of_strangers_are_measured mona_agrees networks_are_certified_as_they_are
     networks_have_linear_cells networks_see_states_in_their_units noise_of_any_law noise_that_is_uneven
     nominal_paths_are_nearly_optimal nonlinear_paths_are_certified nothing_is_certified_with_a_reason
-    other_programs_agree pairs_are_subtracted parallel_env paths_are_certified paths_are_reported
-    paths_know_other_laws polar_inputs_reach_sectors policies_come_back probes_are_fair problem_files
-    public_records_are_short regions_are_what_they_are rendering report_pages_in_a_browser
-    reports_print_themselves rounding_refuses_nothing_true safety_lasts_as_long_as_is_claimed
-    sensors_may_be_noisy_or_see_neighbours sets_of_starts_are_certified shaped_rewards
-    shields_keep_what_they_promise shields_know_any_noise shields_of_agents_with_expressions split_axes suite
-    teams_are_one_agent the_best_relation_is_kept the_check_grows_trains_itself the_clock_decides_nothing
-    the_trusted_base_is_known the_value_explorer_reads_what_is_certified time_is_certified
+    other_programs_agree pairs_are_subtracted pairs_may_be_distances parallel_env paths_are_certified
+    paths_are_reported paths_know_other_laws paths_reach_regions_of_shapes polar_inputs_reach_sectors
+    policies_come_back probes_are_fair problem_files public_records_are_short regions_are_what_they_are rendering
+    report_pages_in_a_browser reports_print_themselves reviewers_see_what_passes rounding_refuses_nothing_true
+    safety_lasts_as_long_as_is_claimed sensors_may_be_noisy_or_see_neighbours sets_of_starts_are_certified
+    shaped_rewards shields_keep_what_they_promise shields_know_any_noise shields_of_agents_with_expressions
+    split_axes suite teams_are_one_agent the_best_relation_is_kept the_check_grows_trains_itself
+    the_clock_decides_nothing the_studio_keeps_what_is_drawn the_trusted_base_is_known
+    the_value_explorer_reads_what_is_certified theory_pages_are_whole time_is_certified
     trains_stay_within_their_error translation_is_correct tree_equals_dense_programming tube_relation
     validation_on_the_command_line values_hold_at_any_time what_is_shared_is_equal words_of_few_cubes
     worlds_live_on_devices written_agents_have_linear_cells written_certificates_are_checked
 """
 """Files that take some seconds on one core, without `test_`: `make quick` leaves them out."""
+
+
+# What is collected stays until the end: to look through it for garbage takes a third of the time of collecting.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage from now on, among what tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
