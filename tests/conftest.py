@@ -106,7 +106,7 @@ SLOW = """
 """Files that take some seconds on one core, without `test_`: `make quick` leaves them out."""
 
 
-# What is collected stays until the end: to look through it for garbage takes a third of the time of collecting.
+# What is collected stays until the end: there is no garbage to look for in it.
 gc.disable()
 
 
