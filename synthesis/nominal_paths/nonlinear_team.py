@@ -285,7 +285,8 @@ def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], is_over: Callab
         if team.best[0] < before or best.failure > FAIR:
             again = team.refined(is_over, REFINED)
             best = again if again.failure < best.failure else best
-    best = best if is_over() else team.touched_up(best, is_over)
+    # Small moves make good plans better; where nothing is left of a bound they take longest and change nothing.
+    best = best if is_over() or best.failure >= WORTHLESS else team.touched_up(best, is_over)
     return team.tried, best
 
 
