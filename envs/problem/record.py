@@ -93,7 +93,7 @@ class Problem:
         Membership, classes and letters.
     groups : tuple of Group
         Agents with independent tasks, if the automaton of the whole is not built; empty otherwise.
-    shared_noise : tuple of np.ndarray, shape (d, K)
+    shared_noise : tuple of (d, K) arrays
         Per agent: what each of the K sources of `joint_noise` adds to its states. The `agents` have all the noise that
         they feel; the `written_agents` have their own alone.
 
