@@ -138,7 +138,12 @@ def test_noise_that_is_not_normal_is_refused() -> None:
 
 
 def one_step(
-    stds: list[float], factors: list[list[float]], pairs: dict[str, Pair], formula: str, limit: float
+    stds: list[float],
+    factors: list[list[float]],
+    pairs: dict[str, Pair],
+    formula: str,
+    limit: float,
+    low: float | None = None,
 ) -> Problem:
     """Two or three agents that stand still for one step, so that all probabilities are integrals of one normal law."""
     agents = [
@@ -149,7 +154,7 @@ def one_step(
         for i, std in enumerate(stds)
     ]  # fmt: skip
     sources = {f"source_{k}": {f"drone_{i}": [row[k]] for i, row in enumerate(factors)} for k in range(len(factors[0]))}
-    propositions: Any = {"safe": Proposition("drone_*", [-limit], [limit]), **pairs}
+    propositions: Any = {"safe": Proposition("drone_*", [-limit if low is None else low], [limit]), **pairs}
     return Problem(name="one", horizon=1, agents=agents, propositions=propositions,
                    specification=Specification(formula, "finite-trace"), joint_noise=sources)  # fmt: skip
 
@@ -157,7 +162,7 @@ def one_step(
 def test_bounds_are_below_integrals_and_near_where_differences_are() -> None:
     """Exact oracle: one step; of the difference of two agents their sources cancel a part."""
     rng = np.random.default_rng(SEED)
-    for _ in range(12):
+    for _ in range(6):
         stds, factors = rng.uniform(0.05, 0.3, 2), rng.normal(0.0, 0.3, (2, 2))
         width = float(rng.uniform(0.8, 2.5))
         near = {"near": Pair(["drone_0", "drone_1"], [-width], [width])}
@@ -180,6 +185,19 @@ def test_agents_of_one_source_are_not_multiplied() -> None:
     truth = sum(np.prod(s) * law.cdf(np.array(s), rng=np.random.default_rng(SEED)) for s in signs)
     assert check(found).valid
     assert truth - 0.05 <= found.certificate.lower_bound <= truth + 1e-6
+
+
+def test_a_product_of_agents_that_a_wind_drives_apart_is_refused() -> None:
+    """One limit for each, and a wind that blows them against it in turn: a product claims more than is true."""
+    problem = one_step([0.05, 0.05], [[0.5], [-0.5]], {}, "G all(safe)", 1.0, low=-49.0)
+    found: Any = cg.synthesize(problem).certificate
+    tail = norm.sf(1.0 / np.hypot(0.05, 0.5))
+    product = 1.0 - (1.0 - tail) ** 2
+    law = multivariate_normal(np.zeros(2), [[0.2525, -0.25], [-0.25, 0.2525]])
+    truth = 1.0 - law.cdf(np.ones(2), rng=np.random.default_rng(SEED))
+    assert product < truth - 1e-4 and check(found).valid
+    assert truth - 1e-6 <= found.failure <= 2.0 * tail * (1.0 + 1e-6)
+    assert not check(replace(found, failure=product * (1.0 + 1e-6))).valid
 
 
 def test_one_wind_moves_a_formation() -> None:
