@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -24,6 +25,7 @@ class Worker:
 
     def __init__(self, hear: Hear) -> None:
         self._hear = hear
+        self._first: dict[str, Any] | None = None
         self._lock = threading.Lock()
         self._start()
 
@@ -36,6 +38,9 @@ class Worker:
         there.close()
         self._pipe: Connection = here
         threading.Thread(target=self._listen, args=(here,), daemon=True).start()
+        if self._first is not None:
+            with suppress(OSError):  # one that ends at once is heard of, as any other
+                here.send(self._first)
 
     def _listen(self, pipe: Connection) -> None:
         while True:
@@ -46,6 +51,11 @@ class Worker:
                     self._hear({"died": True})
                 return
             self._hear(message)
+
+    def begin_with(self, job: dict[str, Any] | None) -> None:
+        """Let every process that replaces this one do this job first: what it must have before it can do others."""
+        with self._lock:
+            self._first = job
 
     def send(self, job: dict[str, Any]) -> None:
         """Hand in a job; a process that has died is replaced first."""

@@ -54,7 +54,7 @@ class Session:
         self._looking_since: float | None = None
         self._job: dict[str, Any] = {"state": "none", "number": 0}
         self._run: dict[str, Any] | None = None
-        self._kept: bytes | None = None
+        self._kept = False
         self._giving = False
         self._message = ""
         self._looker = Worker(self._hear_look)
@@ -262,7 +262,9 @@ class Session:
         if "certificate" not in message:
             self._end(message.get("failed", "stopped before anything was certified"))
             return
-        stopped, self._kept = self._job["state"] == "stopping", message["kept"]
+        stopped = self._job["state"] == "stopping"
+        self._worker().begin_with({"job": "take", "number": -1, "kept": message["kept"]})
+        self._kept = True
         result = message["certificate"] | {"valid": message["valid"], "failures": message["failures"]}
         result |= {"seconds": message["seconds"], "stopped": stopped}
         self._job |= {"state": "done", "result": result, "before": None, "why": ""}
@@ -272,11 +274,12 @@ class Session:
         """Hand the last certificate to a new process: the one that had it is gone."""
         if self._giving:
             # The new one has ended, too: it would go on like that.
-            self._kept, self._giving = None, False
+            self._kept, self._giving = False, False
+            self._worker().begin_with(None)
             self._job |= {"state": "failed", "result": None, "before": None, "why": "the certificate was lost"}
-        if self._kept is not None and not self.closed:
+        if self._kept and not self.closed:
             self._giving = True
-            self._worker().send({"job": "take", "number": -1, "kept": self._kept})
+            self._worker().send({"job": "ready", "number": -1})
 
     def _end(self, why: str) -> None:
         """Note that what was begun gave nothing; what was certified before is kept."""
