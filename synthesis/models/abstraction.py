@@ -380,7 +380,7 @@ def models_of(
             if known is not None and agent.has_clock:
                 raise RelationRefused(f"agent `{agent.name}`: inputs in common beside the time `t` are not certified")
             if known is None:
-                model = _shared_model(agent, kind, grid, coordinates, room, settings)
+                model = _shared_model(agent, kind, grid, coordinates, room, settings, problem.n_agents == 1)
             else:
                 model = _common_model(agent, kind, grid, coordinates, settings.targets_per_cell, known)
             numbers = (*alike, *(a.tobytes() for a in model[0].arrays))
@@ -400,9 +400,9 @@ def models_of(
 
 
 def _shared_model(
-    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings
+    agent: AnyAgent, kind: str, grid: Grid, coordinates: FloatArray, room: FloatArray, settings: Settings, alone: bool
 ) -> SharedModel:
-    """Return relation, lattice, kernel and choices of one agent."""
+    """Return relation, lattice, kernel and choices of one agent, which may have no team."""
     per_cell = settings.targets_per_cell or DEFAULT_TARGETS.get(agent.n_states, 1)
     # Agents whose dynamics are expressions are enclosed in boxes unless their inputs reach every mean in most cells.
     is_any = kind in ("auto", "quick")
@@ -425,9 +425,9 @@ def _shared_model(
         return box_model(agent, grid, coordinates, settings.targets_per_cell)
     if is_any and agent.laws is not None:
         kind = "exact" if has_full_rank(agent) else "boxes"
-        return _shared_model(agent, kind, grid, coordinates, room, settings)
+        return _shared_model(agent, kind, grid, coordinates, room, settings, alone)
     if kind == "linear":
-        return corner_model(agent, grid, coordinates, settings.targets_per_cell)
+        return corner_model(agent, grid, coordinates, settings.targets_per_cell, alone)
     if kind == "exact":
         return exact_model(agent, grid, coordinates, per_cell)
     agent = linear_agent(agent, kind)

@@ -15,7 +15,7 @@ from .agent_models import reaches_every_mean
 from .bends import SECOND
 from .box_kernel import box_lattice, rounding_of, slack_of
 from .box_model import clock_menu, with_rest
-from .corner_choices import BESIDE, CornerChoices, windows_of
+from .corner_choices import BESIDE, HANDICAP, HANDICAP_IN_TEAMS, CornerChoices, windows_of
 from .lattice_kernel import LatticeKernel
 from .linear_kernel import hat_table
 from .uniform_ends import UniformEnds, uniform_hats
@@ -71,11 +71,12 @@ CELLS_AT_ONCE = 4096
 
 
 def corner_model(
-    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None
+    agent: AnyAgent, grid: Grid, coordinates: FloatArray, per_cell: int | None = None, alone: bool = True
 ) -> tuple[MapRelation, tuple[FloatArray, ...], LatticeKernel, CornerChoices]:
     """Return relation, lattice, kernel and choices of an agent under the relation ``linear``.
 
-    Agents whose inputs reach every mean choose among targets and a few inputs; all others among more inputs.
+    Agents whose inputs reach every mean choose among targets and a few inputs; all others among more inputs. ``alone``
+    says that it has no team.
 
     Raises
     ------
@@ -95,7 +96,8 @@ def corner_model(
     else:
         menu = with_rest(agent.input_box, LEVELS_ALONE.get(agent.n_inputs, 3))
         relation = map_relation(agent, coordinates, menu, numbers)
-    return lattice_model(agent, grid, relation, per_cell)
+    relation, lattice, kernel, choices = lattice_model(agent, grid, relation, per_cell)
+    return relation, lattice, kernel, replace(choices, handicap=HANDICAP if alone else HANDICAP_IN_TEAMS)
 
 
 def lattice_model(
