@@ -62,8 +62,8 @@ estimate with a standard error of up to .0016; "any policy" is an upper bound on
 system attains. Seconds are CPU seconds. Made by `python benchmarks/defaults.py`.
 
 What is tried, in which order, and where that ends is [one table](how-to/choose_cells.md#the-default), by work that is
-counted and not measured. A path is kept where its bound is .99 or more and it was cheaper than grids, or where it is
-more than 1e-6 above that of every grid that was tried: a grid has values, shields and starts everywhere besides.
+counted and not measured. A path is kept where its bound is .99 or more and it was cheaper than grids, or where every
+grid that was tried fails more than 1.05 times as often: a grid has values, shields and starts everywhere besides.
 
 | id | 0.1 | certified | rollouts | any policy | relation | cells | rank | seconds | check |
 |---|---|---|---|---|---|---|---|---|---|
