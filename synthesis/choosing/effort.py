@@ -140,7 +140,8 @@ class Effort:
     def too_much(self, work: float, left: float) -> str:
         """Return that work is more than is left, in words."""
         option = "effort" if self.seconds is None else "seconds"
-        return f"not computed: about {work:.3g} of work, {max(0.0, left):.3g} left; ask for more `{option}`"
+        left = max(0.0, left)
+        return f"not computed: about {work:.3g} core seconds of work, {left:.3g} left; ask for more `{option}`"
 
     def heeding(self, progress: Callable[[str, float], None] | None) -> Callable[[str, float], None] | None:
         """Return what is told after each sweep: it gives up when the seconds are over and there is a certificate."""

@@ -104,7 +104,7 @@ def best_of(ways: Sequence[Way], effort: Effort) -> Synthesis:
             tried |= {way.name: reason} if reason else {}
             continue
         before, best = effort.spent, leading(results)
-        work = f" (about {way.work:.2g} of work)" if way.work >= 1.0 else ""
+        work = f" (about {way.work:.2g} core seconds)" if way.work >= 1.0 else ""
         effort.tell(f"{way.name}{work}", 0.0 if best is None else _bound(best))
         try:
             with effort.until_broken_off():
