@@ -97,7 +97,7 @@ SLOW = """
     safety_lasts_as_long_as_is_claimed sensors_may_be_noisy_or_see_neighbours sets_of_starts_are_certified
     shaped_rewards shields_keep_what_they_promise shields_know_any_noise shields_of_agents_with_expressions
     split_axes suite teams_are_one_agent the_best_relation_is_kept the_check_grows_trains_itself
-    the_clock_decides_nothing the_studio_keeps_what_is_drawn the_trusted_base_is_known
+    the_clock_decides_nothing the_page_of_defaults_is_true the_studio_keeps_what_is_drawn the_trusted_base_is_known
     the_value_explorer_reads_what_is_certified theory_pages_are_whole time_is_certified
     trains_stay_within_their_error translation_is_correct tree_equals_dense_programming tube_relation
     validation_on_the_command_line values_hold_at_any_time what_is_shared_is_equal words_of_few_cubes
