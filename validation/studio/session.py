@@ -208,7 +208,6 @@ class Session:
                 self._worker().stop()
             elif state == "stopping":
                 self._worker().replace()
-                self._give_back()
                 self._end("stopped at once")
             self._touch()
 
@@ -233,7 +232,7 @@ class Session:
                 if self._job["state"] in ("running", "stopping", "playing"):
                     self._end("the process that computes has ended; is there enough memory?")
             elif message["done"] in ("ready", "take"):
-                self._giving &= message["done"] != "take"
+                self._giving = False  # one is ready after it has taken what it begins with
                 return
             elif message["done"] == "save":
                 self._message = (
