@@ -34,6 +34,7 @@ from ..models import (
     points_per_cell,
     reaches_every_mean,
 )
+from ..search import RELAXED
 from .carrying import carried_over
 from .cell_budget import axis_weights, cells_at
 from .effort import Effort, OutOfTime
@@ -83,6 +84,9 @@ DIFFERENCES_PER_SECOND, MAPS_PER_SECOND = 3e6, 8e4
 
 TEAM_SWEEPS = 3.0
 """How often linear cells of teams are swept in a level; one agent needs no ascent."""
+
+PER_AXIS = 1.6
+"""By how much each axis beyond two slows linear cells: one more side to look beyond, and tables beyond any cache."""
 
 LATTICE_PER_SECOND = 1.3e7
 """Lattice points whose charge and window minima are found, under boxes."""
@@ -229,6 +233,7 @@ class _Levels:
         self.before: tuple[Abstraction, Policies] | None = None
         self.rank = 1 if problem.n_agents == 1 else GUESSED_LINEAR if self.is_linear else GUESSED_RANK
         self.undecided = int((~problem.automaton.absorbing).sum())
+        self.follows = False
 
     def begin(self, abstraction: Abstraction, result: Synthesis) -> None:
         """Take note of a level."""
@@ -241,6 +246,8 @@ class _Levels:
             }
         )
         self.before = abstraction, tuple(part.policy for part in certificate.agents)
+        # Where agents that trust the team lose nothing on coarse cells they do so on finer ones: no sweep is needed.
+        self.follows = {*result.stats.get("starts", ())} == {RELAXED}
         self.effort.has_result = True
         if self.best is None or certificate.lower_bound > self.best.certificate.lower_bound:
             self.best = result
@@ -272,7 +279,7 @@ class _Levels:
                 self.effort.left_out[self.rest] = NO_HOPE
                 return
             is_first, bound = self.before is None, self.bound
-            carried = None if self.before is None else carried_over(self.before[0], abstraction, self.before[1])
+            carried = self.carried_to(abstraction)
             most -= work
             self.effort.spent += work
             try:
@@ -285,11 +292,21 @@ class _Levels:
                 self.effort.left_out[self.rest] = self.effort.given_up
                 return
             self.begin(abstraction, result)
+            # Terms were guessed: those that were not there have taken nothing.
+            unused = max(0.0, work - self.work(abstraction))
+            most += unused
+            self.effort.spent -= unused
             # Where a level gained little, further ones are made only if they cost next to nothing.
             is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < self.least_gain
             if result.certificate.lower_bound >= self.solved or (not is_first and finer < FINER[0]):
                 return
             width /= finer
+
+    def carried_to(self, abstraction: Abstraction) -> Policies | None:
+        """Return the policies of the last level on finer cells, if sweeps are to begin with them."""
+        if self.before is None or self.follows:
+            return None
+        return carried_over(self.before[0], abstraction, self.before[1])
 
     @property
     def is_hopeless(self) -> bool:
@@ -448,8 +465,8 @@ def work_of(abstraction: Abstraction, problem: Problem, rank: int | None = None)
         if isinstance(model.choices, CornerChoices):
             # Agents that are alike have equal factors as a rule, which are smoothed once.
             lattice = 0.0 if seen[id(model)] else math.prod(points) / DIFFERENCES_PER_SECOND
-            # Each further axis triples the neighbours of lattice points and cells; rates are those of two axes.
-            more = 3.0 ** max(0, len(points) - 2)
+            # Each further axis has more neighbours of lattice points and cells; rates are those of two axes.
+            more = PER_AXIS ** max(0, len(points) - 2)
             # Where trees have a single term they are read once, too; that does not change what pairs get.
             if n_states > 1 or rank > 1 or seen[id(model)] < PAIR:
                 total += more * sweeps * rank * (lattice + model.grid.n_cells / MAPS_PER_SECOND)

@@ -91,11 +91,11 @@ class LatticeKernel(Kernel):
         rows_at_once = max(1, NUMBERS_AT_ONCE // self.n_points)
         for first in range(0, len(values), rows_at_once):
             rows = slice(first, first + rows_at_once)
-            tables = differences(values[rows].reshape(-1, *self.lattice_shape))
-            tables += [] if added is None else [added[rows]]
+            tables = largest_differences(values[rows].reshape(-1, *self.lattice_shape), self.reach)
+            tables += [] if added is None else [largest_of_blocks(added[rows], self.reach)]
             for k, table in enumerate(tables):
                 start = self.n_points + k * self.n_blocks
-                result[rows, start : start + self.n_blocks] = largest_of_blocks(table, self.reach)
+                result[rows, start : start + self.n_blocks] = table
         return result
 
     def _values(self, factors: NDArray) -> NDArray:
@@ -105,11 +105,35 @@ class LatticeKernel(Kernel):
         return values
 
 
+def largest_differences(values: FloatArray, reach: tuple[int, ...]) -> list[FloatArray]:
+    """Return the largest differences (n, blocks) of every kind within reach of every block, of numbers (n, Z_1, ..)."""
+    block = block_of(reach[0])
+    n_places, across = values.shape[1], values[:, :1].size
+    # A few planes at a time: all differences of a large lattice would be far larger than any cache.
+    planes = block * max(1, NUMBERS_AT_ONCE // (across * block))
+    parts = []
+    for first in range(0, n_places, planes):
+        last = min(first + planes, n_places)
+        below, above = max(first - 1, 0), min(last + 1, n_places)
+        inside = slice(first - below, last - below)
+        parts.append([_blocks(table[:, inside], reach) for table in differences(values[:, below:above])])
+    return [_around(np.concatenate(tables, axis=1), reach) for tables in zip(*parts, strict=True)]
+
+
 def largest_of_blocks(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
     """Return the largest numbers (n, blocks) within reach of every block, of numbers (n, Z_1, ..) of lattice points."""
-    # Blocks along all axes first: what is left is small.
+    return _around(_blocks(tables, reach), reach)
+
+
+def _blocks(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
+    """Return the largest number of every block."""
     for axis, length in enumerate(reach, start=1):
         tables = _block_largest(tables, axis, block_of(length))
+    return tables
+
+
+def _around(tables: FloatArray, reach: tuple[int, ...]) -> FloatArray:
+    """Return the largest of the blocks (n, blocks) within reach of each."""
     for axis, length in enumerate(reach, start=1):
         tables = _largest_within(tables, axis, math.ceil(length / block_of(length)))
     return tables.reshape(len(tables), -1)
@@ -128,7 +152,21 @@ def _block_largest(tables: FloatArray, axis: int, block: int) -> FloatArray:
 
 
 def _largest_within(tables: FloatArray, axis: int, reach: int) -> FloatArray:
-    """Return the largest number within ``reach`` places to either side along an axis.
+    """Return the largest number within ``reach`` places to either side along an axis."""
+    across = 2 if axis == 1 else 1
+    if tables.size <= NUMBERS_AT_ONCE or across >= tables.ndim:
+        return _largest_in_windows(tables, axis, reach)
+    # A few rows across the windows at a time, which fit into the cache.
+    rows = max(1, NUMBERS_AT_ONCE * tables.shape[across] // tables.size)
+    result = np.empty_like(tables)
+    for first in range(0, tables.shape[across], rows):
+        part = slice(first, first + rows)
+        _part(result, across, part)[...] = _largest_in_windows(_part(tables, across, part), axis, reach)
+    return result
+
+
+def _largest_in_windows(tables: FloatArray, axis: int, reach: int) -> FloatArray:
+    """Return the same, of few numbers.
 
     Windows grow by doubling: each pass takes the larger of two windows side by side.
     """

@@ -4,7 +4,7 @@ from .ascent import Stage, Sweep, start_value, sweep
 from .best_response import best_choices
 from .limits import Limits
 from .occupancy import forward
-from .policy_search import FINAL, MANY_TERMS, Found, find_policies
+from .policy_search import FINAL, MANY_TERMS, RELAXED, Found, find_policies
 from .relaxation import Relaxation, favourable_successors, relax, relax_one, relaxed_policies, upper_bound
 from .search_settings import BAR, BEGINS, Search, shown_on, sweep_bar
 from .stationary import stationary_best
@@ -18,6 +18,7 @@ __all__ = [
     "Found",
     "Limits",
     "MANY_TERMS",
+    "RELAXED",
     "Relaxation",
     "Search",
     "Stage",

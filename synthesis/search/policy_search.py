@@ -77,6 +77,9 @@ That tree is pruned as little as possible: pruning during the search has hidden 
 POLISHING = 4
 """Most such sweeps."""
 
+RELAXED = "relaxed start"
+"""Name of the start at the policies with which each agent trusts the team to do its best."""
+
 COMMON_STARTS = 3
 """Numbers of inputs that are chosen in common from which a search starts: where agents are, and with that what is
 best later, depends on earlier numbers."""
@@ -174,7 +177,7 @@ def find_policies(
     elif not uses_trains:
         uses_trains = max(outcome.rank for outcome in trees.each(given)) >= many_terms and may_use_trains
     if uses_trains:
-        starts = given | {"relaxed start": relaxed_policies(relaxations)}
+        starts = given | {RELAXED: relaxed_policies(relaxations)}
         if naive is not None:
             starts["naive start"] = naive.policies
         # Beyond two agents trains leave out the cells beside the path: with them their ranks grow too large.
@@ -220,13 +223,13 @@ def _without_sweeps(
     if followed.value < most * (1 - room):
         return None
     gain = max(0.0, most - followed.value) if limits is FINAL else None
-    return Found(followed, [followed.value], {"relaxed start": followed.value}, relaxations, gain)
+    return Found(followed, [followed.value], {RELAXED: followed.value}, relaxations, gain)
 
 
 def _alone(joint: JointModel, start: Occupancy, relaxations: tuple[Relaxation, ...]) -> Found:
     """Return the policies of a single agent: its relaxation is dynamic programming, losses counted."""
     best = sweep(joint, relaxed_policies(relaxations), start, LINEAR_FINAL, improve=False)
-    return Found(best, [best.value], {"relaxed start": best.value}, relaxations, None)
+    return Found(best, [best.value], {RELAXED: best.value}, relaxations, None)
 
 
 def _coarser(first: Limits, second: Limits) -> Limits:
@@ -313,14 +316,14 @@ class _TreeAscent:
     def more_starts(self, naive: Policies, relaxations: tuple[Relaxation, ...]) -> None:
         """Try the relaxed start and, unless it comes to the same, the staged ones; continue with the best two."""
         before = self.best
-        (relaxed,) = self.each({"relaxed start": relaxed_policies(relaxations)})
+        (relaxed,) = self.each({RELAXED: relaxed_policies(relaxations)})
         # Two different starts that come to the same value: further ones are not worth their time.
         if before is not None and abs(relaxed.value - before.value) <= SAME_VALUE_SHARE * before.value:
             return
         if self.is_solved or self.is_long:
-            self.run("relaxed start", relaxed.policies, self.how.max_sweeps - 1, relaxed.value)
+            self.run(RELAXED, relaxed.policies, self.how.max_sweeps - 1, relaxed.value)
             return
-        tried = {"relaxed start": relaxed}
+        tried = {RELAXED: relaxed}
         for name, policies in staged_starts(self.joint, self.start, naive).items():
             (tried[name],) = self.each({name: policies})
             # The most likely way is where agents go that trust the team: other times of the same jumps gain nothing.
