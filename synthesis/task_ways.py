@@ -278,7 +278,8 @@ def _others(problem: Problem, kinds: Sequence[str], plan: Plan, linear: bool) ->
         ]
     scalar = all(agent.n_states == 1 for agent in problem.agents)
     cells = first_cells(problem)
-    work = 0.0 if is_scalar(problem) else max(COMPARED, box_work(problem, cells or {}))
+    least = 0.0 if scalar else COMPARED
+    work = 0.0 if is_scalar(problem) else max(least, box_work(problem, cells or {}))
 
     def run(results: Results) -> Synthesis:
         return compared(problem, cells, kinds, plan, None if cells or any(written) else results.get("exact"))
