@@ -23,6 +23,10 @@ from .limits import Limits
 MANY_ALIKE = 2
 """Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
 
+NOTHING = 1e-100
+"""Masses below this are set to 0: weights that decide nothing, and products with them are denormal numbers, which take a
+hundred times as long."""
+
 
 def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:
     """Return the alive mass at times 0 .. T - 1, from below, as arrays of numpy."""
@@ -97,7 +101,8 @@ def push(
     for i in range(n_agents):
         factors[i], index[remaining, i] = compress(factors[i], index[remaining, i])
     per_state = tuple(index[remaining[target[remaining] == q]] for q in range(n_states))
-    return Occupancy(Terms(tuple(factors), per_state), (occupancy.leftover + dropped) * (1 + 1e-12))
+    missing = dropped + NOTHING * sum(joint.n_cells)
+    return Occupancy(Terms(tuple(factors), per_state), (occupancy.leftover + missing) * (1 + 1e-12))
 
 
 def _pair(guards: Guards, terms: Terms) -> NDArray[np.int64]:
@@ -127,6 +132,7 @@ def _step(
     for q in set(state.tolist()):
         here = state == q
         pushed[beside(here, pushed)] = model.kernel.push(take(factors, factor[here]), model.choices.points(policies[q]))
+    pushed[pushed < NOTHING] = 0.0
     key = pushed_row * n_masks + guards.mask[rows[:, 0], i]
     rows[:, column] = key
     source, mask = np.divmod(distinct(key)[0], n_masks)
