@@ -312,6 +312,12 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     for agent, size, axes in zip(names, sizes, outputs):
         if max(axes) >= size:
             raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
+    for member, axes in zip((agents[i], agents[j]), outputs):
+        if {*axes} & {*member.angle_outputs}:
+            raise ValueError(
+                f"`propositions.{name}`: expected outputs that are numbers, got the angle {member.angles[0]!r} of "
+                f"{member.name}, whose differences wrap; compare other states (`of`), or `outputs` such as `cos` of it"
+            )
     if pair.distance is None:
         region = PairRegion(i, j, outputs, pair.low, pair.high)
     else:

@@ -5,6 +5,7 @@ A shape is a combination of pieces by and, or, not (docs/theory/regions.md, "Sha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,6 +15,9 @@ import numpy as np
 
 from ..expressions import computed, read_expression
 from .checks import shown
+
+TURN = 2.0 * math.pi
+"""A turn, rounded."""
 
 End = float | str
 """A number, or an expression in the time `t`."""
@@ -118,11 +122,14 @@ class Frame:
         Names of the states; empty where they have none, as those of linear agents.
     low, high : tuple of float
         Workspace.
+    angles : frozenset of int
+        States that are angles.
     """
 
     names: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    angles: frozenset[int] = frozenset()
 
     def states(self, of: Sequence[int | str] | None, count: int) -> tuple[int, ...]:
         """Return the numbers of the states that a shape is over: those that it names, or the first ones."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
 from .checks import float_array, shown
-from .pieces import Combined, End, Form, Frame, Limit, all_of, either, face, face_through, piece_of
+from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, piece_of
 
 MOST_FACES = 60
 """Most faces of a polytope: each may be an output of its agent."""
@@ -29,9 +29,6 @@ MOST_TURNS = 50
 
 DEEPEST = 40
 """Lists and tables within one another: more would be a slip."""
-
-TURN = 2.0 * math.pi
-
 
 Maker = Callable[[Frame], Combined]
 
@@ -357,6 +354,8 @@ def _heading(data: Any) -> Maker:
         (state,) = frame.states(of, 1)
         form = Form(tuple(np.eye(len(frame.low))[state].tolist()))
         low, high = frame.low[state], frame.high[state]
+        if state in frame.angles:
+            return _arc(form, _into(first, low, high), _into(last, low, high), (low, high))
         turns = range(math.floor((low - first - width) / TURN), math.ceil((high - first) / TURN) + 1)
         if len(turns) > MOST_TURNS:
             raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
@@ -367,6 +366,23 @@ def _heading(data: Any) -> Maker:
         return either([piece_of([Limit(form, start, start + width)]) for start in here])
 
     return make
+
+
+def _into(angle: float, low: float, high: float) -> float:
+    """Return an angle less whole turns, in the workspace of an angle (rounded once)."""
+    turn = Fraction(TURN)
+    return min(max(float(Fraction(angle) - turn * math.floor((Fraction(angle) - Fraction(low)) / turn)), low), high)
+
+
+def _arc(form: Form, first: float, last: float, ends: tuple[float, float]) -> Combined:
+    """Return the part of a circle from one angle on to the left until another one: an interval of the workspace of the
+    angle, or what is outside of one."""
+    if first < last:
+        return piece_of([Limit(form, first, last)])
+    # It goes on through the place where the workspace ends.
+    if last <= ends[0]:
+        return piece_of([Limit(form, first, ends[1])])
+    return Combined("not", (piece_of([Limit(form, last, first)]),))
 
 
 def _part(value: Any) -> Callable[[Frame], Combined]:

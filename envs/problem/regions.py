@@ -95,7 +95,8 @@ def regions_of(
 
 def _frame(agent: AnyAgent) -> Frame:
     names = agent.states if isinstance(agent, Agent) else ()
-    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
+    angles = frozenset(np.flatnonzero(agent.wrapped_axes).tolist())
+    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()), angles)
 
 
 class _Reader:
