@@ -14,7 +14,7 @@ from .checks import (
     slices_of,
     unknown_argument,
 )
-from .declared_names import MOST_STATES
+from .declared_names import MOST_OUTPUTS, MOST_STATES
 from .expression_agent import Agent
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
@@ -42,6 +42,7 @@ __all__ = [
     "Limit",
     "LinearAgent",
     "MOST_AGENTS",
+    "MOST_OUTPUTS",
     "Majorant",
     "MOST_STATES",
     "MOVING_REFUSAL",

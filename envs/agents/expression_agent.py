@@ -28,7 +28,7 @@ from .angles import checked_angles, refuse_uneven
 from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
-from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
+from .declared_names import MOST_OUTPUTS, checked_names, checked_numbers, checked_ranges, checked_texts
 from .laws import Law
 from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
@@ -189,7 +189,9 @@ class Agent(AnyAgent):
             "has_clock": False,
             "angles": checked_angles(angles, state_names),
             "unrolled": (),
-            "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
+            "output_expressions": state_names
+            if outputs is None
+            else checked_texts(outputs, "outputs", None, MOST_OUTPUTS),
             "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
         values["added_outputs"] = checked_added(added_outputs, len(values["output_expressions"]))

@@ -19,13 +19,19 @@ import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
 from .checks import float_array, shown
-from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, piece_of
+from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
 
 MOST_FACES = 60
 """Most faces of a polytope: each may be an output of its agent."""
 
 MOST_TURNS = 50
 """Most turns of a heading that a workspace may hold: each is a piece."""
+
+MOST_MOVES = 61
+"""Most times of a shape that moves: it has outputs of its own at each of them."""
+
+MOVED_DECIMALS = 12
+"""Decimals to which what moves is rounded, so that it is the same on every machine."""
 
 DEEPEST = 40
 """Lists and tables within one another: more would be a slip."""
@@ -79,9 +85,69 @@ def read_shape(table: Any) -> Shape:
         raise ValueError(f"unknown shape {shown(key)}; {remedy}")
     data = _plain(data)
     try:
-        return Shape(str(key), data, SHAPES[key](data))
+        moves = isinstance(data, Mapping) and any(
+            _names_time(data[name]) for name in MOVING.get(key, ()) if name in data
+        )
+        return Shape(str(key), data, _moving(str(key), data) if moves else SHAPES[key](data))
     except ValueError as error:
         raise ValueError(f"`{key}`: {error}") from None
+
+
+MOVING = {
+    "disc": ("centre",), "ball": ("centre",), "cone": ("tip", "axis"), "polygon": ("corners",),
+    "halfspace": ("normal",), "polytope": ("normals",),
+}  # fmt: skip
+"""What of a shape may name the time, so that it has other outputs at every time; ends of limits may do so without."""
+
+
+def _names_time(value: Any) -> bool:
+    """Return whether a number, or lists of them, names the time."""
+    if isinstance(value, list):
+        return any(map(_names_time, value))
+    if not isinstance(value, str):
+        return False
+    try:
+        return isinstance(_end(value, ""), str)
+    except ValueError:
+        return True  # what is wrong with it is said where it is read
+
+
+def _moving(key: str, data: Mapping[str, Any]) -> Maker:
+    """Return what makes a shape that is another one at each time."""
+    SHAPES[key](_at_time(data, 0))  # mistakes show where they are made
+
+    def make(frame: Frame) -> Combined:
+        if frame.times > MOST_MOVES:
+            raise ValueError(
+                f"expected a horizon of at most {MOST_MOVES - 1} steps beside a shape that moves, as it has outputs of "
+                f"its own at every time, got {frame.times - 1}; let it be an agent without inputs, whose dynamics name "
+                "`t`, and a pair (`agents`, `distance`)"
+            )
+        found = []
+        for time in range(frame.times):
+            try:
+                found.append(SHAPES[key](_at_time(data, time))(frame))
+            except ValueError as error:
+                raise ValueError(f"at t = {time}: {error}") from None
+        pieces = [part.piece for part in found if part.piece is not None]
+        if len(pieces) < len(found):
+            raise ValueError("expected a convex shape at each time, got one that is wider than half a turn at some")
+        return moving_piece(pieces, frame)
+
+    return make
+
+
+def _at_time(value: Any, time: int, key: str = "") -> Any:
+    """Return what is written of a shape with numbers in the place of expressions in the time."""
+    if isinstance(value, Mapping):
+        return {name: item if name == "of" else _at_time(item, time, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_at_time(item, time, f"{key}[{k}]") for k, item in enumerate(value)]
+    end = _end(value, key) if isinstance(value, str) else value
+    if not isinstance(end, str):
+        return end
+    found = float(computed([read_expression(end, ("t",))], {"t": np.array([float(time)])})[0][0])
+    return float(float_array([round(found, MOVED_DECIMALS)], f"{key} at t = {time}", (1,), "0.5")[0])
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
@@ -131,14 +197,7 @@ def _fields(data: Any, required: Sequence[str], optional: Sequence[str] = ("of",
 
 
 def _vector(value: Any, name: str, length: int | None = None) -> tuple[float, ...]:
-    numbers = value
-    if isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value):
-        raise ValueError(
-            f"`{name}`: expected numbers, got {shown(value)}; what may name the time `t` are offsets, radii, and the "
-            "corners of a region with `low` and `high`; let a disc that moves be an agent without inputs, whose "
-            "dynamics name `t`, and a pair (`agents`, `distance`)"
-        )
-    return tuple(float_array(numbers, name, (length,), "[1.0, 2.0]").tolist())
+    return tuple(float_array(value, name, (length,), "[1.0, 2.0]").tolist())
 
 
 def _end(value: Any, name: str) -> End:
