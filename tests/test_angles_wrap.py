@@ -12,6 +12,7 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import expression_agent, wrapped
 from certigym.envs.expressions import read_expression, turns
+from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.controllers import path_controller
 from certigym.synthesis.models import box_kernel
 from certigym.synthesis.shielding import shield_of
@@ -269,3 +270,10 @@ def test_what_knows_no_windings_says_so(on_grid: Any, around: cg.Problem) -> Non
         shield_of(on_grid, 0.5)
     with pytest.raises(ValueError, match="which wraps; ask for `boxes` or `path`"):
         cg.synthesize(around, 40, relation="linear")
+
+
+def test_matrices_have_no_angles_and_say_what_to_do() -> None:
+    agent = {"name": "a", "angles": [0], "A": [[1.0]], "state_low": [-1], "state_high": [1]}
+    data = {"horizon": 2, "agents": [agent], "propositions": {}, "specification": "F p"}
+    with pytest.raises(ValueError, match="write the agent as expressions, with `states` and `dynamics`"):
+        problem_from_dict({"name": "matrices", **data})

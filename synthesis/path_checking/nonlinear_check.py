@@ -191,7 +191,7 @@ class Moment:
         if k not in self.agent.angle_outputs:
             return k, low, high
         value = float(self.outputs.values[0, k])
-        if holds and low <= self.agent.state_low.min() and high - low >= TURN:
+        if holds and high - low >= TURN:
             return k, -np.inf, np.inf  # all of the circle
         least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
         return k, least + ROUNDED, most - ROUNDED
