@@ -130,5 +130,9 @@ def test_mistakes_are_told_where_they_are_made() -> None:
         problem_of(80, disc={"centre": CENTRE, "radius": 1.0})
     with pytest.raises(ValueError, match=r"`disc`: .*unknown"):
         cg.Proposition("robot", disc={"centre": ["x + t", 0], "radius": 1.0})
+    with pytest.raises(ValueError, match="let the state be the angle less what moves"):
+        cg.Proposition("robot", heading={"of": "x", "from": "0.1*t", "to": 1})
+    with pytest.raises(ValueError, match="ends of their regions may name `t`"):
+        assert isinstance(agent := robot(False), cg.Agent) and agent.replace(outputs=["x - t"])
     with pytest.raises(ValueError, match="convex polygon"):
         cg.Proposition("robot", polygon={"corners": [["t", 0], [2, 0], [0.5, 0.1], [0, 2]]})

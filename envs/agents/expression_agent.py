@@ -425,7 +425,10 @@ class Agent(AnyAgent):
         try:
             return read_expression(text, names, self.parameters)
         except ValueError as error:
-            raise ValueError(f"`{argument}[{k}]`: {error}") from None
+            timed = argument == "outputs" and "unknown name 't'" in str(error)
+            more = "; outputs are the same at all times, but ends of their regions may name `t`" if timed else ""
+            told, *place = str(error).split("\n", 1)
+            raise ValueError("\n".join([f"`{argument}[{k}]`: {told}{more}", *place])) from None
 
     @property
     def n_outputs(self) -> int:

@@ -217,7 +217,10 @@ def _end(value: Any, name: str) -> End:
 def _still(value: Any, name: str) -> float:
     end = _end(value, name)
     if isinstance(end, str):
-        raise ValueError(f"`{name}`: expected a number, got {shown(value)}, which names the time")
+        raise ValueError(
+            f"`{name}`: expected a number, got {shown(value)}, which names the time; angles of shapes stand still: let "
+            "the state be the angle less what moves, in dynamics that name `t`"
+        )
     return end
 
 
