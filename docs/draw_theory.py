@@ -236,6 +236,24 @@ def regions() -> Any:
     return figure
 
 
+def angles() -> Any:
+    """The line on which a path goes on, with a copy of a region for every turn, and the density of one step."""
+    figure, (plot,) = new_figure(7.2, 2.6)
+    for turn in (-1, 0, 1):
+        first = 2.0 * np.pi * turn
+        _region(plot, Rectangle((first + np.pi - 0.5, 0.0), 1.0, 0.9), "reached")
+        plot.axvline(first + np.pi, color=SOFT, linewidth=0.8, linestyle=":")
+        plot.text(first, -0.14, f"turn {turn:+d}" if turn else "the workspace", color=SOFT, ha="center", va="top")
+    x = np.linspace(-3.0 * np.pi, 3.0 * np.pi, 900)
+    plot.plot(x, 1.9 * density((x - 2.2) / 1.3), color=AGENTS[0])
+    plot.text(0.6, 0.5, "where a step may end", color=AGENTS[0], ha="right")
+    plot.set(xlim=(-3.0 * np.pi - 0.6, 3.0 * np.pi + 0.7), ylim=(-0.35, 1.0), yticks=[])
+    plot.set_xticks([-3.0 * np.pi, -np.pi, np.pi, 3.0 * np.pi], ["$-3\\pi$", "$-\\pi$", "$\\pi$", "$3\\pi$"])
+    plot.set_title("a heading through $\\pi$: one copy for every turn, and the mass of all of them", fontsize=10)
+    plot.grid(visible=False)
+    return figure
+
+
 def pairs() -> Any:
     """Where two agents are near is a band along the diagonal, which no cell has for its own."""
     figure, (plot,) = new_figure(6.4, 3.6)
@@ -401,8 +419,8 @@ def evidence() -> Any:
 PICTURES: dict[str, Callable[[], Any]] = {
     draw.__name__: draw
     for draw in (
-        index, setting, relations, linear, boxes, networks, paths, time, regions, pairs, guards, tree, bounds, numerics,
-        shields, evidence,
+        index, setting, relations, linear, boxes, networks, paths, time, regions, angles, pairs, guards, tree, bounds,
+        numerics, shields, evidence,
     )
 }  # fmt: skip
 

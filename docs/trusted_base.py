@@ -21,13 +21,15 @@ CHECK, RIGOROUS = "synthesis.checking.certificate_check", "synthesis.balls.rigor
 TRUSTED = {
     "What the problem means": (
         "envs.agents.agent envs.agents.any_agent envs.agents.box envs.agents.checks "
+        "envs.agents.angles "
         "envs.agents.expression_agent envs.agents.composed_laws envs.agents.declared_names envs.agents.laws "
         "envs.agents.labeling envs.agents.majorants "
         "envs.agents.neighbours envs.agents.noise envs.agents.pair envs.agents.pieces "
         "envs.agents.products envs.agents.proposition envs.agents.shapes envs.arrays.libraries "
         "envs.expressions.affine_inputs envs.expressions.linear_systems "
         "envs.expressions.evaluation envs.expressions.reading "
-        "envs.expressions.expression_tree envs.problem.families envs.problem.groups envs.problem.joint_noise "
+        "envs.expressions.expression_tree envs.expressions.repeating "
+        "envs.problem.families envs.problem.groups envs.problem.joint_noise "
         "envs.problem.problem_file "
         "envs.problem.spelling envs.problem.record envs.problem.regions envs.problem.specification "
         "envs.problem.writing_out"
@@ -74,7 +76,7 @@ TRUSTED = {
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
         "synthesis.path_checking.pair_limits_check synthesis.path_checking.roundings "
         "synthesis.checking.readings synthesis.checking.regrown_tree synthesis.checking.relation_check "
-        "synthesis.path_checking.own_regions synthesis.path_checking.start_check "
+        "synthesis.path_checking.own_angles synthesis.path_checking.own_regions synthesis.path_checking.start_check "
         "synthesis.checking.team_check synthesis.checking.timed_check "
         "synthesis.checking.train_check "
         "synthesis.checking.uniform_noise synthesis.checking.upper_end synthesis.checking.written_linear"
@@ -127,6 +129,7 @@ THEN = {
     "synthesis.controllers.path_controller",
     "pairs of agents, teams": "synthesis.checking.pairs_check synthesis.checking.team_check "
     "synthesis.path_checking.pair_limits_check envs.agents.pair",
+    "angles": "synthesis.path_checking.own_angles envs.agents.angles envs.expressions.repeating",
     "regions and dynamics in time": "synthesis.checking.timed_check envs.problem.writing_out",
 }
 """What to read next, by what the certificate in hand is about."""

@@ -66,6 +66,9 @@ MOST_LINEAR_TERMS = 32
 FEW_AGENTS = 2
 """Agents up to which linear cells are tried unless others solve the task; in larger teams each pays for all terms."""
 
+NEAR_PATH = 0.5
+"""Share of the bound of a path from which the cells of other relations are made finer all the same."""
+
 GOOD_CARRIED = 0.5
 """Share of the upper bound from which policies of coarser cells are gone on with alone: those tried many starts."""
 
@@ -299,8 +302,12 @@ def _finer(problem: Problem, plan: Plan) -> Way:
         return with_settings(named, {"levels": record})
 
     def why_not(results: Results) -> str | None:
-        first, best = results.get("others"), leading(results)
+        # A path that is better than coarse cells says little of finer ones, unless it is better by far.
+        first, path = results.get("others"), results.get("path")
+        best = leading({name: result for name, result in results.items() if result is not path})
         if first is None or best is None or first.certificate.lower_bound < best.certificate.lower_bound:
+            return ""
+        if path is not None and first.certificate.lower_bound < NEAR_PATH * path.certificate.lower_bound:
             return ""
         return "" if first.certificate.rounding is not None or plan.settings.delta is not None else None
 

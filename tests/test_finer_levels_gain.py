@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +12,14 @@ import pytest
 import certigym as cg
 from certigym.synthesis import task_ways
 from certigym.synthesis.cells import RelationRefused
+from certigym.synthesis.choosing import Effort
 from certigym.synthesis.choosing import levels as levels_of_cells
 from certigym.synthesis.choosing.carrying import carried_over
 from certigym.synthesis.choosing.cell_budget import axis_weights
 from certigym.synthesis.models import BoxChoices, Settings, abstraction_of
+from certigym.synthesis.on_cells import Plan
 from certigym.synthesis.relations import BoxRelation, CoupledRelation
+from certigym.synthesis.search import Search
 
 
 def coordinate(name: str) -> cg.LinearAgent:
@@ -128,3 +133,20 @@ def test_axes_that_matter_little_get_wide_cells() -> None:
         name="drift", agents=[drift], propositions=goal, specification=cg.Specification("F goal", "co-safe"), horizon=5
     )
     assert levels_of_cells.first_cells(problem) == {"drift": (24, 5)}
+
+
+def test_a_path_that_is_better_than_coarse_cells_leaves_finer_ones_to_try() -> None:
+    """Unless it is better by far; and the best of other relations is still the one that is made finer."""
+
+    def result(bound: float) -> Any:
+        return SimpleNamespace(certificate=SimpleNamespace(lower_bound=bound, rounding=None, has_cells=True))
+
+    plan = Plan(Settings(), Search(), None, Effort())
+    finer = task_ways._finer(cg.make_problem("reach-avoid-v0", horizon=3), plan)
+
+    def reason(**bounds: float) -> str | None:
+        return finer.why_not({name: result(bound) for name, bound in bounds.items()})
+
+    assert reason(others=0.66, path=0.88) is None
+    assert reason(others=0.01, path=0.88) == ""
+    assert reason(others=0.66, linear=0.9) == ""

@@ -20,6 +20,7 @@ def test_every_file_is_in_the_table_and_on_the_page() -> None:
     assert all(f"| {name} |" in page for name in files)
     assert all(row["check"] == "valid" for row in ROWS.values())
     assert all(row["rollouts"] >= row["certified"] - 1e-3 for row in ROWS.values())
+    assert all(row["by_hand"] is None or 0.0 <= row["by_hand"][0] <= row["by_hand"][1] <= 1.0 for row in ROWS.values())
 
 
 @pytest.mark.parametrize(

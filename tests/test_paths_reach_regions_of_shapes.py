@@ -112,3 +112,24 @@ def test_docking_in_a_cone_with_little_speed(slow: float) -> None:
     )  # fmt: skip
     certificate = cg.synthesize(problem, relation="path").certificate
     assert certificate.lower_bound > 0.99 and cg.check(certificate)
+
+
+def test_ways_see_what_they_must_avoid_beside_a_round_region_of_other_states() -> None:
+    """To be slow is a disc of velocities; the wall is about positions, and the way leads around it all the same."""
+    agent = cg.Agent(
+        name="cart", states=["x", "y", "vx", "vy"], inputs=["ax", "ay"],
+        dynamics=["x + 0.5*vx", "y + 0.5*vy", "vx + 0.5*ax", "vy + 0.5*ay"],
+        noise_covariance=np.diag([1e-4, 1e-4, 1e-4, 1e-4]), state_low=[0, -5, -3, -3], state_high=[12, 5, 3, 3],
+        input_low=[-1.5, -1.5], input_high=[1.5, 1.5], initial_state=[1, -2, 0, 0],
+    )  # fmt: skip
+    problem = cg.Problem(
+        name="wall", horizon=16, agents=[agent],
+        propositions={
+            "wall": cg.Proposition("cart", box={"low": [5, -6], "high": [5.6, 1], "of": ["x", "y"]}),
+            "pad": cg.Proposition("cart", box={"low": [9, -3], "high": [11, -1], "of": ["x", "y"]}),
+            "slow": cg.Proposition("cart", disc={"centre": [0, 0], "radius": 0.6, "of": ["vx", "vy"]}),
+        },
+        specification=cg.Specification("!wall U (pad & slow)", "co-safe"),
+    )  # fmt: skip
+    certificate = cg.synthesize(problem, relation="path").certificate
+    assert certificate.lower_bound > 0.99 and cg.check(certificate)

@@ -1,6 +1,7 @@
 """Agents, their boxes, and which propositions hold at a point."""
 
 from .agent import LinearAgent
+from .angles import wrapped
 from .any_agent import AnyAgent, checked_name
 from .box import Box
 from .checks import (
@@ -13,14 +14,14 @@ from .checks import (
     slices_of,
     unknown_argument,
 )
-from .declared_names import MOST_STATES
+from .declared_names import MOST_OUTPUTS, MOST_STATES
 from .expression_agent import Agent
 from .labeling import MOVING_REFUSAL, Labeling, contains, inside
 from .laws import Gaussian, Law, Uniform
 from .majorants import Majorant, Tail
 from .neighbours import Place, neighbour, place_of, states_of_others, tied
 from .pair import REFUSAL, Pair, PairRegion, holds
-from .pieces import Combined, Form, Frame, Limit, Piece
+from .pieces import TURN, Combined, Form, Frame, Limit, Piece
 from .printing import box_text, counted, names_text, shortened, tree_text
 from .products import linear, row_times
 from .proposition import DECIMALS, TIME, Proposition
@@ -41,6 +42,7 @@ __all__ = [
     "Limit",
     "LinearAgent",
     "MOST_AGENTS",
+    "MOST_OUTPUTS",
     "Majorant",
     "MOST_STATES",
     "MOVING_REFUSAL",
@@ -52,6 +54,7 @@ __all__ = [
     "REFUSAL",
     "SHAPES",
     "TIME",
+    "TURN",
     "Tail",
     "Uniform",
     "UnknownArgument",
@@ -76,6 +79,7 @@ __all__ = [
     "tied",
     "tree_text",
     "unknown_argument",
+    "wrapped",
     "write_bytes",
     "write_json",
     "write_text",

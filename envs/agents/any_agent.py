@@ -81,6 +81,20 @@ class AnyAgent(ABC):
     added_outputs: int = 0
     """How many of the last outputs are there for shapes alone; the others are those that the agent has without them."""
 
+    angles: tuple[str, ...] = ()
+    """Names of the states that are angles: points of a circle, which workspaces hold once."""
+
+    @property
+    def wrapped_axes(self) -> np.ndarray:
+        """Which states (d,) are angles."""
+        return np.zeros(self.n_states, dtype=bool)
+
+    @property
+    def angle_outputs(self) -> tuple[int, ...]:
+        """Outputs that are angles; all others are the same a turn further on."""
+        axes = [self.output_axis(k) for k in np.arange(self.n_outputs).tolist()] if self.angles else []
+        return tuple(k for k, axis in enumerate(axes) if axis is not None and self.wrapped_axes[axis[0]])
+
     @property
     @abstractmethod
     def state_outputs(self) -> int:

@@ -12,11 +12,15 @@ MOST_STATES = 30
 """Most states, inputs, outputs, parameters or disturbances: more would be a slip."""
 
 
-def checked_texts(value: Any, argument: str, length: int | None) -> tuple[str, ...]:
+MOST_OUTPUTS = 150
+"""Most outputs: shapes that move have some for each time."""
+
+
+def checked_texts(value: Any, argument: str, length: int | None, most: int = MOST_STATES) -> tuple[str, ...]:
     """Return a list of strings, as many as there should be, or raise ValueError."""
     is_list = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(t, str) for t in value)
-    if not is_list or not 0 < len(value) <= MOST_STATES or (length is not None and len(value) != length):
-        wanted = f"{length} strings, one for each state" if length else f"1 to {MOST_STATES} strings"
+    if not is_list or not 0 < len(value) <= most or (length is not None and len(value) != length):
+        wanted = f"{length} strings, one for each state" if length else f"1 to {most} strings"
         raise ValueError(f"`{argument}`: expected a list of {wanted}, got {shown(value)}")
     return tuple(value)
 

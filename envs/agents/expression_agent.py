@@ -24,13 +24,15 @@ import numpy as np
 
 from ..arrays import double, is_host, namespace
 from ..expressions import Affine, Name, Number, Tree, computed, enclosed, names_in, read_expression, substituted
+from .angles import checked_angles, refuse_uneven
 from .any_agent import IDLE, AnyAgent, checked_added, is_passive, shared_fields, summary_rows
 from .checks import read_only, shown
 from .composed_laws import ScipyLaw
-from .declared_names import checked_names, checked_numbers, checked_ranges, checked_texts
+from .declared_names import MOST_OUTPUTS, checked_names, checked_numbers, checked_ranges, checked_texts
 from .laws import Law
 from .neighbours import neighbour, states_of_others, with_numbers
 from .noise import laws_of
+from .pieces import TURN
 from .printing import counted, names_text, shortened, tree_text
 from .proposition import TIME
 
@@ -93,6 +95,9 @@ class Agent(AnyAgent):
         inputs anything in their boxes, unless these are chosen in common.
     outputs : sequence of str, optional
         Expressions in states and parameters that propositions are about; the states by default.
+    angles : sequence of str, optional
+        States that are angles, in radians: they wrap, so that nothing leaves the workspace by turning. Their workspace
+        is one turn, from -pi to pi or from 0 to 2 pi, and the dynamics must be the same a turn further on.
     added_outputs : int, optional
         How many of the last outputs are there for shapes alone: problems say it of the agents that they make.
 
@@ -135,8 +140,10 @@ class Agent(AnyAgent):
     neighbour_inputs: tuple[bool, ...]
     has_clock: bool
     added_outputs: int
+    angles: tuple[str, ...]
+    unrolled: tuple[str, ...]
 
-    # Twenty-one keywords: they are the keys of an agent in problem files, and records for some would only add names.
+    # Twenty-two keywords: they are the keys of an agent in problem files, and records for some would only add names.
     def __init__(
         self,
         *,
@@ -160,6 +167,7 @@ class Agent(AnyAgent):
         communicated: Any = None,
         outputs: Any = None,
         added_outputs: Any = 0,
+        angles: Any = None,
     ) -> None:
         given = locals()  # the arguments by name: what all agents declare is checked in one place
         state_names = checked_names(states, "states")
@@ -179,7 +187,11 @@ class Agent(AnyAgent):
             "neighbour_ranges": None,
             "neighbour_inputs": (),
             "has_clock": False,
-            "output_expressions": state_names if outputs is None else checked_texts(outputs, "outputs", None),
+            "angles": checked_angles(angles, state_names),
+            "unrolled": (),
+            "output_expressions": state_names
+            if outputs is None
+            else checked_texts(outputs, "outputs", None, MOST_OUTPUTS),
             "noise_scale": None if noise_scale is None else checked_texts(noise_scale, "noise_scale", d),
         }
         values["added_outputs"] = checked_added(added_outputs, len(values["output_expressions"]))
@@ -190,6 +202,7 @@ class Agent(AnyAgent):
         assert self.timed_trees and self.output_trees
         if self.noise_scale is not None:
             self._scale_noise(noise)
+        refuse_uneven(self)
 
     def _scale_noise(self, noise: Any) -> None:
         """Keep the laws of noise that is multiplied, and the covariance that it has in the middle of the workspace."""
@@ -286,6 +299,22 @@ class Agent(AnyAgent):
         object.__setattr__(agent, "has_clock", True)
         return agent
 
+    @cached_property
+    def wrapped_axes(self) -> np.ndarray:
+        """Which states (d,) are angles."""
+        return read_only(np.array([state in self.angles for state in self.states]))
+
+    def unrolled_by(self, turns: int) -> Agent:
+        """Return the agent whose angles are numbers, with this many turns more on either side of the workspace.
+
+        Searches plan paths for it; the angles are kept within half a turn of a nominal path.
+        """
+        more = np.where(self.wrapped_axes, TURN * turns, 0.0)
+        data = self.to_dict() | {"state_low": self.state_low - more, "state_high": self.state_high + more}
+        agent = type(self)(**{key: value for key, value in data.items() if key != "angles"})
+        object.__setattr__(agent, "unrolled", self.angles)
+        return agent
+
     def at(self, time: int) -> Agent:
         """Return the agent as it moves at one control step, 0 to T - 1: the time becomes one of its parameters.
 
@@ -357,6 +386,7 @@ class Agent(AnyAgent):
             return self
         agent = type(self)(**self.to_dict())
         object.__setattr__(agent, "has_clock", self.has_clock)
+        object.__setattr__(agent, "unrolled", self.unrolled)
         object.__setattr__(agent, "neighbour_ranges", ranges)
         object.__setattr__(agent, "neighbour_inputs", inputs)
         return agent
@@ -395,7 +425,10 @@ class Agent(AnyAgent):
         try:
             return read_expression(text, names, self.parameters)
         except ValueError as error:
-            raise ValueError(f"`{argument}[{k}]`: {error}") from None
+            timed = argument == "outputs" and "unknown name 't'" in str(error)
+            more = "; outputs are the same at all times, but ends of their regions may name `t`" if timed else ""
+            told, *place = str(error).split("\n", 1)
+            raise ValueError("\n".join([f"`{argument}[{k}]`: {told}{more}", *place])) from None
 
     @property
     def n_outputs(self) -> int:
@@ -437,6 +470,8 @@ class Agent(AnyAgent):
             parts = (*parts, self.noise_scale)
         if self.has_clock:
             parts = (*parts, "clock")
+        if self.angles:
+            parts = (*parts, "angles", self.angles)
         if self.others:  # agents in equal places are equal, though their neighbours have other names
             beside = (self.neighbour_ranges, self.neighbour_inputs, tuple(sorted(self.measured)))
             parts = (*parts[:2], repr(self.timed_trees), *parts[3:], *beside)
@@ -539,6 +574,8 @@ class Agent(AnyAgent):
             data["outputs"] = list(self.output_expressions)
         if self.added_outputs:
             data["added_outputs"] = self.added_outputs
+        if self.angles:
+            data["angles"] = list(self.angles)
         return data
 
 

@@ -362,6 +362,8 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyA
             f"`propositions.{name}`: expected corners of length {agent.n_outputs} (outputs of agent {agent.name}), "
             f"got length {proposition.size}"
         )
+    for k in agent.angle_outputs:
+        _check_angle(name, proposition, agent, k)
     if proposition.moves:
         return  # it may pass beyond the workspace, and be empty at times
     bottom, top = (end.copy() for end in agent.output_ends)
@@ -375,4 +377,25 @@ def _check_region(name: str, proposition: Proposition, agents: Mapping[str, AnyA
             f"`propositions.{name}`: expected a region that meets the workspace of agent {agent.name}, got "
             f"[{proposition.low[axis]:g}, {proposition.high[axis]:g}] against [{bottom[axis]:g}, {top[axis]:g}] on "
             f"axis {axis}; correct the region or the workspace"
+        )
+
+
+def _check_angle(name: str, proposition: Proposition, agent: AnyAgent, k: int) -> None:
+    """Raise ValueError unless a region is an interval of a turn along an output that is an angle, or all of it."""
+    found = agent.output_axis(k)
+    assert found is not None
+    state = found[0]
+    bottom, top = float(agent.state_low[state]), float(agent.state_high[state])
+    corners = (proposition.low, proposition.high) if proposition.corners is None else proposition.corners
+    low, high = corners[0][k], corners[1][k]
+    if isinstance(low, str) or isinstance(high, str):
+        raise ValueError(
+            f"`propositions.{name}`: expected corners that stand still along the angle {agent.angles[0]!r} of agent "
+            f"{agent.name}, got some that name the time; write a region of `cos` and `sin` of it as `outputs`"
+        )
+    if not (bottom <= low and high <= top) and not (low <= bottom and top <= high):
+        raise ValueError(
+            f"`propositions.{name}`: expected an interval of the turn [{bottom:g}, {top:g}] of an angle of agent "
+            f"{agent.name}, got [{low:g}, {high:g}]; say it as `heading = {{ of = ..., from = ..., to = ... }}`, which "
+            "goes on where a turn ends"
         )

@@ -99,6 +99,8 @@ class Pair:
     ) -> None:
         if (distance is None) == (low is None and high is None):
             raise ValueError("`distance`: expected either a distance, or `low` and `high`; give one of the two")
+        for value, name in ((low, "low"), (high, "high"), (distance, "distance")):
+            _refuse_texts(value, name)
         box = Box(low, high) if distance is None else None
         if pairs not in PAIRS:
             raise ValueError(f"`pairs`: expected {' or '.join(map(repr, PAIRS))}, got {shown(pairs)}")
@@ -169,6 +171,16 @@ class Pair:
     def of(self, first: str, second: str) -> Pair:
         """Return the member of a family that is about two agents."""
         return Pair((first, second), *self._rest("all"))
+
+
+def _refuse_texts(value: Any, name: str) -> None:
+    """Raise ValueError if a corner or a distance names the time."""
+    entries = [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
+    if any(isinstance(entry, str) for entry in entries):
+        raise ValueError(
+            f"`{name}`: expected numbers, got {shown(value)}; what two agents keep between them is the same at all "
+            "times: take the widest box, or the largest distance, that is asked for at any"
+        )
 
 
 def _checked_distance(distance: Any) -> float:
@@ -312,6 +324,12 @@ def pair_region(name: str, pair: Pair, agents: Sequence[AnyAgent]) -> PairRegion
     for agent, size, axes in zip(names, sizes, outputs):
         if max(axes) >= size:
             raise ValueError(f"`propositions.{name}`: expected outputs of {agent} below {size}, got {max(axes)}")
+    for member, axes in zip((agents[i], agents[j]), outputs):
+        if {*axes} & {*member.angle_outputs}:
+            raise ValueError(
+                f"`propositions.{name}`: expected outputs that are numbers, got the angle {member.angles[0]!r} of "
+                f"{member.name}, whose differences wrap; compare other states (`of`), or `outputs` such as `cos` of it"
+            )
     if pair.distance is None:
         region = PairRegion(i, j, outputs, pair.low, pair.high)
     else:

@@ -5,6 +5,7 @@ A shape is a combination of pieces by and, or, not (docs/theory/regions.md, "Sha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,6 +15,9 @@ import numpy as np
 
 from ..expressions import computed, read_expression
 from .checks import shown
+
+TURN = 2.0 * math.pi
+"""A turn, rounded."""
 
 End = float | str
 """A number, or an expression in the time `t`."""
@@ -72,9 +76,17 @@ class Limit:
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex set: all limits hold, which are on different forms."""
+    """A convex set: all limits hold, which are on different forms.
+
+    Attributes
+    ----------
+    limits : tuple of Limit
+    by_time : tuple of Piece
+        What it is at times 0, 1, ..., where its forms are others at each of them; else empty.
+    """
 
     limits: tuple[Limit, ...]
+    by_time: tuple[Piece, ...] = ()
 
     @property
     def moves(self) -> bool:
@@ -88,6 +100,8 @@ class Piece:
 
     def at(self, time: int) -> Piece:
         """Return the piece at a time, its ends numbers (for pictures)."""
+        if self.by_time:
+            return self.by_time[time]
         ends = [(limit.form, _at(limit.low, time), _at(limit.high, time)) for limit in self.limits]
         return Piece(tuple(Limit(*end) for end in ends))
 
@@ -118,11 +132,17 @@ class Frame:
         Names of the states; empty where they have none, as those of linear agents.
     low, high : tuple of float
         Workspace.
+    angles : frozenset of int
+        States that are angles.
+    times : int
+        How many times there are, the start among them; 0 where they are not known.
     """
 
     names: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    angles: frozenset[int] = frozenset()
+    times: int = 0
 
     def states(self, of: Sequence[int | str] | None, count: int) -> tuple[int, ...]:
         """Return the numbers of the states that a shape is over: those that it names, or the first ones."""
@@ -214,3 +234,47 @@ def all_of(parts: Sequence[Combined]) -> Combined:
     if len(pieces) == len(parts):
         return piece_of([limit for piece in pieces for limit in piece.limits])
     return Combined("and", tuple(parts))
+
+
+# Pieces whose forms move: each time has forms of its own, and at all other times these have ends that are never met.
+
+FAR = 2000.0
+"""How far away ends lie that are never met, in sizes of what a form is in the workspace."""
+
+
+def moving_piece(pieces: Sequence[Piece], frame: Frame) -> Combined:
+    """Return the region that is another piece at each time, as one piece whose ends name the time."""
+    by_form: dict[Form, dict[int, Limit]] = {}
+    for time, piece in enumerate(pieces):
+        for limit in piece.limits:
+            by_form.setdefault(limit.form, {})[time] = limit
+    limits = []
+    for form, known in by_form.items():
+        far = FAR * (1.0 + _size(form, frame))
+        lows = {time: limit.low for time, limit in known.items() if limit.low is not None}
+        highs = {time: limit.high for time, limit in known.items() if limit.high is not None}
+        low, high = _table(lows, -far, len(pieces)), _table(highs, far, len(pieces))
+        limits.append(Limit(form, low, high))
+    return Combined("piece", piece=Piece(tuple(limits), tuple(pieces)))
+
+
+def _size(form: Form, frame: Frame) -> float:
+    """Return an upper bound on a form in the workspace, in absolute value."""
+    largest = [max(abs(low), abs(high)) for low, high in zip(frame.low, frame.high, strict=True)]
+
+    def linear(row: Sequence[float]) -> float:
+        return sum(abs(a) * x for a, x in zip(row, largest, strict=True))
+
+    return linear(form.row) if form.row else sum(abs(f) * (linear(row) + abs(c)) ** 2 for f, row, c in form.squares)
+
+
+def _table(ends: dict[int, End], far: float, times: int) -> End | None:
+    """Return an end that has these values at some whole times, and is far away at all others."""
+    values = set(ends.values())
+    if not ends or (len(ends) == times and len(values) == 1):
+        return next(iter(values), None)
+    # `max(0, 1 - abs(t - k))` is exactly 1 at the time k, and 0 at every other whole time.
+    hats = [f"max(0, 1 - abs(t - {time}))" for time in ends]
+    terms = [f"({end!r})*{hat}" for end, hat in zip(ends.values(), hats, strict=True)]
+    terms += [f"({far!r})*max(0, 1 - ({' + '.join(hats)}))"] if len(ends) < times else []
+    return " + ".join(terms)

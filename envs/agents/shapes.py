@@ -19,7 +19,7 @@ import numpy as np
 
 from ..expressions import Number, computed, names_in, read_expression
 from .checks import float_array, shown
-from .pieces import Combined, End, Form, Frame, Limit, all_of, either, face, face_through, piece_of
+from .pieces import TURN, Combined, End, Form, Frame, Limit, all_of, either, face, face_through, moving_piece, piece_of
 
 MOST_FACES = 60
 """Most faces of a polytope: each may be an output of its agent."""
@@ -27,11 +27,14 @@ MOST_FACES = 60
 MOST_TURNS = 50
 """Most turns of a heading that a workspace may hold: each is a piece."""
 
+MOST_MOVES = 61
+"""Most times of a shape that moves: it has outputs of its own at each of them."""
+
+MOVED_DECIMALS = 12
+"""Decimals to which what moves is rounded, so that it is the same on every machine."""
+
 DEEPEST = 40
 """Lists and tables within one another: more would be a slip."""
-
-TURN = 2.0 * math.pi
-
 
 Maker = Callable[[Frame], Combined]
 
@@ -82,9 +85,69 @@ def read_shape(table: Any) -> Shape:
         raise ValueError(f"unknown shape {shown(key)}; {remedy}")
     data = _plain(data)
     try:
-        return Shape(str(key), data, SHAPES[key](data))
+        moves = isinstance(data, Mapping) and any(
+            _names_time(data[name]) for name in MOVING.get(key, ()) if name in data
+        )
+        return Shape(str(key), data, _moving(str(key), data) if moves else SHAPES[key](data))
     except ValueError as error:
         raise ValueError(f"`{key}`: {error}") from None
+
+
+MOVING = {
+    "disc": ("centre",), "ball": ("centre",), "cone": ("tip", "axis"), "polygon": ("corners",),
+    "halfspace": ("normal",), "polytope": ("normals",),
+}  # fmt: skip
+"""What of a shape may name the time, so that it has other outputs at every time; ends of limits may do so without."""
+
+
+def _names_time(value: Any) -> bool:
+    """Return whether a number, or lists of them, names the time."""
+    if isinstance(value, list):
+        return any(map(_names_time, value))
+    if not isinstance(value, str):
+        return False
+    try:
+        return isinstance(_end(value, ""), str)
+    except ValueError:
+        return True  # what is wrong with it is said where it is read
+
+
+def _moving(key: str, data: Mapping[str, Any]) -> Maker:
+    """Return what makes a shape that is another one at each time."""
+    SHAPES[key](_at_time(data, 0))  # mistakes show where they are made
+
+    def make(frame: Frame) -> Combined:
+        if frame.times > MOST_MOVES:
+            raise ValueError(
+                f"expected a horizon of at most {MOST_MOVES - 1} steps beside a shape that moves, as it has outputs of "
+                f"its own at every time, got {frame.times - 1}; let it be an agent without inputs, whose dynamics name "
+                "`t`, and a pair (`agents`, `distance`)"
+            )
+        found = []
+        for time in range(frame.times):
+            try:
+                found.append(SHAPES[key](_at_time(data, time))(frame))
+            except ValueError as error:
+                raise ValueError(f"at t = {time}: {error}") from None
+        pieces = [part.piece for part in found if part.piece is not None]
+        if len(pieces) < len(found):
+            raise ValueError("expected a convex shape at each time, got one that is wider than half a turn at some")
+        return moving_piece(pieces, frame)
+
+    return make
+
+
+def _at_time(value: Any, time: int, key: str = "") -> Any:
+    """Return what is written of a shape with numbers in the place of expressions in the time."""
+    if isinstance(value, Mapping):
+        return {name: item if name == "of" else _at_time(item, time, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_at_time(item, time, f"{key}[{k}]") for k, item in enumerate(value)]
+    end = _end(value, key) if isinstance(value, str) else value
+    if not isinstance(end, str):
+        return end
+    found = float(computed([read_expression(end, ("t",))], {"t": np.array([float(time)])})[0][0])
+    return float(float_array([round(found, MOVED_DECIMALS)], f"{key} at t = {time}", (1,), "0.5")[0])
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
@@ -134,14 +197,7 @@ def _fields(data: Any, required: Sequence[str], optional: Sequence[str] = ("of",
 
 
 def _vector(value: Any, name: str, length: int | None = None) -> tuple[float, ...]:
-    numbers = value
-    if isinstance(value, Sequence) and any(isinstance(entry, str) for entry in value):
-        raise ValueError(
-            f"`{name}`: expected numbers, got {shown(value)}; what may name the time `t` are offsets, radii, and the "
-            "corners of a region with `low` and `high`; let a disc that moves be an agent without inputs, whose "
-            "dynamics name `t`, and a pair (`agents`, `distance`)"
-        )
-    return tuple(float_array(numbers, name, (length,), "[1.0, 2.0]").tolist())
+    return tuple(float_array(value, name, (length,), "[1.0, 2.0]").tolist())
 
 
 def _end(value: Any, name: str) -> End:
@@ -161,7 +217,10 @@ def _end(value: Any, name: str) -> End:
 def _still(value: Any, name: str) -> float:
     end = _end(value, name)
     if isinstance(end, str):
-        raise ValueError(f"`{name}`: expected a number, got {shown(value)}, which names the time")
+        raise ValueError(
+            f"`{name}`: expected a number, got {shown(value)}, which names the time; angles of shapes stand still: let "
+            "the state be the angle less what moves, in dynamics that name `t`"
+        )
     return end
 
 
@@ -357,6 +416,8 @@ def _heading(data: Any) -> Maker:
         (state,) = frame.states(of, 1)
         form = Form(tuple(np.eye(len(frame.low))[state].tolist()))
         low, high = frame.low[state], frame.high[state]
+        if state in frame.angles:
+            return _arc(form, _into(first, low, high), _into(last, low, high), (low, high))
         turns = range(math.floor((low - first - width) / TURN), math.ceil((high - first) / TURN) + 1)
         if len(turns) > MOST_TURNS:
             raise ValueError(f"`of`: expected a state of at most {MOST_TURNS} turns, got a workspace of {len(turns)}")
@@ -367,6 +428,23 @@ def _heading(data: Any) -> Maker:
         return either([piece_of([Limit(form, start, start + width)]) for start in here])
 
     return make
+
+
+def _into(angle: float, low: float, high: float) -> float:
+    """Return an angle less whole turns, in the workspace of an angle (rounded once)."""
+    turn = Fraction(TURN)
+    return min(max(float(Fraction(angle) - turn * math.floor((Fraction(angle) - Fraction(low)) / turn)), low), high)
+
+
+def _arc(form: Form, first: float, last: float, ends: tuple[float, float]) -> Combined:
+    """Return the part of a circle from one angle on to the left until another one: an interval of the workspace of the
+    angle, or what is outside of one."""
+    if first < last:
+        return piece_of([Limit(form, first, last)])
+    # It goes on through the place where the workspace ends.
+    if last <= ends[0]:
+        return piece_of([Limit(form, first, ends[1])])
+    return Combined("not", (piece_of([Limit(form, last, first)]),))
 
 
 def _part(value: Any) -> Callable[[Frame], Combined]:

@@ -27,6 +27,7 @@ from ..agents import (
     place_of,
     row_times,
     slices_of,
+    wrapped,
 )
 from ..arrays import to_host
 from .blocks import WrittenMotion
@@ -220,6 +221,8 @@ class OneWorld:
                 for x, own in zip(states, self.shared):
                     for c, k, factor in own:
                         x[c] = x[c] + factor * normals[k]
+            for i, k in self._angles:
+                states[i][k] = float(wrapped(np.float64(states[i][k]), self.agents[i].state_low[k]))
             letter, outside = self._letter(states, now + 1)
         following = self._next(world.q, letter)
         q, failed, accepted = decided(self.accepting, world.q, following, world.failed, world.accepted, outside)
@@ -243,6 +246,15 @@ class OneWorld:
             names = (name for p, name in enumerate(problem.automaton.propositions) if letter >> p & 1)
             self._names[letter] = tuple(problem.told(names))
         return self._names[letter]
+
+    @cached_property
+    def _angles(self) -> list[tuple[int, int]]:
+        """Which states of which agents are angles."""
+        return [
+            (i, k)
+            for i, agent in enumerate(self.dynamics.problem.agents)
+            for k in np.flatnonzero(agent.wrapped_axes).tolist()
+        ]
 
     @cached_property
     def _calm(self) -> list[None]:

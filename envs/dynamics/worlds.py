@@ -30,7 +30,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..agents import Agent, contains, counted, holds, inside, read_only, shortened, tree_text
+from ..agents import Agent, contains, counted, holds, inside, read_only, shortened, tree_text, wrapped
 from ..arrays import concatenated, double, is_host, namespace, to_host
 from ..logic import Automaton
 from ..problem import Problem
@@ -381,7 +381,19 @@ def _successors(
     states = tuple(successor(block, x, u, z, v, beside, now) for block, x, u, z, v, beside in steps)
     if dynamics.problem.joint_noise:
         states = tuple(_shaken(block, x, normals[-1]) for block, x in zip(dynamics.blocks, states))
-    return states
+    return tuple(_turned_back(block, x) for block, x in zip(dynamics.blocks, states))
+
+
+def _turned_back(block: Block, x: np.ndarray) -> np.ndarray:
+    """Return states (d, n, M) whose angles are in their workspace again."""
+    axes = np.flatnonzero(block.noise_of.wrapped_axes).tolist()
+    if not axes:
+        return x
+    rows = list(x)
+    with np.errstate(all="ignore"):  # states may not be defined
+        for k in axes:
+            rows[k] = wrapped(rows[k], block.state_low[k])
+    return namespace(x).stack(rows)
 
 
 def _shaken(block: Block, x: np.ndarray, sources: np.ndarray) -> np.ndarray:

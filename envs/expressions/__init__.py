@@ -9,6 +9,7 @@ from .intervals import Interval
 from .linear_systems import AffineForm, affine_form, replaced, solved
 from .programs import Program
 from .reading import RESERVED, ExpressionError, checked_variable, read_expression
+from .repeating import turns
 
 __all__ = [
     "Affine",
@@ -35,5 +36,6 @@ __all__ = [
     "solved",
     "split_at",
     "substituted",
+    "turns",
     "whole_exponent",
 ]

@@ -5,6 +5,7 @@ from .problem_file import load_problem, problem_from_dict, problem_from_toml
 from .record import Problem, checked_problem
 from .specification import Specification
 from .split import split_axes
+from .unrolling import Unrolled, unrolled
 from .writing_out import Places, states_in_time, written_out
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Places",
     "Problem",
     "Specification",
+    "Unrolled",
     "checked_problem",
     "load_problem",
     "problem_from_dict",
@@ -19,5 +21,6 @@ __all__ = [
     "refuse_joint_noise",
     "split_axes",
     "states_in_time",
+    "unrolled",
     "written_out",
 ]

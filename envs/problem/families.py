@@ -45,7 +45,7 @@ def refuse_shape(value: Mapping[str, Any], where: str) -> None:
     if words:
         raise ValueError(
             f"{where}: expected `low` and `high` of a difference, or a `distance`, got `{words[0]}`; a shape is about "
-            "one agent (`agent`)"
+            "one agent (`agent`); take a box around it where a pair keeps apart, or one within it where it is to hold"
         )
 
 

@@ -337,6 +337,7 @@ def _check_keys(table: Any, where: str, required: Iterable[str], optional: Itera
         if key not in allowed:
             close = get_close_matches(str(key), allowed, n=1)
             remedy = f"did you mean `{close[0]}`?" if close else f"the keys are {', '.join(allowed)}"
+            remedy = "write the agent as expressions, with `states` and `dynamics`" if key == "angles" else remedy
             raise ValueError(f"{where}unknown key {shown(key)}; {remedy}")
     for key in required:
         if key not in table:

@@ -152,7 +152,8 @@ class Problem:
         written_agents = _checked_agents(agents)
         declared = checked_propositions(propositions)
         expanded, families = expand(declared, [agent.name for agent in written_agents])
-        regions = regions_of(written_agents, expanded, families)
+        steps = checked_horizon(horizon)
+        regions = regions_of(written_agents, expanded, families, steps)
         sources, shared = checked_sources(joint_noise, written_agents)
         members = tied(_shaken(regions.agents, written_agents, shared))
         labeling = Labeling.of(members, regions.boxes)
@@ -178,7 +179,6 @@ class Problem:
             )
         if automaton is not None and regions.meanings:
             automaton = with_meanings(automaton, labeling.names, regions.meanings)
-        steps = checked_horizon(horizon)
         _check_corners(labeling, steps)
         values = {
             "name": title,
@@ -387,6 +387,16 @@ class Problem:
         ValueError
             As at construction.
         """
+        if horizon is not None and any(piece.by_time for piece in self.pieces.values()):
+            # Shapes that move have outputs for every time: with other times they are made anew.
+            anew = Problem(
+                name=self.name, horizon=horizon, agents=self.written_agents, propositions=self.declared,
+                specification=self.specification, joint_noise=dict(self.joint_noise) or None,
+            )  # fmt: skip
+            return anew.replace(
+                initial_state=initial_state, initial_low=initial_low, initial_high=initial_high,
+                disturbance_scale=disturbance_scale, name=name,
+            )  # fmt: skip
         # Neither start nor noise changes propositions or regions, so everything derived from them is handed on.
         changes: dict[str, Any] = {}
         if name is not None:

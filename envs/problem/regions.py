@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..agents import (
-    MOST_STATES,
+    MOST_OUTPUTS,
     Agent,
     AnyAgent,
     Combined,
@@ -65,6 +65,7 @@ def regions_of(
     agents: Sequence[AnyAgent],
     written: Mapping[str, AnyProposition],
     families: Mapping[str, tuple[str, ...]],
+    horizon: int,
 ) -> Regions:
     """Return propositions without `*` as boxes, and the agents with the outputs that they are about.
 
@@ -76,7 +77,9 @@ def regions_of(
     shaped = {p.agent for p in written.values() if isinstance(p, Proposition) and p.shape is not None}
     if not shaped:
         return Regions(tuple(agents), dict(written))
-    reader = _Reader(written, families, {agent.name: _frame(agent) for agent in agents if agent.name in shaped})
+    reader = _Reader(
+        written, families, {agent.name: _frame(agent, horizon) for agent in agents if agent.name in shaped}
+    )
     for name, proposition in written.items():
         if isinstance(proposition, Proposition) and proposition.shape is not None:
             reader.read(name)
@@ -93,9 +96,10 @@ def regions_of(
     return Regions(members, boxes, reader.meanings, reader.pieces)
 
 
-def _frame(agent: AnyAgent) -> Frame:
+def _frame(agent: AnyAgent, horizon: int) -> Frame:
     names = agent.states if isinstance(agent, Agent) else ()
-    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()))
+    angles = frozenset(np.flatnonzero(agent.wrapped_axes).tolist())
+    return Frame(names, tuple(agent.state_low.tolist()), tuple(agent.state_high.tolist()), angles, horizon + 1)
 
 
 class _Reader:
@@ -273,9 +277,9 @@ def _with_texts(agent: Agent, forms: Sequence[Form]) -> tuple[Agent, dict[Form, 
         places[form] = own + texts[own:].index(text)
     if len(texts) == own:
         return agent, places
-    if len(texts) > MOST_STATES:
+    if len(texts) > MOST_OUTPUTS:
         raise ValueError(
-            f"`propositions`: expected shapes of agent {agent.name} with up to {MOST_STATES - own} different faces, "
+            f"`propositions`: expected shapes of agent {agent.name} with up to {MOST_OUTPUTS - own} different faces, "
             f"got {len(texts) - own}; take fewer"
         )
     return agent.replace(outputs=texts, added_outputs=agent.added_outputs + len(texts) - own), places

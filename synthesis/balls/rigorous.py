@@ -77,6 +77,11 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
         raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
     given = checkable(certificate)
     problem = given.problem if problem is None else as_problem(problem)
+    if any(agent.angles for agent in problem.agents):
+        raise ValueError(
+            "`--rigorous`: expected states that are numbers, got angles, whose copies of cells and regions are bounded "
+            "by hand; leave it out: `check` counts with that bound"
+        )
     with noted() as statements:
         plain = check(given, problem)
     claimed = given.lower_bound

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,10 +41,31 @@ def _tables(agent: AnyAgent, part: AgentPart) -> list[FloatArray]:
     deviations = np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
     if not agent.has_plain_noise:
         return _uneven_tables(agent, part, deviations)
-    if agent.laws is not None:
-        triples = zip(part.grid.edges, part.lattice, agent.laws, strict=True)
-        return [lawful_masses(law, edges, axis) for edges, axis, law in triples]
-    return [_gaussian_masses(*axis) for axis in zip(part.grid.edges, part.lattice, deviations, strict=True)]
+    tables = []
+    for k, (edges, axis) in enumerate(zip(part.grid.edges, part.lattice, strict=True)):
+        if agent.laws is not None:
+            tables.append(_over_windings(agent, k, axis, partial(lawful_masses, agent.laws[k], edges)))
+        else:
+            deviation = float(deviations[k])
+            tables.append(_over_windings(agent, k, axis, partial(_gaussian_masses, edges, deviation=deviation)))
+    return tables
+
+
+def _over_windings(
+    agent: AnyAgent, k: int, means: FloatArray, masses: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Masses (Z, S) of cells around means (Z,), from below; of an angle, those of each cell and its copies.
+
+    A copy a turn to the right of a cell has the mass of the cell around a mean a turn to the left.
+    """
+    if not agent.wrapped_axes[k]:
+        return masses(means)
+    copies = [masses(means - turn) for turn in COPIES]
+    return np.asarray(sum(copies[1:], copies[0]) * (1.0 - 4e-15))
+
+
+COPIES = tuple(6.283185307179586 * number for number in (-3, -2, -1, 0, 1, 2, 3))
+"""How far copies of a cell of an angle are from it: all others hold next to nothing, and count as nothing."""
 
 
 def kernel_key(agent: AnyAgent, part: AgentPart) -> tuple[bytes, ...]:
@@ -54,6 +77,7 @@ def kernel_key(agent: AnyAgent, part: AgentPart) -> tuple[bytes, ...]:
         *agent.noise_key,
         part.coordinates.tobytes(),
         repr(lattice_axes(agent)).encode(),
+        agent.wrapped_axes.tobytes(),
         *(array.tobytes() for array in (*part.grid.edges, *part.lattice)),
     )
 
@@ -77,12 +101,12 @@ def _uneven_tables(agent: AnyAgent, part: AgentPart, deviations: FloatArray) -> 
         if ("cell", k) in points:
             tables.append((points["cell", k][:, None] == np.arange(len(edges) - 1)).astype(float))
         elif agent.laws is None:
-            tables.append(_gaussian_masses(edges, points["mean", k], deviations[k]))
+            normal = partial(_gaussian_masses, edges, deviation=float(deviations[k]))
+            tables.append(_over_windings(agent, k, points["mean", k], normal))
         else:
             scales = np.exp(points.get(("scale", k), np.zeros(1)))
-            tables.append(
-                np.concatenate([lawful_masses(agent.laws[k], edges, points["mean", k], scale) for scale in scales])
-            )
+            laws = [partial(lawful_masses, agent.laws[k], edges, scale=scale) for scale in scales]
+            tables.append(np.concatenate([_over_windings(agent, k, points["mean", k], law) for law in laws]))
     return tables
 
 
@@ -94,6 +118,7 @@ def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
     if agent.laws is not None:
         # A mass is off by two errors, and two are taken off; a fifth one is for the rounding of all this.
         lost = sum(5.0 * law_error(law) * n for law, n in zip(agent.laws, part.grid.shape, strict=True))
+        lost += _near_copies(agent, part)
         state("lost", agent, part, lost)
         return lost
     total, deviations = 0.0, np.sqrt(np.diag(grid_noise(agent.noise_covariance, part.coordinates)))
@@ -102,7 +127,26 @@ def lost_to_rounding(agent: AnyAgent, part: AgentPart) -> float:
             continue  # whole numbers
         x = np.abs(edges - axis[:, None]) / (deviation * np.sqrt(2.0))
         total += 8.0 * TAIL * float(np.max(np.sum(0.5 * erfc(x) * (1.0 + x * x), axis=1))) + 8.0 * ONE
+    total += _near_copies(agent, part)
     state("lost", agent, part, total)
+    return total
+
+
+def _near_copies(agent: AnyAgent, part: AgentPart) -> float:
+    """Upper bound on the mass so near to edges of copies of cells that rounding may move it over them.
+
+    Edges are a cell apart, but where a turn ends and the next one begins: densities at all of them sum to at most twice
+    ``1 / width`` and their variation.
+    """
+    points = dict(zip(((axis.kind, axis.state) for axis in lattice_axes(agent)), part.lattice, strict=True))
+    total, deviations = 0.0, np.sqrt(np.diag(agent.noise_covariance))
+    for k in np.flatnonzero(agent.wrapped_axes).tolist():
+        if ("mean", k) not in points:
+            continue  # without noise the cell is that of the mean
+        off = 1e-15 * (float(np.abs(points["mean", k]).max()) + COPIES[-1])
+        height = 0.39895 / deviations[k] if agent.laws is None else agent.laws[k].height
+        height = height / min(1.0, float(np.exp(points.get(("scale", k), np.zeros(1))).min()))
+        total += 4.0 * off * (1.0 / float(np.diff(part.grid.edges[k]).min()) + 2.0 * height)
     return total
 
 

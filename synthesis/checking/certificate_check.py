@@ -46,7 +46,7 @@ from ..certificates import (
     significant_up,
     state,
 )
-from ..path_checking import wrong_hull, wrong_paths
+from ..path_checking import wrong_angles, wrong_hull, wrong_paths
 from ..values import UNIT, Terms
 from .carrying_out import wrong_actions
 from .common_check import wrong_common
@@ -139,6 +139,8 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     if problem.labeling.pairs and one in (_check_one, _check_hull):
         failures = ("its problem has propositions about pairs of agents, of which it knows nothing",)
         return CheckReport(False, certificate.lower_bound, float("nan"), failures)
+    if wrong := wrong_angles(problem):
+        return CheckReport(False, certificate.lower_bound, float("nan"), tuple(wrong))
     try:
         # What overflows decides nothing: neither infinities nor numbers that are none are compared with anything.
         with np.errstate(over="raise", invalid="raise", divide="raise"):

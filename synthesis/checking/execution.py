@@ -36,6 +36,9 @@ UNIT = 2.0**-53
 DENSITY = 0.39895
 """Upper bound on the density of the standard normal law."""
 
+WRAPPED = 1e-13
+"""Upper bound on what an angle is off by where it wraps, up to a hundred turns away."""
+
 COUPLING = 1e-12
 """Upper bound on what rounding changes in the law of noise that is drawn by a coupling, in total variation."""
 
@@ -91,6 +94,15 @@ class _Setting:
 def execution_of(agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
     """How far the controller with this relation may be off."""
     setting = _setting(agent, part)
+    if agent.angles:
+        # An angle that wraps is rounded once more, and may be read in the cell beside its own.
+        plain = execution_of_numbers(setting, agent, part, relation)
+        return replace(plain, loss=plain.loss + _misread(setting, np.where(agent.wrapped_axes, WRAPPED, 0.0)))
+    return execution_of_numbers(setting, agent, part, relation)
+
+
+def execution_of_numbers(setting: _Setting, agent: AnyAgent, part: AgentPart, relation: Relation) -> Execution:
+    """How far the controller may be off, apart from what wraps."""
     if isinstance(relation, ExactRelation):
         return _exact(setting, agent, part, relation)
     if isinstance(relation, MapRelation):

@@ -170,7 +170,7 @@ def has_linear_cells(agent: AnyAgent) -> bool:
 
     Neighbours would be disturbances under linear cells; mean boxes cancel those that are communicated.
     """
-    if not agent.has_plain_noise:
+    if not agent.has_plain_noise or agent.angles:
         return False
     if isinstance(agent, Agent):
         laws = [] if agent.laws is None else [law.name for law in agent.laws]

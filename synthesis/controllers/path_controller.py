@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import LinearAgent, tree_text
+from ...envs.agents import LinearAgent, tree_text, wrapped
 from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
 from ..cells import FloatArray
@@ -80,7 +80,11 @@ class PathController:
         agent, (inputs, gain, _) = self.problem.agents[i], self.paths[i]
         t = min(time, len(inputs) - 1)
         feedback = gain[t] if gain.ndim == 3 else gain
-        wanted = inputs[t][:, None] + feedback @ (states - self.nominal[i][t][:, None])
+        deviation = states - self.nominal[i][t][:, None]
+        if agent.angles:
+            # Nominal angles may be turns away: what counts is the nearest of all that the angle stands for.
+            deviation[agent.wrapped_axes] = wrapped(deviation[agent.wrapped_axes], -np.pi)
+        wanted = inputs[t][:, None] + feedback @ deviation
         return np.clip(wanted, agent.input_low[:, None], agent.input_high[:, None])
 
     def batch(self, dynamics: Dynamics) -> BatchPaths:

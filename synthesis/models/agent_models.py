@@ -265,6 +265,8 @@ def reaches_every_mean(agent: AnyAgent) -> bool:
     if isinstance(agent, LinearAgent):
         return has_full_rank(agent)
     assert isinstance(agent, Agent)
+    if agent.angles:
+        return False  # only mean boxes have masses over all windings
     if agent.has_clock:
         return False  # targets would have to be solved for at every step by itself
     try:

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...envs.agents import Gaussian, Law
+from ...envs.agents import TURN, Gaussian, Law
 from ..cells import FloatArray, Grid, LatticeAxis
 from .bends import FOURTH, SQUARED
 from .kernel import AxisTable, Kernel, law_table
@@ -174,15 +174,22 @@ def points_per_cell(grid: Grid, laws: Sequence[Law], n_axes: int | None = None) 
 
 
 def box_lattice(
-    grid: Grid, deviations: FloatArray, per_cell: tuple[int, ...], low: FloatArray, high: FloatArray
+    grid: Grid,
+    deviations: FloatArray,
+    per_cell: tuple[int, ...],
+    low: FloatArray,
+    high: FloatArray,
+    wrapped: Sequence[bool] | None = None,
 ) -> tuple[FloatArray, ...]:
     """Return evenly spaced axes that hold the means between ``low`` and ``high`` (d,), as far as they matter.
 
+    Beyond the grid along an axis that is ``wrapped`` there is no outside: half a turn, and three deviations.
     Points lie on the edges of equal cells, so that images of cells have their sides on lattice points where they can.
     """
     axes = []
     for k, edges in enumerate(grid.edges):
         first, last, beyond = float(edges[0]), float(edges[-1]), BEYOND_GRID * float(deviations[k])
+        beyond += 0.5 * TURN if wrapped is not None and wrapped[k] else 0.0
         pitch = (last - first) / (grid.shape[k] * per_cell[k])
         # The outermost points are not used; one more inside of them on either side is for rounding outward.
         below = math.ceil((first - max(first - beyond, min(first, float(low[k])))) / pitch) + 2
@@ -196,8 +203,12 @@ def box_kernel(
     lattice: tuple[FloatArray, ...],
     laws: Sequence[Law],
     axes: Sequence[LatticeAxis] | None = None,
+    wrapped: Sequence[bool] | None = None,
 ) -> BoxKernel:
-    """Return the kernel on a lattice, whose axes are those of the means by default."""
+    """Return the kernel on a lattice, whose axes are those of the means by default.
+
+    ``wrapped`` says which states are angles, whose cells have the masses of all windings.
+    """
     axes = [LatticeAxis("mean", k) for k in range(len(laws))] if axes is None else axes
     points = dict(zip(axes, lattice, strict=True))
     tables, loss, ratios, charges = [], 0.0, [], list[FloatArray]()
@@ -208,7 +219,8 @@ def box_kernel(
         axis, levels = points[LatticeAxis("mean", k)], points.get(LatticeAxis("scale", k))
         pitch = float(axis[-1] - axis[0]) / (len(axis) - 1)
         own = [law] if levels is None else [law.scaled(math.exp(level)) for level in levels.tolist()]
-        table, missing = _stacked([law_table(axis, edges, each) for each in own])
+        make = wound_table if wrapped is not None and wrapped[k] else law_table
+        table, missing = _stacked([make(axis, edges, each) for each in own])
         tables.append(table)
         loss += missing
         ratios.append(max(ratio_of(each, pitch) for each in own))
@@ -226,6 +238,25 @@ def box_kernel(
     shape_of = tuple(len(axis) for axis in lattice)
     charge = np.asarray(sum(charges, np.zeros((1,) * len(axes))))
     return BoxKernel(tuple(tables), loss, np.array(ratios), None if normal else charge, shape_of, bent)
+
+
+def wound_table(means: FloatArray, edges: FloatArray, law: Law) -> tuple[AxisTable, float]:
+    """Return lower bounds on the masses of the cells of an angle over windings: of a cell and all its copies.
+
+    What windings that are left out would add counts as nothing. Copies are where they are up to rounding: the mass
+    that lies so near to an edge is part of the loss (docs/theory/angles.md, "Masses over windings").
+    """
+    total, loss = np.zeros((len(means), len(edges) - 1)), 0.0
+    for winding in range(-WINDINGS, WINDINGS + 1):
+        table, missing = law_table(means - TURN * winding, edges, law)
+        total, loss = total + table.toarray(), loss + missing
+    off = COPIES_OFF * (float(np.abs(means).max()) + TURN * WINDINGS)
+    near = 4.0 * off * (1.0 / float(np.diff(edges).min()) + 2.0 * law.height)
+    return AxisTable.dense(total * (1.0 - 1e-14)), loss + 2.0 * near
+
+
+WINDINGS, COPIES_OFF = 3, 1e-15
+"""Windings to either side whose masses are counted, and what copies of edges are off by, as a share of their size."""
 
 
 def _staying(n_cells: int) -> FloatArray:

@@ -89,7 +89,7 @@ def box_model(
             f"agent `{agent.name}`: mean boxes need at most {MOST_BOXES} boxes and {MOST_LATTICE} lattice points, got "
             f"{grid.n_cells * len(menu)} and {count}{FEWER}"
         )
-    means = box_lattice(grid, deviations, points, low, high)
+    means = box_lattice(grid, deviations, points, low, high, agent.wrapped_axes.tolist())
     by_kind = {"mean": lambda k: means[k], "cell": lambda k: cell_points(grid.shape[k])}
     if spread is not None:
         n_scaled = sum(axis.kind == "scale" for axis in axes)
@@ -102,7 +102,7 @@ def box_model(
         choices = replace(choices, n_parts=len(relation.common.numbers))
     if agent.has_clock:
         choices = replace(choices, n_times=int(agent.input_high[-1]) + 1)
-    return relation, lattice, box_kernel(grid, lattice, laws, axes), choices
+    return relation, lattice, box_kernel(grid, lattice, laws, axes, agent.wrapped_axes.tolist()), choices
 
 
 def scale_range(agent: AnyAgent, relation: BoxRelation, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray] | None:

@@ -48,15 +48,20 @@ def guesses(problem: Problem, agent: AnyAgent, letters: NDArray[np.int8], start:
     if not axes:
         yield np.tile(here, (len(letters), 1))
         return
-    space = _of_states(agent, axes, start) or _of_outputs(axes[:3], low, high, here)
-    grid = _Grid(problem, agent, letters, space)
-    charge = np.zeros(grid.shape)
-    for _ in range(MOST_GUESSES):
-        found = grid.way(space.here, charge)
-        if found is None:
-            return
-        yield space.whole(found)
-        charge = charge + grid.beside(found)
+    spaces = [_of_states(agent, axes, start, []) or _of_outputs(axes[:3], low, high, here)]
+    avoided = _limited(problem, agent, np.minimum(letters, 0), low, high)
+    if not {*avoided} <= {*spaces[0].axes}:
+        # What is avoided has to be seen: what is to hold besides, such as to be slow, is left to the planner.
+        spaces.insert(0, _of_states(agent, axes, start, avoided) or _of_outputs(avoided[:3], low, high, here))
+    for space in spaces:
+        grid = _Grid(problem, agent, letters, space)
+        charge = np.zeros(grid.shape)
+        for _ in range(MOST_GUESSES):
+            found = grid.way(space.here, charge)
+            if found is None:
+                break
+            yield space.whole(found)
+            charge = charge + grid.beside(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,15 +100,20 @@ def _of_outputs(narrowest: list[int], low: FloatArray, high: FloatArray, here: F
     return _Space(low[axes], high[axes], here[axes], axes, lambda points: points, whole)
 
 
-def _of_states(agent: AnyAgent, axes: list[int], start: FloatArray) -> _Space | None:
-    """Return the space of up to three states on which outputs depend; None for agents without added outputs."""
+def _of_states(agent: AnyAgent, axes: list[int], start: FloatArray, ahead: list[int]) -> _Space | None:
+    """Return the space of up to three states on which outputs depend, first those ``ahead``.
+
+    None for agents without added outputs.
+    """
     if not agent.added_outputs or not isinstance(agent, Agent):
         return None
     names = {k: frozenset(names_in(agent.output_trees[k])) for k in axes}
     tied = [k for k in axes if len(names[k]) > 1]
     # Where not all states have a place, those of round and oblique regions come first, as they say what is where;
     # then the narrowest. What is about further states is left to the planner.
-    if tied and len(frozenset().union(*names.values())) > len(CELLS):
+    if ahead:
+        axes = [*ahead, *(k for k in axes if k not in ahead)]
+    elif tied and len(frozenset().union(*names.values())) > len(CELLS):
         known = frozenset[str]().union(*(names[k] for k in tied))
         axes = [*tied, *(k for k in axes if k not in tied and names[k] <= known)]
     named, kept = frozenset[str](), list[int]()

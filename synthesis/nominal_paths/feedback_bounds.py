@@ -216,6 +216,7 @@ class _Walk:
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
+            asked = asked | self.model.unrolled
             slab = np.where(asked, self.feedback.slabs[:, t, :d] * sd + self.least[:d], np.inf)
             reach = np.where(np.isinf(slab), np.inf, slab) + drift if t else drift
             reach = np.minimum(reach, np.maximum(self.agent.state_high - x, x - self.agent.state_low))

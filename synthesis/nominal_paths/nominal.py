@@ -98,7 +98,8 @@ def _scale(slabs: Slabs) -> FloatArray:
     """Return widths (J,) of inequalities; the size of the limit where there is one only."""
     width = slabs.high - slabs.low
     sizes = np.where(np.isfinite(slabs.low), np.abs(slabs.low), np.abs(slabs.high))
-    return np.where(np.isfinite(width), width, np.maximum(sizes, 1.0))
+    # Where there is no limit at all, as on the far side of a region that was added, any size will do.
+    return np.where(np.isfinite(width), width, np.where(np.isfinite(sizes), np.maximum(sizes, 1.0), 1.0))
 
 
 def _least_squares(
@@ -106,8 +107,9 @@ def _least_squares(
 ) -> FloatArray:
     """Return inputs that come near to the middle of all inequalities, each measured by its width."""
     two_sided = np.isfinite(slabs.low) & np.isfinite(slabs.high)
-    weight = 1.0 / np.maximum(slabs.high - slabs.low, 1e-12)[two_sided]
-    aim = 0.5 * (slabs.low + slabs.high)[two_sided] - constant[two_sided]
+    lower, upper = slabs.low[two_sided], slabs.high[two_sided]
+    weight = 1.0 / np.maximum(upper - lower, 1e-12)
+    aim = 0.5 * (lower + upper) - constant[two_sided]
     centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
     # In units of half the input range, with a weak pull to its middle.
     scaled = matrix[two_sided] * weight[:, None] * half

@@ -39,6 +39,12 @@ class NonlinearModel:
         return (*(f"state {k}" for k in range(d)), *(f"input {k}" for k in range(m)))
 
     @cached_property
+    def unrolled(self) -> NDArray[np.bool_]:
+        """Which states (d,) are unrolled angles: they are kept within half a turn."""
+        names = getattr(self.agent, "unrolled", ())
+        return np.array([name in names for name in self.names[: self.agent.n_states]])
+
+    @cached_property
     def motion(self) -> Program:
         """The mean of the next state."""
         means = (self.agent.noise_axes @ self.laws[0]).tolist()

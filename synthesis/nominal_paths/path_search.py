@@ -16,6 +16,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
+from .angle_paths import along_angles
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
@@ -56,6 +57,8 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
     """
     began = time.perf_counter()
     refuse_without_path(problem)
+    if any(agent.angles for agent in problem.agents):
+        return along_angles(problem, path_certificate, is_over)
     linear = all(
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )

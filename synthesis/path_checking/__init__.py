@@ -2,8 +2,20 @@
 
 from .hull_check import wrong_hull
 from .nonlinear_check import Moving
+from .own_angles import wrong_angles
 from .own_intervals import Span, bounds, computed_off, products, span
 from .own_regions import RegionSpan
 from .path_check import wrong_paths
 
-__all__ = ["Moving", "RegionSpan", "Span", "bounds", "computed_off", "products", "span", "wrong_hull", "wrong_paths"]
+__all__ = [
+    "Moving",
+    "RegionSpan",
+    "Span",
+    "bounds",
+    "computed_off",
+    "products",
+    "span",
+    "wrong_angles",
+    "wrong_hull",
+    "wrong_paths",
+]

@@ -32,6 +32,7 @@ from ..certificates import AgentPath, PathCertificate
 from .gaussian_inequalities import Inequalities
 from .law_moments import NORMAL, moments_of
 from .linear_deviations import Chain
+from .own_angles import HALF_TURN, ROUNDED, TURN, axes_of_angles, copy_of, gap_of
 from .own_bends import Expansion, expansion
 from .own_regions import RegionSpan
 from .roundings import TAIL, UNIT
@@ -161,10 +162,12 @@ class Moment:
     def limits(self, certificate: PathCertificate, rows: Inequalities) -> None:
         """Add the inequalities on the state: workspace, tube, and regions that are to hold or not."""
         eye = np.eye(len(self.at))
+        # Nothing leaves its workspace by turning.
+        ends = np.where(axes_of_angles(self.agent) > 0.0, np.inf, 0.0)
+        lowest, highest = self.agent.state_low - ends, self.agent.state_high + ends
         # Row, nominal value from below and above, limits, what the form is off, and its slab.
         asked = [
-            (eye[k], self.at[k], self.at[k], self.agent.state_low[k], self.agent.state_high[k], 0.0, self.slab[k])
-            for k in range(len(self.at))
+            (eye[k], self.at[k], self.at[k], lowest[k], highest[k], 0.0, self.slab[k]) for k in range(len(self.at))
         ]
         asked += [(*form, np.inf) for form in self._regions(certificate)]
         # Forms of one row are one: the narrowest limits say all.
@@ -183,6 +186,16 @@ class Moment:
         drift = self.chain.drift(forms)
         rows.add(ends[:, 0] - drift, ends[:, 1] - drift, ends[:, 2], *self.chain.spreads(forms))
 
+    def _of_copies(self, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
+        """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
+        if k not in self.agent.angle_outputs:
+            return k, low, high
+        value = float(self.outputs.values[0, k])
+        if holds and high - low >= TURN:
+            return k, -np.inf, np.inf  # all of the circle
+        least, most = copy_of(low, high, value) if holds else gap_of(low, high, value)
+        return k, least + ROUNDED, most - ROUNDED
+
     def _regions(self, certificate: PathCertificate) -> Iterator[tuple[FloatArray, float, float, float, float, float]]:
         """Yield row, nominal value from below and above, both limits, and the remainder, of forms of regions."""
         problem = certificate.problem
@@ -198,13 +211,16 @@ class Moment:
             region = RegionSpan.of(proposition, self.t)
             faces = range(region.low.shape[1])
             limits = [(k, float(region.low[1, k]), float(region.high[0, k])) for k in faces]
+            limits = [self._of_copies(*limit, holds=True) for limit in limits]
             if value < 0:
                 limits = [(k, float(region.low[0, k]), float(region.high[1, k])) for k in faces]
                 face = int(certificate.faces[self.t, p])
                 if not 0 <= face < 2 * len(limits):
                     raise NothingKnownError(f"region `{name}` is passed on no side at step {self.t}")
                 k, low, high = limits[face // 2]
+                is_angle = k in self.agent.angle_outputs
                 limits = [(k, high, np.inf) if face % 2 else (k, -np.inf, low)]
+                limits = [self._of_copies(k, low, high, holds=False)] if is_angle else limits
             found = self.outputs
             for k, low, high in limits:
                 yield found.matrix[k], found.values[0, k], found.values[1, k], low, high, float(found.off[k])
@@ -224,20 +240,26 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
     start = agent.initial
     moving = Moving.of(_at(agent, 0))
     first = path.states[0]
+    free = np.where(axes_of_angles(agent) > 0.0, np.inf, 0.0)  # nothing leaves its workspace by turning
     spread = np.maximum(np.maximum(start.high - first, first - start.low), 0.0) * (1.0 + 2.0 * UNIT)
     chain = Chain(units, spread)
     for t, (at, slabs) in enumerate(zip(path.states, path.slabs, strict=True)):
         # Where dynamics name the time, they are those of this step.
         now = _at(agent, min(t, path.n_steps - 1))
         moving = Moving.of(now) if agent.names_time else moving
-        if np.any((at < agent.state_low) | (at > agent.state_high)):
+        if np.any((at < agent.state_low - free) | (at > agent.state_high + free)):
             raise NothingKnownError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
         # The start has no noise: it is as far off as the set of starts is wide.
         slab = slabs[:d] if t else np.zeros(d)
         reach = (slab + chain.drift(np.eye(d))) * TAIL
-        box = np.stack([np.maximum(at - reach, agent.state_low), np.minimum(at + reach, agent.state_high)])
-        box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), agent.state_low),
-                        np.minimum(np.nextafter(box[1], np.inf), agent.state_high)])  # fmt: skip
+        if np.any(reach[free > 0.0] > HALF_TURN):
+            raise NothingKnownError(
+                f"agent `{agent.name}`: at step {t} an angle may be half a turn from where it should be"
+            )
+        lowest, highest = agent.state_low - free, agent.state_high + free
+        box = np.stack([np.maximum(at - reach, lowest), np.minimum(at + reach, highest)])
+        box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), lowest),
+                        np.minimum(np.nextafter(box[1], np.inf), highest)])  # fmt: skip
         yield Moment(t, moving, now, at, box, slabs[:d], chain)
         if t == path.n_steps:
             return
@@ -272,6 +294,7 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
     missed = np.maximum(np.abs(found.values[0] - following), np.abs(found.values[1] - following))
     missed = missed + 2.0 * UNIT * (np.abs(found.values).max(axis=0) + np.abs(following))
     remainder = found.off + missed + matrix_off @ far + np.abs(B) @ rounding
+    remainder = remainder + ROUNDED * axes_of_angles(agent)
     noise, more = _noise(agent, moving, now, centre, ranges, rows)
     remainder = (remainder + more) * TAIL
     if not np.all(np.isfinite(remainder)):
@@ -292,6 +315,7 @@ def _inputs(
     # Without feedback an input is its nominal value to the last bit; else sums and products round.
     size = np.abs(gain) @ (now.reach + UNIT * np.abs(now.at)) * TAIL
     rounding = np.where(moved, 4.0 * (len(now.at) + 3.0) * UNIT * (np.abs(u) + size), 0.0)
+    rounding = rounding + np.abs(gain) @ (ROUNDED * axes_of_angles(agent))
     drift = chain.drift(gain)
     reach = np.minimum(now.slab[:m] + drift, size) + rounding if now.t else drift + rounding
     reach = np.where(moved, reach * TAIL, 0.0)

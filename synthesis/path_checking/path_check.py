@@ -231,6 +231,8 @@ def _wrong_form(certificate: PathCertificate) -> list[str]:
             failures.append(f"the inputs of agent `{agent.name}` do not fit")
         elif not (np.all(np.isfinite(path.inputs)) and np.all(np.isfinite(path.gain))):
             failures.append(f"the inputs of agent `{agent.name}` are no numbers")
+        elif agent.angles:
+            failures.append(f"agent `{agent.name}` has angles, and no nominal states")
     return failures or wrong_normals(certificate) or wrong_start(problem)
 
 

@@ -35,6 +35,9 @@ from .written_means import WrittenMeans
 ROUNDED_TWICE = 2.0
 """Factor on the rounding of a mean: it is computed here, and by the agent itself."""
 
+WRAPPED_OFF = 2e-13
+"""What an angle that wraps is off by in floating point, at most."""
+
 AS_FAR_AS = 1e-3
 """Square of the share of the input box by which inputs may differ before feedback, or none, counts for less."""
 
@@ -276,7 +279,8 @@ class BoxRelation(ReadsCoordinates):
         What means are off by is in the boxes; there remain cells that are misread where coordinates are not the state.
         """
         reading = reading_of(agent, self.coordinates)
-        return missed_cells(reading, reading.read, edges)
+        # Angles are rounded once more where they wrap.
+        return missed_cells(reading, reading.read + np.where(agent.wrapped_axes, WRAPPED_OFF, 0.0), edges)
 
 
 def box_relation(

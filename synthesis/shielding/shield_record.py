@@ -245,6 +245,12 @@ def _check_certificate(certificate: Certificate) -> None:
                 f"`certificate`: expected Gaussian noise under linear cells, got another law for agent `{agent.name}`; "
                 'synthesize with `relation="exact"` or "boxes"'
             )
+        if agent.angles:
+            raise ValueError(
+                f"`certificate`: expected states that are numbers, got the angle {agent.angles[0]!r} of agent "
+                f"`{agent.name}`; a shield knows no masses over windings; give the state a workspace of several turns, "
+                "and leave it out of `angles`"
+            )
         if "common" in part.relation:
             raise ValueError(
                 f"`certificate`: expected one without inputs that are chosen in common, got agent `{agent.name}`; it "

@@ -1,0 +1,64 @@
+"""Paths of agents with angles: planned where angles are numbers of several turns, and said of the angles themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...envs.problem import Problem, Unrolled, unrolled
+from ..certificates import PathCertificate, Synthesis
+
+SearchOf = Callable[[Problem, Callable[[], bool]], Synthesis]
+"""A search for a path of a problem without angles."""
+
+
+def along_angles(problem: Problem, search: SearchOf, is_over: Callable[[], bool]) -> Synthesis:
+    """Return a certificate along a path of a problem with angles, from that of the problem unrolled."""
+    flat = unrolled(problem)
+    found = search(flat.problem, is_over)
+    certificate = _rolled(problem, flat, found.certificate)  # type: ignore[arg-type]
+    return replace(found, certificate=certificate, controller=certificate.controller)  # type: ignore[arg-type]
+
+
+def _rolled(problem: Problem, flat: Unrolled, found: PathCertificate) -> PathCertificate:
+    """Return the certificate of the problem itself: the same paths, and letters of regions in place of their copies."""
+    there = {name: p for p, name in enumerate(flat.problem.automaton.propositions)}
+    names = problem.automaton.propositions
+    shape = (len(found.letters), len(names))
+    letters, faces = np.zeros(shape, dtype=found.letters.dtype), np.full(shape, -1, dtype=found.faces.dtype)
+    for p, name in enumerate(names):
+        if name not in flat.copies:
+            letters[:, p], faces[:, p] = found.letters[:, there[name]], found.faces[:, there[name]]
+            continue
+        columns = [there[copy] for copy in flat.copies[name]]
+        own = found.letters[:, columns]
+        letters[:, p] = np.where(np.any(own > 0, axis=1), 1, np.where(np.all(own < 0, axis=1), -1, 0))
+        faces[:, p] = _sides(problem, flat, found, name, columns)
+    return replace(found, problem=problem, letters=letters, faces=np.where(letters < 0, faces, -1))
+
+
+def _sides(
+    problem: Problem, flat: Unrolled, found: PathCertificate, name: str, columns: list[int]
+) -> NDArray[np.int64]:
+    """Return the sides (S + 1,) on which a region is passed.
+
+    Between two copies, unless one of the two is passed along another output, which then passes all copies.
+    """
+    i = problem.agent_names.index(problem.propositions[name].agent)
+    agent, states = flat.problem.agents[i], found.paths[i].states
+    assert states is not None
+    outputs, angles = agent.outputs(states.T), problem.agents[i].angle_outputs
+    sides = np.full(len(states), -1)
+    regions = [flat.problem.propositions[copy] for copy in flat.copies[name]]
+    for t in range(len(states)):
+        chosen = [int(found.faces[t, column]) for column in columns]
+        # Copies differ along angles alone; those next to the path come first.
+        k = next((face // 2 for face in chosen if face >= 0 and face // 2 in angles), angles[0])
+        centres = [0.5 * float(region.low[k] + region.high[k]) for region in regions]
+        near = np.argsort(np.abs(np.array(centres) - outputs[k, t]), kind="stable")[:2]
+        others = [chosen[c] for c in near if chosen[c] >= 0 and chosen[c] // 2 not in angles]
+        sides[t] = others[0] if others else chosen[near[0]]
+    return sides
