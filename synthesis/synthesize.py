@@ -177,7 +177,7 @@ def _of_task(
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
-        return path_certificate(problem, lambda: plan.effort.is_over)
+        return path_certificate(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):

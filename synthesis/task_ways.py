@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -206,8 +205,7 @@ def path_way(problem: Problem, plan: Plan) -> Way:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
-    run = partial(path_certificate, problem, lambda: plan.effort.is_over)
-    return Way("path", lambda results: run(), work, enough=GOOD, ends=PATH_ENDS)
+    return Way("path", lambda results: path_certificate(problem, plan.along_paths), work, enough=GOOD, ends=PATH_ENDS)
 
 
 def _exact(problem: Problem, plan: Plan) -> Way:

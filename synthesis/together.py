@@ -89,7 +89,7 @@ def ways_together(
     def path(results: Results) -> Synthesis:
         if cells is not None or _asks_for_grid(plan, has_start):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
-        return path_certificate(problem, lambda: plan.effort.is_over)
+        return path_certificate(problem, plan.along_paths)
 
     along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
     try:

@@ -17,7 +17,7 @@ from hypothesis import settings
 import certigym as cg
 from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import ellipsoid_search
-from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
+from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
 from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
 from certigym.validation.reports import explorer
@@ -39,8 +39,7 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (nonlinear_search, "GENERATIONS", 2),
     (nonlinear_team, "MOST_MOVES", 2),
     (nonlinear_team, "REFINED", 1),
-    (nonlinear_team, "TOUCHED_UP", 1),
-    (polish, "GENERATIONS", 6),
+    (nonlinear_team, "POLISHED", ((1, 6),)),
     # Menus: the tolerance is found to a hundredth, not to 1e-4.
     (permitting, "HALVINGS", 6),
     # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.

@@ -15,6 +15,7 @@ import certigym as cg
 from certigym.envs.expressions import Program, read_expression
 from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths import feedback_bounds
+from certigym.synthesis.nominal_paths.counted_work import CountedWork
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities
@@ -177,7 +178,7 @@ def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, ad
     """A third input moves nothing: what is asked of it is its box alone."""
     agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
     problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
-    search = NonlinearSearch(problem, 0)
+    search = NonlinearSearch(problem, 0, CountedWork())
     letters = np.zeros((6, 1), dtype=np.int8)
     letters[5] = 1
     found = search.quick(letters)
@@ -199,7 +200,7 @@ def noisy() -> cg.Problem:
 def searched() -> tuple[NonlinearSearch, Found, PathCertificate]:
     problem = noisy()
     certificate = path_of(problem)
-    search = NonlinearSearch(problem, 0)
+    search = NonlinearSearch(problem, 0, CountedWork())
     found = search.quick(certificate.letters)
     assert found is not None
     return search, found, replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
@@ -274,7 +275,7 @@ def test_what_is_forgotten_of_scales_is_refused(
     slab: float, forgotten: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
-    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0)
+    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0, CountedWork())
     found = search.quick(certificate.letters)
     assert found is not None
     slabs = found.feedback.slabs.copy()
