@@ -245,7 +245,7 @@ def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, 
         If no run without noise was found that satisfies the task.
     """
     began = time.perf_counter()
-    tried, best = _searched(problem, (plans(problem), segmented(problem)), work)
+    tried, best = found_for_team(problem, (plans(problem), segmented(problem)), work)
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= WORTHLESS:
         failure, weakest = 1.0, best.weakest
@@ -265,7 +265,7 @@ def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, 
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
-def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], work: CountedWork) -> tuple[int, Refined]:
+def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: CountedWork) -> tuple[int, Refined]:
     """Return how many candidates were tried, and the best plan; raise NoRunFound if none has paths at all."""
     pairs = len(problem.labeling.pairs)
     team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
@@ -302,7 +302,7 @@ def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], work:
     if satisfies(problem, best.states):
         return best
     calm = problem.replace(disturbance_scale=CALM)
-    _, again = _searched(calm, [plans(calm) for plans in sources], work)
+    _, again = found_for_team(calm, [plans(calm) for plans in sources], work)
     if not satisfies(problem, again.states):
         raise NoRunFound(f"{NO_PATH}: {most_missed(problem, again.letters, again.states) or again.weakest}")
     return again

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any
 
@@ -23,6 +23,7 @@ from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noi
 from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
+from .some_paths import Whereabouts, paths_of_some
 from .words import Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
@@ -83,6 +84,14 @@ def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synth
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def certified_paths(
+    problem: Problem, agents: Sequence[int], part_of: Callable[[int], Problem], work: CountedWork
+) -> tuple[PathCertificate, list[Whereabouts]]:
+    """Return a certificate that some agents of a team keep the letters of their paths; see ``paths_of_some``."""
+    refuse_without_path(problem)
+    return paths_of_some(problem, agents, part_of, (_plans, _segmented_plans), work)
 
 
 def refuse_without_path(problem: Problem) -> None:

@@ -271,7 +271,7 @@ class TeamSearch:
         """Return nominal paths with feedbacks after a first search of each agent."""
         # What feedbacks to begin with would let pairs do says in which directions they are kept apart.
         begun = [one for one, _ in self._scored(nominals, faces, [theta[None] for theta in thetas])]
-        team = self._judged(begun, faces, limits)
+        team = self.judged(begun, faces, limits)
         known: dict[object, FloatArray] = {}
         batches = []
         for i, search in enumerate(self.searches):
@@ -287,7 +287,7 @@ class TeamSearch:
                  for search, one in zip(self.searches, found, strict=True)]  # fmt: skip
         more = [one for one, _ in self._scored(self._asking(team), faces, again)]
         best = [min(pair, key=lambda one: one.score) for pair in zip(found, more, strict=True)]
-        return self._judged(best, faces, limits)
+        return self.judged(best, faces, limits)
 
     def _improved(self, team: TeamFound, limits: list[PairLimits]) -> TeamFound:
         """Return nominal paths with better feedbacks: some generations of candidates of all agents."""
@@ -301,7 +301,7 @@ class TeamSearch:
             for parents, batch, (_, scores) in zip(kept, thetas, outcomes, strict=True):
                 parents += zip(scores.tolist(), batch, strict=True)
                 parents[:] = sorted((pair for pair in parents if np.isfinite(pair[0])), key=lambda pair: pair[0])[:4]
-            again = self._judged([one for one, _ in outcomes], best.faces, limits)
+            again = self.judged([one for one, _ in outcomes], best.faces, limits)
             best = again if again.score < best.score else best
             if best.failure <= ENOUGH:
                 break
@@ -339,7 +339,7 @@ class TeamSearch:
         asked = team.rows.asked([one.spreads.pairs for one in team.found])
         return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
 
-    def _judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
         """Return the team with the rows of all agents and pairs together."""
         rows = self._rows(limits, found)
         asked = rows.asked([{}] * len(found))

@@ -5,5 +5,18 @@ from .nonlinear_check import Moving
 from .own_intervals import Span, bounds, computed_off, products, span
 from .own_regions import RegionSpan
 from .path_check import wrong_paths
+from .whereabouts import Whereabouts, whereabouts_along
 
-__all__ = ["Moving", "RegionSpan", "Span", "bounds", "computed_off", "products", "span", "wrong_hull", "wrong_paths"]
+__all__ = [
+    "Moving",
+    "RegionSpan",
+    "Span",
+    "Whereabouts",
+    "bounds",
+    "computed_off",
+    "products",
+    "span",
+    "whereabouts_along",
+    "wrong_hull",
+    "wrong_paths",
+]
