@@ -88,6 +88,10 @@ def mixed_certificate(problem: Problem, cells: CellCounts, plan: Plan) -> Synthe
     beside = BesidePaths(problem, on_grids, places, usual, asked)
     part, near, stats = _on_grids(grids, beside, cells, plan)
     certificate = _mixed(problem, part, paths, tuple(usual.tolist()), near)
+    try:
+        certificate.controller  # noqa: B018 controllers have to know which state of the task on grids they are in
+    except ValueError as error:
+        raise RelationRefused(str(error)) from None
     stats["seconds"] = {"abstract": 0.0, "synthesize": time.perf_counter() - began}
     held: Any = certificate
     return Synthesis(held, held.controller, stats)

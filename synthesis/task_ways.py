@@ -14,6 +14,7 @@ import numpy as np
 
 from ..envs.agents import Agent
 from ..envs.problem import Problem, written_out
+from .agreement import agreed
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import Synthesis
 from .choosing import (
@@ -209,7 +210,9 @@ def path_way(problem: Problem, plan: Plan) -> Way:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
-    return Way("path", lambda results: path_certificate(problem, plan.along_paths), work, enough=GOOD, ends=PATH_ENDS)
+    return Way(
+        "path", lambda results: agreed(path_certificate(problem, plan.along_paths)), work, enough=GOOD, ends=PATH_ENDS
+    )
 
 
 def _exact(problem: Problem, plan: Plan) -> Way:

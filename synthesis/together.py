@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
+from .agreement import agreed
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
@@ -81,7 +82,7 @@ def ways_together(
     def path(results: Results) -> Synthesis:
         if cells is not None or _asks_for_grid(plan, has_start):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
-        return path_certificate(problem, plan.along_paths)
+        return agreed(path_certificate(problem, plan.along_paths))
 
     along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
     try:

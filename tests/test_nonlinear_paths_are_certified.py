@@ -13,6 +13,7 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.envs.expressions import Program, read_expression
+from certigym.synthesis.agreement import agreed
 from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths import feedback_bounds
 from certigym.synthesis.nominal_paths.counted_work import CountedWork
@@ -518,3 +519,14 @@ def test_what_nonlinear_paths_do_not_do_is_said() -> None:
         cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")
     with pytest.raises(ValueError, match="no nominal path"):
         cg.synthesize(bend(2), relation="path")
+
+
+def test_no_more_is_claimed_than_the_check_proves(searched: tuple[NonlinearSearch, Found, PathCertificate]) -> None:
+    """Search and check enclose expressions by code of their own: the larger failure of both is claimed."""
+    certificate = searched[2]
+    bold: Any = replace(certificate, failure=0.5 * certificate.failure)
+    assert not cg.check(bold)
+    modest = agreed(cg.Synthesis(bold, bold.controller, {})).certificate
+    assert cg.check(modest) and modest.lower_bound <= certificate.lower_bound + 1e-9
+    honest: Any = certificate
+    assert agreed(cg.Synthesis(honest, honest.controller, {})).certificate is certificate

@@ -112,10 +112,9 @@ class MixedCertificate:
         known = known_letters(self.problem, self.paths, usual)
         table = np.full((len(known), self.problem.automaton.n_states), -1, dtype=np.int64)
         for t, together in enumerate(reached_states(self.problem, self.grids.problem, known)):
-            whole, part = self.problem.automaton, self.grids.problem.automaton
             for q, b in sorted(together):
-                if whole.absorbing[q] and part.absorbing[b]:
-                    continue  # nobody asks any more
+                if self.grids.problem.automaton.absorbing[b]:
+                    continue  # nothing is left to decide, so that nobody asks any more
                 if table[t, q] not in (-1, b):
                     raise ValueError("a state of the task goes with two states of the task on grids")
                 table[t, q] = b

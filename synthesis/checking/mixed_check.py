@@ -195,8 +195,8 @@ def _wrong_words(certificate: MixedCertificate, problem: Problem, together: list
         is_judged = ours.is_co_safe or t == problem.horizon
         if is_judged and any(theirs.accepting[b] and not ours.accepting[q] for q, b in pairs):
             return ["what agents on grids do is accepted where the task is not"]
-        # Of states that are both decided nobody asks any more.
-        open_pairs = {(q, b) for q, b in pairs if not (theirs.absorbing[b] and ours.absorbing[q])}
+        # Where the task on grids is decided, the run counts as lost, or the whole task is done.
+        open_pairs = {(q, b) for q, b in pairs if not theirs.absorbing[b]}
         if len({q for q, _ in open_pairs}) < len(open_pairs):
             return ["a state of the task goes with two states of the task on grids"]
         if any(certificate.states[t, q] != b for q, b in open_pairs):

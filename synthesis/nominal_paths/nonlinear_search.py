@@ -340,8 +340,14 @@ def found_of(
     theta: FloatArray,
     faces: NDArray[np.int64],
 ) -> Found:
-    """Return candidate c of those that were judged together, with its score and failure."""
+    """Return candidate c of those that were judged together, with its score and failure.
+
+    A nominal state outside of the workspace fails: no certificate is made of it.
+    """
     worth, spreads, feedback = judged
+    agent = nominal.model.agent
+    if np.any((nominal.states < agent.state_low) | (nominal.states > agent.state_high)):
+        values = values[0], 1.0
     alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
     return Found(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
 
