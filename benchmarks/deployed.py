@@ -36,7 +36,7 @@ class Deployed:
 
     def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
         self.problem = certificate.problem
-        parts = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
+        parts: Any = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
         if isinstance(certificate, MixedCertificate):  # each kind of agents by what its own automaton reads
             parts = (certificate.grids, certificate.paths)
         names = self.problem.agent_names

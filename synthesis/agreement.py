@@ -17,13 +17,20 @@ MOST_PAIRS = 15
 
 
 def agreed(found: Synthesis) -> Synthesis:
-    """Return a synthesis whose certificate along a path claims no more than the check proves."""
+    """Return a synthesis whose certificate, if it is along a path, claims no more than the check proves."""
     certificate: Any = found.certificate
-    if not isinstance(certificate, PathCertificate) or len(certificate.problem.labeling.pairs) > MOST_PAIRS:
+    if not isinstance(certificate, PathCertificate) or (modest := agreed_path(certificate)) is certificate:
         return found
+    held: Any = modest
+    return replace(found, certificate=held, controller=held.controller)
+
+
+def agreed_path(certificate: PathCertificate) -> PathCertificate:
+    """Return a certificate along a path that claims no more than the check proves."""
+    if len(certificate.problem.labeling.pairs) > MOST_PAIRS:
+        return certificate
     report = check(replace(certificate, failure=1.0))
     proved = 1.0 - report.recomputed if report else 1.0
     if proved <= certificate.failure:
-        return found
-    certificate = replace(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
-    return replace(found, certificate=certificate, controller=certificate.controller)
+        return certificate
+    return replace(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))

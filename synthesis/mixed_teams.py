@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
+from .agreement import agreed_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import (
     Certificate,
@@ -79,6 +80,9 @@ def mixed_certificate(problem: Problem, cells: CellCounts, plan: Plan) -> Synthe
     paths, whereabouts = certified_paths(
         problem, on_paths, lambda steps: part_of(problem, on_paths, steps, None), plan.along_paths
     )
+    paths = agreed_path(paths)
+    if paths.lower_bound <= 0.0:
+        raise RelationRefused("the paths of a mixed team keep to their letters with no probability that is proved")
     usual = usual_values(problem)
     known = known_letters(problem, paths, usual)
     grids = task_on_grids(problem, on_grids, known)

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
+from certigym.synthesis import agreement
 from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import ellipsoid_search
 from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
@@ -142,3 +143,9 @@ def synthesized() -> Callable[..., cg.Synthesis]:
         return known[key]
 
     return of
+
+
+@pytest.fixture
+def search_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Claims along paths as the search makes them, for sabotage of the search: the check is not asked beforehand."""
+    monkeypatch.setattr(agreement, "MOST_PAIRS", -1)

@@ -345,11 +345,15 @@ def found_of(
     A nominal state outside of the workspace fails: no certificate is made of it.
     """
     worth, spreads, feedback = judged
-    agent = nominal.model.agent
-    if np.any((nominal.states < agent.state_low) | (nominal.states > agent.state_high)):
-        values = values[0], 1.0
+    values = values if is_inside(nominal) else (values[0], 1.0)
     alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
     return Found(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
+
+
+def is_inside(nominal: NominalPath) -> bool:
+    """Return whether nominal states lie in the closed workspace."""
+    agent = nominal.model.agent
+    return not np.any((nominal.states < agent.state_low) | (nominal.states > agent.state_high))
 
 
 def feedback_of(

@@ -21,7 +21,7 @@ from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, worth_of
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, scored
+from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, scored
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
@@ -354,7 +354,10 @@ class TeamSearch:
             kept |= {i: replace(found[i], nominal=nominals[i], spreads=spreads.of(k)) for k, i in enumerate(members)}
         team = tuple(kept[i] for i in range(len(found)))
         rows.add_to(total, [one.spreads.pairs for one in team])
-        return TeamFound(float(total.scores()[0]), float(total.failures()[0]), team, faces, rows, total.weakest())
+        # Of nominal states outside of a workspace no certificate is made.
+        inside = all(is_inside(one.nominal) for one in team)
+        failure = float(total.failures()[0]) if inside else 1.0
+        return TeamFound(float(total.scores()[0]), failure, team, faces, rows, total.weakest())
 
 
 def search_key(search: NonlinearSearch) -> object:
