@@ -37,7 +37,7 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
     (ellipsoid_search, "LAST_STEP", 2e-2),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
-    (nonlinear_search, "GENERATIONS", 2),
+    (nonlinear_search, "GENERATIONS", 3),
     (nonlinear_team, "MOST_MOVES", 2),
     (nonlinear_team, "REFINED", 1),
     (nonlinear_team, "POLISHED", ((1, 6),)),
