@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import certigym as cg
+from certigym.synthesis.certificates import MixedCertificate
 from random_problems import Spec
 
 
@@ -35,7 +36,9 @@ class Deployed:
 
     def __init__(self, certificate: Any, episodes: int, seed: int) -> None:
         self.problem = certificate.problem
-        parts = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
+        parts: Any = certificate.parts if isinstance(certificate, cg.ProductCertificate) else (certificate,)
+        if isinstance(certificate, MixedCertificate):  # each kind of agents by what its own automaton reads
+            parts = (certificate.grids, certificate.paths)
         names = self.problem.agent_names
         self.parts = [(part, [names.index(name) for name in part.problem.agent_names]) for part in parts]
         self.q = [np.full(episodes, part.problem.automaton.initial) for part, _ in self.parts]

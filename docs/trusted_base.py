@@ -43,7 +43,8 @@ TRUSTED = {
         "synthesis.cells.axes_of_lattices synthesis.cells.corners synthesis.cells.grid synthesis.cells.grid_dynamics "
         "synthesis.certificates.certificate synthesis.certificates.certificate_file "
         "synthesis.certificates.certificate_reader synthesis.certificates.claim synthesis.certificates.part "
-        "synthesis.certificates.pairs_certificate synthesis.certificates.pairs_file "
+        "synthesis.certificates.mixed_certificate synthesis.certificates.pairs_certificate "
+        "synthesis.certificates.pairs_file "
         "synthesis.certificates.path_certificate "
         "synthesis.certificates.path_file synthesis.certificates.start_hull synthesis.certificates.hull_file "
         "synthesis.certificates.product synthesis.certificates.team_certificate "
@@ -51,8 +52,9 @@ TRUSTED = {
     ),
     "What the controllers do": (
         "synthesis.cells.lookup synthesis.controllers.abstract_state synthesis.controllers.agent_controller "
-        "synthesis.controllers.controller synthesis.controllers.path_controller "
-        "synthesis.controllers.product_controller synthesis.controllers.team_controller "
+        "synthesis.controllers.controller synthesis.controllers.mixed_controller "
+        "synthesis.controllers.path_controller synthesis.controllers.product_controller "
+        "synthesis.controllers.team_controller "
         "synthesis.controllers.timed_controller synthesis.controllers.told "
         "synthesis.controllers.steering synthesis.relations.coupled synthesis.relations.description "
         "synthesis.relations.affine_means synthesis.relations.aims synthesis.relations.coordinates "
@@ -70,7 +72,8 @@ TRUSTED = {
         "synthesis.checking.guard_check synthesis.checking.boxes_check synthesis.checking.linear_check "
         "synthesis.checking.linear_tables synthesis.checking.mean_spans synthesis.checking.aim_spans "
         "synthesis.checking.network_spans "
-        "synthesis.path_checking.own_intervals synthesis.checking.pairs_check synthesis.path_checking.path_check "
+        "synthesis.path_checking.own_intervals synthesis.checking.mixed_check synthesis.path_checking.whereabouts "
+        "synthesis.checking.pairs_check synthesis.path_checking.path_check "
         "synthesis.path_checking.hull_check synthesis.path_checking.own_bends "
         "synthesis.path_checking.law_moments synthesis.path_checking.linear_deviations "
         "synthesis.path_checking.nonlinear_check synthesis.path_checking.gaussian_inequalities "
@@ -128,7 +131,8 @@ THEN = {
     "synthesis.path_checking.law_moments synthesis.certificates.path_certificate "
     "synthesis.controllers.path_controller",
     "pairs of agents, teams": "synthesis.checking.pairs_check synthesis.checking.team_check "
-    "synthesis.path_checking.pair_limits_check envs.agents.pair",
+    "synthesis.checking.mixed_check synthesis.path_checking.whereabouts synthesis.path_checking.pair_limits_check "
+    "envs.agents.pair",
     "angles": "synthesis.path_checking.own_angles envs.agents.angles envs.expressions.repeating",
     "regions and dynamics in time": "synthesis.checking.timed_check envs.problem.writing_out",
 }
@@ -140,7 +144,8 @@ LINES_A_MINUTE = 15
 VERIFIED = (
     "envs.expressions.enclosure envs.expressions.intervals synthesis.relations.ellipsoid "
     "synthesis.relations.network_bounds synthesis.relations.network_maps "
-    "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube"
+    "synthesis.relations.rounding synthesis.relations.scalar synthesis.relations.tube "
+    "synthesis.certificates.mixed_states"
 )
 """Modules that are loaded and whose results are verified: a mistake makes the check refuse, or changes nothing."""
 

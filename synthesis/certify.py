@@ -31,6 +31,7 @@ from .cells import CellCounts, FloatArray, RelationRefused, corner_sides
 from .certificates import Synthesis, TeamCertificate
 from .certification import certificate_of
 from .controllers import Decentralised, Policy, decentralised
+from .keeping_apart import less_nearness, nearness
 from .models import (
     Abstraction,
     AgentModel,
@@ -48,7 +49,7 @@ from .models import (
 from .pairs import NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .raw_networks import certify_network
 from .search import FINAL, Limits, Search, Sweep, sweep
-from .together import joint_cells, less_nearness, nearness
+from .together import joint_cells
 
 WORTHWHILE = 1e-7
 """Relative gain below which ``improve`` stops: far above rounding, and too little for the cost of another sweep."""

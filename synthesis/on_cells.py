@@ -26,6 +26,7 @@ from .models import (
     abstraction_of,
     join,
 )
+from .nominal_paths import CountedWork
 from .search import FINAL, Relaxation, Search, Sweep, find_policies, stationary_best
 
 Clock = tuple[float, float]
@@ -55,6 +56,11 @@ class Plan:
     budget: Budget | None
     effort: Effort
     paths: bool = True
+
+    @property
+    def along_paths(self) -> CountedWork:
+        """What a search along paths may take: all that is left of the effort."""
+        return CountedWork(self.effort.left, lambda: self.effort.is_over)
 
     def anew(self) -> Plan:
         """Return the plan of another task: with as much effort, whose clock its search heeds."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..envs.agents import Agent
 from ..envs.problem import Problem, written_out
+from .agreement import agreed
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import Synthesis
 from .choosing import (
@@ -36,6 +36,7 @@ from .choosing import (
     with_settings,
     work_of,
 )
+from .mixed_teams import mixed_way
 from .models import Abstraction, Policies, Settings, abstraction_of, join, reaches_every_mean
 from .nominal_paths import path_certificate, refuse_without_path
 from .on_cells import Plan, compared, plain, searched
@@ -90,6 +91,9 @@ def ways_of(problem: Problem, cells: CellCounts, kinds: Sequence[str], plan: Pla
         ends = GOOD if any(np.any(agent.still_axes) for agent in problem.agents) else 0.0
         path = replace(path_way(problem, plan), work=0.0, ends=ends)
         on_grids = Way("grids", lambda results: best_of(_on_grids(problem, kinds, plan), plan.effort), enough=GOOD)
+        mixed = mixed_way(problem, None, plan)
+        if plan.paths and not mixed.refusal:  # a path may be weak where some agents would do better on grids
+            return [replace(path, ends=GOOD), mixed, *([on_grids] if ends else [])]
         return [path, on_grids] if plan.paths else [on_grids]
     return [*_on_grids(problem, kinds, plan), *([path_way(problem, plan)] if plan.paths else [])]
 
@@ -209,8 +213,9 @@ def path_way(problem: Problem, plan: Plan) -> Way:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
-    run = partial(path_certificate, problem, lambda: plan.effort.is_over)
-    return Way("path", lambda results: run(), work, enough=GOOD, ends=PATH_ENDS)
+    return Way(
+        "path", lambda results: agreed(path_certificate(problem, plan.along_paths)), work, enough=GOOD, ends=PATH_ENDS
+    )
 
 
 def _exact(problem: Problem, plan: Plan) -> Way:

@@ -14,20 +14,22 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..envs.problem import Problem
+from .agreement import agreed
 from .cells import CellCounts, RelationRefused, cells_of_agent
-from .certificates import Certificate, PairsCertificate, Synthesis, TeamCertificate
+from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
 from .choosing import SOLVED, Results, Way, refused
-from .models import JointModel, Policies, Relations, Settings, abstraction_of, check_names, join, start_of
+from .keeping_apart import kept_apart, less_nearness
+from .mixed_teams import mixed_way
+from .models import Relations, Settings, abstraction_of, check_names, join
 from .nominal_paths import path_certificate, refuse_without_path
 from .on_cells import Plan
-from .pairs import TEAM, Avoidance, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
-from .search import FINAL, Search, Sweep, find_policies, sweep
+from .pairs import TEAM, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
+from .search import FINAL, Search, Sweep, find_policies
 
-WAYS = ("auto", "exact", "joint", "path")
+WAYS = ("auto", "exact", "joint", "path", "mixed")
 """Relations that a problem with pairs can be asked for; ``exact`` is the bound by subtraction."""
 
 PATH = 0.012
@@ -35,15 +37,6 @@ PATH = 0.012
 
 SUBTRACTION = 1e-5
 """Work of subtraction for each cell and step of two agents."""
-
-ROUNDS = 6
-"""Most times that every agent answers to the others: as a rule two are enough."""
-
-MOST_RECORDED = 1e9
-"""Largest sum that is recorded: files hold no infinities."""
-
-WORTH = 1e-4
-"""Probability of being near below which no further answers are tried."""
 
 ENOUGH = 0.99
 """Bound from which no further way is tried."""
@@ -89,7 +82,7 @@ def ways_together(
     def path(results: Results) -> Synthesis:
         if cells is not None or _asks_for_grid(plan, has_start):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
-        return path_certificate(problem, lambda: plan.effort.is_over)
+        return agreed(path_certificate(problem, plan.along_paths))
 
     along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
     try:
@@ -102,7 +95,7 @@ def ways_together(
         subtracted, along = replace(subtracted, enough=SOLVED), replace(along, ends=SOLVED)
     # Without a grid of its own a joint agent is one more path.
     after = along if problem.n_states > MOST_GRID_STATES else subtracted
-    ways = [subtracted, Way("joint", joint, 1.0 + after.work, ENOUGH, ENOUGH), along]
+    ways = [subtracted, Way("joint", joint, 1.0 + after.work, ENOUGH, ENOUGH), along, mixed_way(problem, cells, plan)]
     return [way for way in ways if relation in ("auto", way.name)]
 
 
@@ -153,7 +146,7 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
     abstracted = time.perf_counter()
     found = find_policies(base, joint, replace(search, value="tree"))
     assert isinstance(found.best, Sweep)
-    best, near, record = _kept_apart(base, joint, masses, found.best, search)
+    best, near, record = kept_apart(base, joint, masses, found.best, search)
     used = {**abstraction.settings, **search.used(), "final_limits": vars(FINAL)}
     name = "occupancy-weighted coordinate ascent, agents in turn answering to where the others are"
     part = certificate_of(base, abstraction, joint, best, used, name)
@@ -166,16 +159,6 @@ def by_subtraction(problem: Problem, cells: CellCounts, search: Search, settings
         "near": certificate.near,
     }
     return _synthesis(certificate, stats)
-
-
-def less_nearness(
-    problem: Problem, base: Certificate, usual: NDArray[np.bool_], near: float, used: dict[str, Any]
-) -> PairsCertificate:
-    """Return the certificate of a problem with pairs: that of the task without them, less what they may spoil."""
-    # Where pairs that are not as usual may save what is lost without them, the base has no upper end for the problem.
-    if not np.array_equal(base.problem.automaton.dead, problem.automaton.dead):
-        base = replace(base, gap=None, exact=False)
-    return PairsCertificate(problem, base, tuple(usual.tolist()), min(1.0, near), used)
 
 
 def as_one_agent(problem: Problem, cells: CellCounts, task: SynthesizeTask) -> Synthesis:
@@ -215,37 +198,6 @@ def joint_cells(problem: Problem, cells: CellCounts) -> CellCounts:
         own = np.atleast_1d(np.asarray(cells[agent.name], dtype=int)).tolist()
         counts += own * agent.n_states if len(own) == 1 else own
     return {TEAM: tuple(counts)}
-
-
-def _kept_apart(
-    base: Problem, joint: JointModel, masses: NearMass, first: Sweep, search: Search
-) -> tuple[Sweep, float, list[list[float]]]:
-    """Return the best policies, evaluated frozen; how likely pairs are near; and value and nearness of all tried."""
-    best, near = first, nearness(masses, first.policies)
-    record = [[first.value, min(near, MOST_RECORDED)]]
-    if near <= WORTH or not search.max_sweeps:
-        return best, near, record
-    avoidance, policies, start = Avoidance(masses), first.policies, start_of(base, joint)
-    for k in range(min(ROUNDS, search.max_sweeps)):
-        policies = avoidance.answers(policies, heed_all=k > 0)
-        outcome, spoilt = sweep(joint, policies, start, FINAL, improve=False), nearness(masses, policies)
-        record.append([outcome.value, min(spoilt, MOST_RECORDED)])
-        gain = (outcome.value - spoilt) - (best.value - near)
-        if gain > 0.0:
-            best, near = outcome, spoilt
-        search.tell("keeping apart", max(0.0, best.value - near))
-        # A round that everybody has heeded and that gains nothing is the last, unless nothing is certified yet.
-        if near <= WORTH or (k > 0 and gain <= WORTH and near < best.value):
-            break
-    return best, near, record
-
-
-def nearness(masses: NearMass, policies: Policies) -> float:
-    """Return what pairs may spoil at most, a sum that may exceed 1; infinite where it would take too long to say."""
-    try:
-        return masses.bound(policies)
-    except RelationRefused:
-        return float("inf")
 
 
 def _synthesis(certificate: PairsCertificate, stats: dict[str, object]) -> Synthesis:

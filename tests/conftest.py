@@ -15,9 +15,10 @@ import pytest
 from hypothesis import settings
 
 import certigym as cg
+from certigym.synthesis import agreement
 from certigym.synthesis.choosing import effort
 from certigym.synthesis.models import ellipsoid_search
-from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team, polish
+from certigym.synthesis.nominal_paths import nonlinear_search, nonlinear_team
 from certigym.synthesis.permissions import permitting
 from certigym.validation.policies import imitation, probing
 from certigym.validation.reports import explorer
@@ -36,11 +37,10 @@ SMALLER: tuple[tuple[Any, str, Any], ...] = (
     (ellipsoid_search, "FIRST_MULTIPLIERS", (0.2, 0.5, 0.8, 0.95)),
     (ellipsoid_search, "LAST_STEP", 2e-2),
     # Paths are planned with more times, refined and moved a little a hundred times: the first few gain the most.
-    (nonlinear_search, "GENERATIONS", 2),
+    (nonlinear_search, "GENERATIONS", 3),
     (nonlinear_team, "MOST_MOVES", 2),
     (nonlinear_team, "REFINED", 1),
-    (nonlinear_team, "TOUCHED_UP", 1),
-    (polish, "GENERATIONS", 6),
+    (nonlinear_team, "POLISHED", ((1, 6),)),
     # Menus: the tolerance is found to a hundredth, not to 1e-4.
     (permitting, "HALVINGS", 6),
     # Clones of controllers: a sixth of the regression, and of the episodes that choose among attempts.
@@ -143,3 +143,9 @@ def synthesized() -> Callable[..., cg.Synthesis]:
         return known[key]
 
     return of
+
+
+@pytest.fixture
+def search_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Claims along paths as the search makes them, for sabotage of the search: the check is not asked beforehand."""
+    monkeypatch.setattr(agreement, "MOST_PAIRS", -1)

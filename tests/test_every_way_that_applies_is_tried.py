@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import certigym as cg
@@ -12,7 +13,7 @@ from certigym.synthesis.cells import RelationRefused
 from certigym.synthesis.certificates import rounded_up
 from certigym.synthesis.choosing import Effort, Results, Way, best_of, leading
 from certigym.synthesis.models import Settings
-from certigym.synthesis.nominal_paths import path_certificate
+from certigym.synthesis.nominal_paths import CountedWork, path_certificate
 from certigym.synthesis.on_cells import Plan
 from certigym.synthesis.search import Search
 from certigym.synthesis.task_ways import ways_of
@@ -173,5 +174,17 @@ def test_ways_and_levels_are_told_beside_the_bound_so_far() -> None:
 def test_a_path_that_has_no_time_is_a_path() -> None:
     """What was found until the seconds are over is finished and certified."""
     problem = cg.make_problem("car-slalom-v0")
-    hurried = path_certificate(problem, lambda: True)
+    hurried = path_certificate(problem, CountedWork(is_broken_off=lambda: True))
     assert 0.0 < hurried.certificate.lower_bound < 1.0 and cg.check(hurried.certificate, problem)
+
+
+def test_work_along_paths_is_counted_and_kept_to() -> None:
+    """Twice the same search takes the same work; less of it ends earlier, with a first certificate all the same."""
+    problem, spent = cg.make_problem("car-slalom-v0"), list[tuple[float, float]]()
+    for limit in (np.inf, np.inf, 1e-9):
+        work = CountedWork(limit)
+        found = path_certificate(problem, work)
+        assert cg.check(found.certificate, problem) and found.certificate.lower_bound > 0.0
+        spent.append((work.spent, found.certificate.lower_bound))
+    assert spent[0] == spent[1] and spent[2][0] < spent[0][0] and spent[2][1] <= spent[0][1]
+    assert not CountedWork(2.0, spent=1.0).allows(1.5) and CountedWork(2.0, spent=1.0).allows(1.0)

@@ -161,6 +161,7 @@ def noisy() -> PathCertificate:
     return path_of(swap(std=0.06))
 
 
+@pytest.mark.usefixtures("search_alone")
 @pytest.mark.parametrize("left_out", ["drift", "variance"])
 def test_one_agent_left_out_of_a_pair_is_refused(
     left_out: str, noisy: PathCertificate, monkeypatch: pytest.MonkeyPatch
@@ -245,10 +246,10 @@ def test_pairs_at_a_face_without_noise_are_not_apart() -> None:
     assert not cg.check(certificate)
 
 
-def test_starts_that_are_drawn_are_refused_in_words() -> None:
+def test_starts_that_leave_the_first_letter_open_are_refused_in_words() -> None:
     agents = [
         walker("first", [0.0], 0.1),
-        walker("second", [3.0], 0.1, initial_state=None, initial_low=[2.9], initial_high=[3.1]),
+        walker("second", [3.0], 0.1, initial_state=None, initial_low=[0.9], initial_high=[1.1]),
     ]
     problem = problem_of(agents, {"near": cg.Pair(["first", "second"], [-1.0], [0.5])}, "G !near", 2)
     with pytest.raises(ValueError, match="first letter"):
@@ -295,3 +296,36 @@ def test_nominal_paths_stay_in_the_workspaces() -> None:
     )  # fmt: skip
     with pytest.raises(RelationRefused, match="agent `first` leaves its workspace at step"):
         cg.synthesize(problem, relation="path")
+
+
+def from_boxes(width: float, formula: str = "G !near & F there") -> cg.Problem:
+    """Return two walkers, of whom the first starts in a box and passes the other one, who meets it half-way."""
+    boxes = {"initial_state": None, "initial_low": [-2.0 - width, 1.0], "initial_high": [-2.0 + width, 1.0]}
+    agents = [walker("first", [-2.0, 1.0], 0.08, **(boxes if width else {})), walker("second", [2.0, 0.0], 0.05)]
+    regions = {
+        "near": cg.Pair(["first", "second"], [-0.5, -0.5], [0.5, 0.5]),
+        "there": cg.Proposition("first", [1, 0], [3, 2]),
+    }
+    return problem_of(agents, regions, formula, 6)
+
+
+def test_pairs_hold_from_every_start_of_a_box() -> None:
+    """The set of starts joins the drift of pairs, and claims that forget it are refused."""
+    wide, point = path_of(from_boxes(0.3)), path_of(from_boxes(0.0))
+    assert cg.check(wide) and wide.start == "mean" and wide.lower_bound > 0.9
+    rate = cg.validate(wide, 20_000, seed=4, confidence=1.0 - FALSE_ALARM)
+    assert rate.verdict != "refuted" and rate.estimate >= wide.lower_bound - 0.01
+    forgotten = replace(point, problem=wide.problem)
+    assert cg.check(point) and not cg.check(forgotten)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "state"), [(-4.0, -3.0, True), (-0.4, 0.4, True), (-0.6, 0.4, False), (-0.49, -0.4, True)]
+)
+def test_the_first_letter_of_pairs_is_known_where_all_starts_agree(low: float, high: float, state: bool) -> None:
+    """Boxes that reach both sides of a face leave open where the automaton is."""
+    first = walker("first", [0.0], 0.1, initial_state=None, initial_low=[low], initial_high=[high])
+    for pair, there in ((cg.Pair(["first", "second"], [-0.5], [0.5]), state),
+                        (cg.Pair(["first", "second"], distance=0.5), state)):  # fmt: skip
+        problem = problem_of([first, walker("second", [0.0], 0.1)], {"near": pair}, "near | F G near", 3)
+        assert (problem.initial_q is not None) == there

@@ -13,8 +13,10 @@ from scipy.stats import binom, norm
 
 import certigym as cg
 from certigym.envs.expressions import Program, read_expression
+from certigym.synthesis.agreement import agreed
 from certigym.synthesis.certificates import AgentPath, PathCertificate
 from certigym.synthesis.nominal_paths import feedback_bounds
+from certigym.synthesis.nominal_paths.counted_work import CountedWork
 from certigym.synthesis.nominal_paths.limit_rows import Worth
 from certigym.synthesis.nominal_paths.nonlinear_search import Found, NonlinearSearch
 from certigym.synthesis.path_checking.gaussian_inequalities import Inequalities
@@ -177,7 +179,7 @@ def test_inputs_keep_their_box_with_their_feedback(value: float, gain: float, ad
     """A third input moves nothing: what is asked of it is its box alone."""
     agent = cart(inputs=["turn", "push", "idle"], input_low=[-2, -2, -1], input_high=[2, 2, 1])
     problem = problem_of([agent], {"dock": cg.Proposition("cart", [1.0, -1], [6, 1])}, "F dock", 5)
-    search = NonlinearSearch(problem, 0)
+    search = NonlinearSearch(problem, 0, CountedWork())
     letters = np.zeros((6, 1), dtype=np.int8)
     letters[5] = 1
     found = search.quick(letters)
@@ -199,7 +201,7 @@ def noisy() -> cg.Problem:
 def searched() -> tuple[NonlinearSearch, Found, PathCertificate]:
     problem = noisy()
     certificate = path_of(problem)
-    search = NonlinearSearch(problem, 0)
+    search = NonlinearSearch(problem, 0, CountedWork())
     found = search.quick(certificate.letters)
     assert found is not None
     return search, found, replace(certificate, paths=(found.path,), faces=found.faces, failure=found.failure)
@@ -274,7 +276,7 @@ def test_what_is_forgotten_of_scales_is_refused(
     slab: float, forgotten: str, certificates: dict[str, PathCertificate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With slabs on the noise, and with variances of the largest scale: the nominal scale alone is not enough."""
-    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0)
+    certificate, search = certificates["tank"], NonlinearSearch(PROBLEMS["tank"], 0, CountedWork())
     found = search.quick(certificate.letters)
     assert found is not None
     slabs = found.feedback.slabs.copy()
@@ -517,3 +519,14 @@ def test_what_nonlinear_paths_do_not_do_is_said() -> None:
         cg.synthesize(bend(noise=law, noise_covariance=None), relation="path")
     with pytest.raises(ValueError, match="no nominal path"):
         cg.synthesize(bend(2), relation="path")
+
+
+def test_no_more_is_claimed_than_the_check_proves(searched: tuple[NonlinearSearch, Found, PathCertificate]) -> None:
+    """Search and check enclose expressions by code of their own: the larger failure of both is claimed."""
+    certificate = searched[2]
+    bold: Any = replace(certificate, failure=0.5 * certificate.failure)
+    assert not cg.check(bold)
+    modest = agreed(cg.Synthesis(bold, bold.controller, {})).certificate
+    assert cg.check(modest) and modest.lower_bound <= cg.check(certificate).recomputed
+    honest: Any = certificate
+    assert agreed(cg.Synthesis(honest, honest.controller, {})).certificate is certificate

@@ -152,6 +152,7 @@ SABOTAGES = {
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("search_alone")
 @pytest.mark.parametrize("name", sorted(SABOTAGES))
 def test_sabotage_of_the_search_is_refused_by_the_check(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a path whose probability of failing is not negligible."""

@@ -192,6 +192,7 @@ def test_paths_of_heavier_tails_are_valid_and_below_their_rollouts(name: str) ->
     assert not cg.check(replace(certificate, failure=0.9 * certificate.failure), problem)
 
 
+@pytest.mark.usefixtures("search_alone")
 @pytest.mark.parametrize("tail", [Tail.NORMAL, Tail.LIGHT])
 def test_lighter_tails_than_those_of_the_noise_are_refused(tail: Tail, monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that takes Laplace noise for lighter noise claims more than the check proves."""
@@ -202,6 +203,7 @@ def test_lighter_tails_than_those_of_the_noise_are_refused(tail: Tail, monkeypat
     assert not cg.check(claimed, problem)
 
 
+@pytest.mark.usefixtures("search_alone")
 def test_noise_that_is_given_up_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Heavy tails cost what they are cut by; a search that forgets it claims more than the check proves."""
     problem = around(robot({"law": "student-t", "scale": 0.002, "df": 5.0}, noise=[
@@ -237,6 +239,7 @@ def test_paths_of_another_law_are_refused() -> None:
     assert not cg.check(replace(honest, failure=0.9 * honest.failure), honest.problem)
 
 
+@pytest.mark.usefixtures("search_alone")
 def test_gaussian_tails_for_other_noise_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that takes the noise for Gaussian claims more than the check proves."""
     monkeypatch.setattr(NonlinearModel, "tail", Tail.NORMAL)

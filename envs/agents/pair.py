@@ -272,6 +272,24 @@ class PairRegion:
         """Return the differences of the outputs compared, one per axis: numbers, or arrays of one shape."""
         return [first[k] - second[m] for k, m in zip(*self.outputs)]
 
+    def possible(self, first: tuple[Any, Any], second: tuple[Any, Any]) -> tuple[bool, ...]:
+        """Return whether it may hold where outputs are anywhere in two boxes (low, high): what is possible of both.
+
+        A superset: where the boxes reach a face by rounding alone, both are.
+        """
+        places = [(k, m) for k, m in zip(*self.outputs)]
+        ends = np.array([[first[0][k] - second[1][m], first[1][k] - second[0][m]] for k, m in places], dtype=float).T
+        if not np.all(np.isfinite(ends)):
+            return False, True
+        may = bool(np.all((ends[0] < self.high) & (ends[1] >= self.low)))
+        surely = bool(np.all((self.low <= ends[0]) & (ends[1] < self.high)))
+        if self.is_round:
+            nearest = np.maximum(np.maximum(ends[0], -ends[1]), 0.0) / self.radius
+            farthest = np.maximum(np.abs(ends[0]), np.abs(ends[1])) / self.radius
+            may = may and float(nearest @ nearest) * INSIDE < 1.0
+            surely = surely and float(farthest @ farthest) < INSIDE
+        return (True,) if surely else (False, True) if may else (False,)
+
     @property
     def inner_box(self) -> tuple[np.ndarray, np.ndarray]:
         """A box all of whose points are in the region: itself, or a cube in its ball."""

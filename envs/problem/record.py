@@ -338,13 +338,16 @@ class Problem:
         labeling = self.labeling.at(0)
         if all(start.is_point for start in starts):
             letters = labeling.letter([start.low for start in starts])[None]
-        elif labeling.pairs:
-            return None  # pairs are read at points; where a start is drawn from a box, they may hold or not
         else:
-            classes = [labeling.box_classes(i, start.low, start.high)[0] for i, start in enumerate(starts)]
-            if np.prod([own.sum() for own in classes], dtype=float) > MOST_FIRST_LETTERS:
+            single, boxes = labeling.without_pairs(), [(start.low, start.high) for start in starts]
+            classes = [single.box_classes(i, *box)[0] for i, box in enumerate(boxes)]
+            outputs = [agent.output_range(low[None], high[None]) for agent, (low, high) in zip(self.agents, boxes)]
+            ranges = [(low[0], high[0]) for low, high in outputs]
+            near = [np.array([*pair.possible(ranges[pair.first], ranges[pair.second])]) for pair in labeling.pairs]
+            if np.prod([*(own.sum() for own in classes), *map(len, near)], dtype=float) > MOST_FIRST_LETTERS:
                 return None
-            possible = [own[here] for own, here in zip(labeling.classes, classes, strict=True)]
+            possible = [own[here] for own, here in zip(single.classes, classes, strict=True)]
+            possible += [both[:, None] for both in near]
             letters = np.array([np.concatenate(letter) for letter in product(*possible)], dtype=bool)
             letters = letters.reshape(-1, len(self.propositions))
         states = self.automaton.next_state(np.full(len(letters), self.automaton.initial), letters.T)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...envs.suite import as_problem
-from ..certificates import Statement, noted
+from ..certificates import MixedCertificate, Statement, noted
 from ..checking import check, checkable
 
 BITS = 106
@@ -76,6 +76,11 @@ def check_rigorous(certificate: Any, problem: Any = None) -> RigorousReport:
     except ImportError:
         raise ValueError("`--rigorous`: needs python-flint; pip install 'certigym[rigorous]'") from None
     given = checkable(certificate)
+    if isinstance(given, MixedCertificate):
+        raise ValueError(
+            "`--rigorous`: expected a certificate of another kind, got one of a mixed team: what is charged for pairs "
+            "of an agent on a grid and one along a path has no proof in ball arithmetic; leave it out"
+        )
     problem = given.problem if problem is None else as_problem(problem)
     if any(agent.angles for agent in problem.agents):
         raise ValueError(

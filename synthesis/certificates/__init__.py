@@ -14,6 +14,8 @@ from .checked_laws import law_charge, law_error, probability_below, scale_charge
 from .claim import Claim, joint_states
 from .digits import EXACT_GAP, rounded_down, rounded_up, shown_bound, significant_down, significant_up
 from .given_certificate import any_certificate, as_certificate, certificate_on_grids, of_one_task, speaks_of_one_start
+from .mixed_certificate import MixedCertificate
+from .mixed_states import known_letters, pairs_between, reached_states
 from .pairs_certificate import PairsCertificate
 from .part import AgentPart
 from .path_certificate import AgentPath, PathCertificate
@@ -35,6 +37,7 @@ __all__ = [
     "Claim",
     "EXACT_GAP",
     "KEPT",
+    "MixedCertificate",
     "PairsCertificate",
     "PathCertificate",
     "ProductCertificate",
@@ -54,6 +57,7 @@ __all__ = [
     "checked_certificate",
     "grid_noise",
     "kernel_key",
+    "known_letters",
     "joint_states",
     "load_certificate",
     "law_charge",
@@ -64,7 +68,9 @@ __all__ = [
     "nameless",
     "noted",
     "of_one_task",
+    "pairs_between",
     "product_certificate",
+    "reached_states",
     "regrow_trains",
     "relations_tried",
     "why_nothing",

@@ -28,8 +28,9 @@ from ..values import Merges, Rounding, Skeleton, Terms
 from .certificate import Certificate, checked_certificate
 from .certificate_reader import CLAIM_FIELDS, CertificateReader
 from .hull_file import hull_header, hull_in
+from .mixed_certificate import MixedCertificate
 from .pairs_certificate import PairsCertificate
-from .pairs_file import pairs_header, pairs_in, team_header, team_in, timed_header, timed_in
+from .pairs_file import mixed_header, mixed_in, pairs_header, pairs_in, team_header, team_in, timed_header, timed_in
 from .part import AgentPart
 from .path_certificate import PathCertificate
 from .path_file import path_header, path_in
@@ -40,7 +41,13 @@ from .team_certificate import TeamCertificate
 from .timed_certificate import TimedCertificate
 
 AnyCertificate = (
-    Certificate | ProductCertificate | PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate
+    Certificate
+    | ProductCertificate
+    | PathCertificate
+    | PairsCertificate
+    | MixedCertificate
+    | TeamCertificate
+    | TimedCertificate
 )
 
 FORMAT = "certigym-certificate"
@@ -97,10 +104,20 @@ def _packed_product(product: ProductCertificate) -> bytes:
 
 
 def _packed(
-    certificate: Certificate | PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate | StartHull,
+    certificate: Certificate
+    | PathCertificate
+    | PairsCertificate
+    | MixedCertificate
+    | TeamCertificate
+    | TimedCertificate
+    | StartHull,
 ) -> bytes:
     """Return the bytes of the file of a single certificate."""
     pool = _Pool()
+    if isinstance(certificate, MixedCertificate):
+        parts = [_packed(part) for part in (certificate.grids, certificate.paths)]
+        more = mixed_header(certificate, parts, pool.put)
+        return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
     if isinstance(certificate, PairsCertificate):
         more = pairs_header(certificate, _packed(certificate.base), pool.put)
         return _archived({"format": FORMAT, "version": VERSION, **more}, pool)
@@ -174,6 +191,8 @@ def load_certificate(path: str | Path, max_bytes: int = MAX_BYTES) -> Certificat
             return path_in(header, arrays)  # type: ignore[return-value]
         if "hull" in header:
             return hull_in(header, arrays)  # type: ignore[return-value]
+        if "mixed" in header:
+            return mixed_in(header, arrays, lambda raw: _part_of_team(raw, max_bytes))  # type: ignore[return-value]
         if "without_pairs" in header:
             return pairs_in(header, arrays, lambda raw: certificate_in(raw, max_bytes))  # type: ignore[return-value]
         if "written_out" in header:
@@ -197,6 +216,14 @@ def certificate_in(raw: bytes, max_bytes: int = MAX_BYTES) -> Certificate:
     """Return the certificate of one task in the bytes of a file; raise one of ``UNREADABLE`` if there is none."""
     header, arrays = _unarchived(raw, max_bytes)
     return CertificateReader(header, arrays).certificate()
+
+
+def _part_of_team(raw: bytes, max_bytes: int) -> Certificate | PathCertificate | PairsCertificate:
+    """Return the certificate of the agents on grids, or along paths, of a mixed team in the bytes of a file."""
+    header, arrays = _unarchived(raw, max_bytes)
+    if "without_pairs" in header:
+        return pairs_in(header, arrays, lambda inner: certificate_in(inner, max_bytes))
+    return path_in(header, arrays) if "path" in header else CertificateReader(header, arrays).certificate()
 
 
 def _single(raw: bytes, max_bytes: int) -> Certificate | PathCertificate:
@@ -231,7 +258,7 @@ def _product(header: dict[str, Any], arrays: dict[str, NDArray], max_bytes: int)
     for name, array in arrays.items():
         part_header, part_arrays = _unarchived(array.astype(np.uint8).tobytes(), bytes_left)
         bytes_left -= sum(a.nbytes for a in part_arrays.values())
-        if not {"parts", "hull", "without_pairs", "team"}.isdisjoint(part_header):
+        if not {"parts", "hull", "without_pairs", "team", "mixed"}.isdisjoint(part_header):
             raise ValueError("a part of it has parts again")
         certificates[name] = _part(part_header, part_arrays, bytes_left)
     return product_certificate(problem, tuple(certificates[str(int(number))] for number in header["parts"]))

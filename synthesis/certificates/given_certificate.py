@@ -7,6 +7,7 @@ from typing import Any
 
 from .certificate import Certificate
 from .certificate_file import AnyCertificate, load_certificate
+from .mixed_certificate import MixedCertificate
 from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .product import ProductCertificate
@@ -49,7 +50,7 @@ def certificate_on_grids(value: Any) -> Certificate | ProductCertificate | TeamC
     """
     certificate = any_certificate(value)
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
-    if any(isinstance(part, PairsCertificate) for part in parts):
+    if any(isinstance(part, PairsCertificate | MixedCertificate) for part in parts):
         raise ValueError(
             "`certificate`: expected one with values of all states, got one by subtraction: what pairs of agents may "
             "spoil is bounded for the whole run from the start of its problem, and for no other state or time; it can "
@@ -75,7 +76,8 @@ def speaks_of_one_start(certificate: Any) -> bool:
     """Whether a report shows the start alone: of certificates by subtraction, of joint agents, and along paths."""
     parts = certificate.parts if isinstance(certificate, ProductCertificate) else (certificate,)
     return any(
-        isinstance(part, PathCertificate | PairsCertificate | TeamCertificate | TimedCertificate) for part in parts
+        isinstance(part, PathCertificate | PairsCertificate | MixedCertificate | TeamCertificate | TimedCertificate)
+        for part in parts
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...envs.problem import problem_from_dict
 from .certificate import Certificate
+from .mixed_certificate import MixedCertificate
 from .pairs_certificate import PairsCertificate
 from .path_certificate import PathCertificate
 from .team_certificate import TeamCertificate
@@ -53,6 +54,43 @@ def pairs_in(
     if len(base.agents) != problem.n_agents or base.problem.automaton.n_states != problem.automaton.n_states:
         raise ValueError("its base does not fit the problem")
     return PairsCertificate(problem, base, tuple(bool(value) for value in usual), float(near), header["settings"])
+
+
+def mixed_header(
+    certificate: MixedCertificate, parts: Sequence[bytes], put: Callable[[NDArray[Any]], int]
+) -> dict[str, Any]:
+    """Return the header of a file of a mixed team; ``parts`` are the files of the agents on grids and along paths."""
+    return {
+        "problem": certificate.problem.to_dict(),
+        "fingerprint": certificate.fingerprint,
+        "settings": certificate.settings,
+        "near": float(certificate.near),
+        "usual": list(certificate.usual),
+        "mixed": [put(np.frombuffer(part, np.uint8)) for part in parts],
+    }
+
+
+def mixed_in(
+    header: dict[str, Any],
+    arrays: dict[str, NDArray[Any]],
+    read: Callable[[bytes], Certificate | PathCertificate | PairsCertificate],
+) -> MixedCertificate:
+    """Return the certificate of a mixed team that a header and its arrays describe; raise ValueError otherwise."""
+    problem = problem_from_dict(header["problem"])
+    if header["fingerprint"] != problem.fingerprint:
+        raise ValueError("the fingerprint does not belong to the problem in it")
+    near, usual = header["near"], header["usual"]
+    if isinstance(near, bool) or not isinstance(near, int | float) or not 0.0 <= near <= 1.0:
+        raise ValueError("its probability of being near is none")
+    if not isinstance(usual, list) or len(usual) != len(problem.labeling.pairs) or not {*usual} <= {True, False}:
+        raise ValueError("what it takes its pairs to be does not fit the problem")
+    grids, paths = (read(arrays[str(int(number))].astype(np.uint8).tobytes()) for number in header["mixed"])
+    if not isinstance(paths, PathCertificate) or isinstance(grids, PathCertificate):
+        raise ValueError("its parts are not one on grids and one along paths")
+    if not isinstance(header["settings"], dict):
+        raise ValueError("its settings are none")
+    values = tuple(bool(value) for value in usual)
+    return MixedCertificate(problem, grids, paths, values, float(near), header["settings"])
 
 
 def timed_header(certificate: TimedCertificate, base: bytes, put: Callable[[NDArray[Any]], int]) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from ..certificates import (
     EXACT_GAP,
     BrokenTrainError,
     Certificate,
+    MixedCertificate,
     PairsCertificate,
     PathCertificate,
     ProductCertificate,
@@ -55,6 +56,7 @@ from .forward_mass import TooManyProducts, masses
 from .grid_check import uneven_lattices, wrong_grids
 from .guard_check import wrong_guards
 from .linear_check import places_of
+from .mixed_check import wrong_mixed
 from .network_spans import wrong_networks
 from .pairs_check import wrong_pairs
 from .regrown_tree import BrokenTreeError, regrow, tree_start_value
@@ -125,6 +127,7 @@ def check(certificate: Any, problem: Any = None) -> CheckReport:
     kinds: dict[type, Callable[[Any, Problem], CheckReport]] = {
         PathCertificate: _check_path,
         PairsCertificate: _check_pairs,
+        MixedCertificate: _check_mixed,
         TeamCertificate: _check_team,
         TimedCertificate: _check_timed,
         StartHull: _check_hull,
@@ -181,6 +184,27 @@ def _check_pairs(certificate: PairsCertificate, problem: Problem) -> CheckReport
     known = not failures and certificate.gap is not None and base.above is not None
     above = min(1.0, (base.above + near) * (1.0 + 8.0 * UNIT)) if known and base.above is not None else None
     return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures), above)
+
+
+def _check_mixed(certificate: MixedCertificate, problem: Problem) -> CheckReport:
+    """Verify a mixed team: both parts like any others, that they are about the team, and what pairs may spoil."""
+    failures: list[str] = []
+    if certificate.fingerprint != problem.fingerprint:
+        failures.append("it was made for another problem (the fingerprints differ)")
+    grids = paths = CheckReport(False, 0.0, float("nan"), ())
+    near = 1.0
+    if not failures:
+        grids, paths = check(certificate.grids), check(certificate.paths)
+        failures += [f"on grids: {failure}" for failure in grids.failures]
+        failures += [f"along paths: {failure}" for failure in paths.failures]
+    if not failures:
+        failures, near = wrong_mixed(certificate, problem)
+    if not failures and not near <= certificate.near:
+        failures.append(
+            f"it says that pairs spoil {certificate.near:.6g} at most, but what was recomputed is {near:.6g}"
+        )
+    recomputed = float("nan") if failures else max(0.0, grids.recomputed * paths.recomputed - near)
+    return CheckReport(not failures, certificate.lower_bound, recomputed, tuple(failures))
 
 
 def _check_team(certificate: TeamCertificate, problem: Problem) -> CheckReport:

@@ -14,6 +14,7 @@ Reference: docs/theory/pairs.md, "What the check does".
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -110,7 +111,7 @@ def _wrong_agents(problem: Problem, base: Certificate) -> list[str]:
     for agent, part in zip(problem.agents, base.agents, strict=True):
         if part.relation["kind"] != "exact" or part.menu is not None:
             failures.append(f"the relation of agent `{agent.name}` is not exact, so pairs cannot be subtracted")
-        elif not np.array_equal(part.coordinates, np.eye(agent.n_states)) or not _is_plain(agent):
+        elif not np.array_equal(part.coordinates, np.eye(agent.n_states)) or not has_plain_noise(agent):
             failures.append(f"the noise of agent `{agent.name}` is not Gaussian and independent along its states")
         elif not np.array_equal(agent.initial.low, agent.initial.high):
             failures.append(f"the start of agent `{agent.name}` is not known")
@@ -122,7 +123,7 @@ def _wrong_agents(problem: Problem, base: Certificate) -> list[str]:
     return failures
 
 
-def _is_plain(agent: AnyAgent) -> bool:
+def has_plain_noise(agent: AnyAgent) -> bool:
     """Return whether the noise is Gaussian, independent along the states, and the same everywhere."""
     covariance = agent.noise_covariance
     gaussian = agent.laws is None or all(isinstance(law, Gaussian) for law in agent.laws)
@@ -143,27 +144,44 @@ class _Product:
 def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> float:
     """Return an upper bound on the probability that a pair is not as usual while the task is open and asks for it."""
     automaton = problem.automaton
-    asked = _asked(problem)
+    asked = pairs_asked(problem)
     letter = problem.labeling.letter([agent.initial.low for agent in problem.agents])
     if np.any((letter[problem.labeling.first_pair :] != usual) & asked[automaton.initial]):
         return 1.0
+    charged, charges = 0.0, _Charges(problem, base, usual)
+    for _, states, masses in undecided_course(base):
+        about = np.flatnonzero(np.any([asked[q] for q in states], axis=0))
+        charged += charges.of(about, masses)
+    state("differences", base, len(problem.labeling.pairs), RELATIVE)
+    return min(1.0, (charged + lost_on_the_way(base)) * RELATIVE)
+
+
+def lost_on_the_way(base: Certificate) -> float:
+    """Return an upper bound on the mass that kernels lose on the way: it may be near, once for each agent."""
+    each = (lost_to_rounding(a, p) for a, p in zip(base.problem.agents, base.agents, strict=True))
+    return sum(each) * base.problem.horizon
+
+
+def undecided_course(base: Certificate) -> Iterator[tuple[int, list[int], list[FloatArray]]]:
+    """Yield, for each step and product of the mass of undecided runs, its automaton states and lattice masses.
+
+    The time is that of the step, and masses (Z_1, ..) are those of each agent on the lattice points it moves to.
+    """
     q = base.problem.initial_q
     if q is None or base.problem.automaton.absorbing[q]:
-        return 0.0
-    modes = _modes(base)
+        return
+    modes, agents = modes_of(base), base.problem.agents
     passages = {(m, n): _passage(base, modes[m], modes[n]) for m in range(len(modes)) for n in range(len(modes))}
     kernels: dict[tuple[bytes, ...], list[FloatArray]] = {}
-    tables = [axis_tables(a, p, kernels) for a, p in zip(problem.agents, base.agents, strict=True)]
-    shares = [start_shares(a, p) for a, p in zip(problem.agents, base.agents, strict=True)]
+    tables = [axis_tables(a, p, kernels) for a, p in zip(agents, base.agents, strict=True)]
+    shares = [start_shares(a, p) for a, p in zip(agents, base.agents, strict=True)]
     products = [_Product(next(m for m, states in enumerate(modes) if q in states), shares)]
-    charged, charges = 0.0, _Charges(problem, base, usual)
-    for t in range(problem.horizon):
+    for t in range(base.problem.horizon):
         following = []
         for product in products:
-            first = modes[product.mode][0]
-            points = [part.points(t, first) for part in base.agents]
-            about = np.flatnonzero(np.any([asked[q] for q in modes[product.mode]], axis=0))
-            charged += charges.of(about, [_on_lattice(*own) for own in zip(base.agents, product.factors, points)])
+            states = modes[product.mode]
+            points = [part.points(t, states[0]) for part in base.agents]
+            yield t, states, [_on_lattice(*own) for own in zip(base.agents, product.factors, points)]
             pushed = [moved(own[None], to, axes)[0] for own, to, axes in zip(product.factors, points, tables)]
             for n in range(len(modes)):
                 if (open_cells := passages[product.mode, n]) is not None:
@@ -172,13 +190,9 @@ def _spoiled(problem: Problem, base: Certificate, usual: NDArray[np.bool_]) -> f
         if len(following) > MOST_PRODUCTS:
             raise OverflowError(f"the mass of its undecided runs has more than {MOST_PRODUCTS} products")
         products = following
-    state("differences", base, len(problem.labeling.pairs), RELATIVE)
-    # What the kernels lost on the way may be near, once for each agent.
-    lost = sum(lost_to_rounding(a, p) for a, p in zip(problem.agents, base.agents, strict=True)) * problem.horizon
-    return min(1.0, (charged + lost) * RELATIVE)
 
 
-def _asked(problem: Problem) -> NDArray[np.bool_]:
+def pairs_asked(problem: Problem) -> NDArray[np.bool_]:
     """Return which pairs may change where the automaton goes from each state: bool (Q, number of pairs)."""
     automaton, first = problem.automaton, problem.labeling.first_pair
     below: dict[int, frozenset[int]] = {}
@@ -193,7 +207,7 @@ def _asked(problem: Problem) -> NDArray[np.bool_]:
     return result
 
 
-def _modes(base: Certificate) -> list[list[int]]:
+def modes_of(base: Certificate) -> list[list[int]]:
     """Return the undecided states in groups in which every policy is the same at all times."""
     modes: list[list[int]] = []
     for q in np.flatnonzero(~base.problem.automaton.absorbing).tolist():
@@ -238,12 +252,12 @@ class _Charges:
             pair = self.problem.labeling.pairs[k]
             others = np.delete(totals, [pair.first, pair.second])
             axes = self.axes(pair)
-            first = _over(masses[pair.first], [a for a, _ in axes])
+            first = over_axes(masses[pair.first], [a for a, _ in axes])
             stays = bool(self.usual[k])
             names, tables = zip(*(self.table(pair, n, ab, stays) for n, ab in enumerate(axes)))
             key = (pair.second, tuple(b for _, b in axes), names)
             if key not in spread:
-                reached = _over(masses[pair.second], [b for _, b in axes])
+                reached = over_axes(masses[pair.second], [b for _, b in axes])
                 for n, table in enumerate(tables):
                     reached = np.moveaxis(np.tensordot(reached, table, axes=(n, 1)), -1, n)
                 spread[key] = reached
@@ -277,7 +291,7 @@ class _Charges:
         return name, self.known[name]
 
 
-def _over(masses: FloatArray, axes: list[int]) -> FloatArray:
+def over_axes(masses: FloatArray, axes: list[int]) -> FloatArray:
     """Return the mass over some axes, in this order, all others summed."""
     letters = list(range(masses.ndim))
     return np.asarray(np.einsum(masses, letters, axes))

@@ -247,7 +247,7 @@ class _Levels:
         )
         self.before = abstraction, tuple(part.policy for part in certificate.agents)
         # Where agents that trust the team lose nothing on coarse cells they do so on finer ones: no sweep is needed.
-        self.follows = {*result.stats.get("starts", ())} == {RELAXED}
+        self.follows = result.stats["starts"].keys() == {RELAXED}  # type: ignore[attr-defined]
         self.effort.has_result = True
         if self.best is None or certificate.lower_bound > self.best.certificate.lower_bound:
             self.best = result

@@ -3,6 +3,7 @@
 from .agent_controller import AgentController
 from .controller import Controller
 from .given_policies import LOCAL, Decentralised, InputTable, Policy, Vectorized, decentralised, vectorized
+from .mixed_controller import MixedController
 from .path_controller import PathController, covariances_of, nominal_states
 from .path_covariances import covariances_along
 from .product_controller import ProductController
@@ -15,6 +16,7 @@ __all__ = [
     "Decentralised",
     "InputTable",
     "LOCAL",
+    "MixedController",
     "PathController",
     "Policy",
     "Vectorized",

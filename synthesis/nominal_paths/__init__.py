@@ -1,6 +1,7 @@
 """Certificates along a path: letters chosen from the automaton, a nominal path through them, and feedback."""
 
-from .path_search import path_certificate, refuse_without_path
+from .counted_work import CountedWork
+from .path_search import certified_paths, path_certificate, refuse_without_path
 from .start_rays import certified_starts
 
-__all__ = ["certified_starts", "path_certificate", "refuse_without_path"]
+__all__ = ["CountedWork", "certified_paths", "certified_starts", "path_certificate", "refuse_without_path"]

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from ...envs.problem import Problem, Unrolled, unrolled
 from ..certificates import PathCertificate, Synthesis
+from .counted_work import CountedWork
 
-SearchOf = Callable[[Problem, Callable[[], bool]], Synthesis]
+SearchOf = Callable[[Problem, CountedWork], Synthesis]
 """A search for a path of a problem without angles."""
 
 
-def along_angles(problem: Problem, search: SearchOf, is_over: Callable[[], bool]) -> Synthesis:
+def along_angles(problem: Problem, search: SearchOf, work: CountedWork) -> Synthesis:
     """Return a certificate along a path of a problem with angles, from that of the problem unrolled."""
     flat = unrolled(problem)
-    found = search(flat.problem, is_over)
+    found = search(flat.problem, work)
     certificate = _rolled(problem, flat, found.certificate)  # type: ignore[arg-type]
     return replace(found, certificate=certificate, controller=certificate.controller)  # type: ignore[arg-type]
 

@@ -108,8 +108,12 @@ class NominalPath:
     @cached_property
     def by_unknowns(self) -> FloatArray:
         """Sizes (S, d, k) of the derivatives by what is unknown."""
+        return self.slopes_by_unknowns(np.arange(len(self.inputs)))
+
+    def slopes_by_unknowns(self, times: NDArray[np.int64]) -> FloatArray:
+        """Return the sizes (S, d, k) of the derivatives by what is unknown, at times (S,)."""
         d, m = self.model.agent.n_states, self.model.agent.n_inputs
-        variables = self.model.variables(self.states[:-1].T, self.inputs.T, np.arange(len(self.inputs)))
+        variables = self.model.variables(self.states[:-1].T, self.inputs.T, times)
         _, slopes = self.model.motion.slopes(variables)
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
         return np.abs(np.moveaxis(both, 2, 0)[:, :, d + m :])
@@ -117,11 +121,15 @@ class NominalPath:
     @cached_property
     def scales(self) -> tuple[FloatArray, FloatArray]:
         """Nominal multipliers (S, d) of the noise, and sizes (S, d, v) of their derivatives."""
+        return self.scales_at(np.arange(len(self.inputs)))
+
+    def scales_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Return the multipliers (S, d) of the noise, and sizes (S, d, v) of their derivatives, at times (S,)."""
         assert self.model.scale is not None
-        variables = self.model.variables(self.states[:-1].T, self.inputs.T, np.arange(len(self.inputs)))
+        variables = self.model.variables(self.states[:-1].T, self.inputs.T, times)
         values, slopes = self.model.scale.slopes(variables)
         both = np.broadcast_to(slopes, (*slopes.shape[:2], len(self.inputs)))
-        return values.T, np.abs(np.moveaxis(both, 2, 0))
+        return np.broadcast_to(values, (len(values), len(self.inputs))).T, np.abs(np.moveaxis(both, 2, 0))
 
     @cached_property
     def noises(self) -> FloatArray:
@@ -130,6 +138,29 @@ class NominalPath:
         if self.model.scale is None:
             return np.broadcast_to(self.model.covariance, (steps, agent.n_states, agent.n_states))
         return np.array([np.diag((row * self.model.deviations) ** 2) for row in self.scales[0]])
+
+    @classmethod
+    def many(cls, model: NonlinearModel, limits: Limits, states: FloatArray, inputs: FloatArray) -> list[NominalPath]:
+        """Return paths along states (N, S + 1, d) and inputs (N, S, m), whose derivatives are computed at once."""
+        n, steps, d = len(states), inputs.shape[1], states.shape[2]
+        paths = [cls(model, limits, x, u) for x, u in zip(states, inputs, strict=True)]
+        # All of them one after another are one long path, of steps that begin anew.
+        x, u = states[:, :-1].reshape(n * steps, d), inputs.reshape(n * steps, -1)
+        times = np.tile(np.arange(steps), n)
+        together = cls(model, limits, np.concatenate([x, x[-1:]]), u)
+        parts: dict[str, tuple[FloatArray, ...]] = {
+            "linear": model.linear(x, u, times), "by_unknowns": (together.slopes_by_unknowns(times),),
+        }  # fmt: skip
+        if model.scale is not None:
+            parts["scales"] = together.scales_at(times)
+        each = {name: [np.split(part, n) for part in found] for name, found in parts.items()}
+        values, matrices = model.outputs(states.reshape(n * (steps + 1), d))
+        each["outputs"] = [np.split(values, n), np.split(matrices, n)]
+        for k, path in enumerate(paths):
+            for name, found in each.items():
+                own = tuple(part[k] for part in found)
+                path.__dict__[name] = own if len(own) > 1 else own[0]
+        return paths
 
     def worth(self, feedback: Feedback) -> tuple[Worth, Spreads]:
         """Return the rows of all candidates, and the spreads of the first one."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cells import FloatArray
+from .counted_work import CountedWork
 from .nonlinear_model import NonlinearModel
 from .pair_costs import PairAim
 from .path_limits import Limits
@@ -63,10 +64,10 @@ class Aim:
 
 
 class Planner:
-    """Plans for one agent and one aim."""
+    """Plans for one agent and one aim; what they take is counted."""
 
-    def __init__(self, model: NonlinearModel, aim: Aim) -> None:
-        self.model, self.aim, agent = model, aim, model.agent
+    def __init__(self, model: NonlinearModel, aim: Aim, work: CountedWork) -> None:
+        self.model, self.aim, self.work, agent = model, aim, work, model.agent
         self.middle, half = 0.5 * (agent.input_low + agent.input_high), 0.5 * (agent.input_high - agent.input_low)
         self.half = np.maximum(half, 1e-9)
         self.start = 0.5 * (agent.initial.low + agent.initial.high)
@@ -103,6 +104,7 @@ class Planner:
         if not np.isfinite(cost):
             return states, inputs, np.inf
         for _ in range(rounds):
+            self.work.planned(len(inputs), len(self.start), 1)
             push, gain = self._feedback(states, inputs, damping)
             tried_x, tried_u = self._simulated(states, inputs, push, gain)
             costs = self.cost(tried_x, tried_u)

@@ -7,7 +7,7 @@ and work is counted, never time: the same problem gives the same nominal path ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray
 from ..certificates import AgentPath
 from .coarse_ways import guesses
+from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, Spreads, worth_of
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
@@ -76,9 +77,10 @@ class Found:
 
 
 class NonlinearSearch:
-    """Nominal paths of one agent of a problem."""
+    """Nominal paths of one agent of a problem; what they take is counted."""
 
-    def __init__(self, problem: Problem, i: int) -> None:
+    def __init__(self, problem: Problem, i: int, work: CountedWork) -> None:
+        self.work = work
         self.problem, self.agent = problem, problem.agents[i]
         shared = problem.shared_noise[i]
         self.model = NonlinearModel(self.agent, shared if np.any(shared) else None)
@@ -90,8 +92,11 @@ class NonlinearSearch:
         low, high = agent.output_range(agent.state_low[None], agent.state_high[None])
         self.spans = np.where(np.isfinite(high - low), high - low, 1.0)[0]
 
-    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None) -> Found | None:
-        """Return a nominal path for letters (S + 1, P) after little work; None if none was found."""
+    def quick(self, letters: NDArray[np.int8], warm: FloatArray | None = None, bar: float = np.inf) -> Found | None:
+        """Return a nominal path for letters (S + 1, P) after little work; None if none was found.
+
+        Where the best path after the first guess scores above ``bar``, it is left at that.
+        """
         best: Found | None = None
         start = 0.5 * (self.agent.initial.low + self.agent.initial.high)
         for guess in guesses(self.problem, self.agent, letters, start):
@@ -101,17 +106,17 @@ class NonlinearSearch:
                     best = found
                 if best is not None and best.score < WELL:
                     break
-            if best is not None and best.score < np.log(0.5):
+            if best is not None and (best.score < np.log(0.5) or best.score > bar):
                 break
         return best
 
-    def full(self, letters: NDArray[np.int8], found: Found, is_over: Callable[[], bool] = lambda: False) -> Found:
-        """Return a nominal path that is better than one that was found, if there is time for one."""
-        if is_over():
+    def full(self, letters: NDArray[np.int8], found: Found) -> Found:
+        """Return a nominal path that is better than one that was found, if there is work left for one."""
+        if self.work.is_over():
             return found
         found = self.searched(found, GENERATIONS)
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH or is_over():
+            if found.failure <= ENOUGH or self.work.is_over():
                 break
             again = self._planned_anew(letters, found)
             if again is None:
@@ -139,7 +144,7 @@ class NonlinearSearch:
         x, y, push = ((each, np.zeros_like(each)) for each in sharp)
         for weight, rounds in ((30.0, 30), (1.0, 30), (0.0, 60)):
             aim = Aim(limits, x, y, push, guess, np.full(agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
-            states, u, cost = Planner(self.model, aim).improved(u, rounds)
+            states, u, cost = Planner(self.model, aim, self.work).improved(u, rounds)
             if not np.isfinite(cost):
                 return None
             # Sides are those on which the plan is, as soon as it follows.
@@ -175,7 +180,7 @@ class NonlinearSearch:
         )  # fmt: skip
         x, y, push = ((each, np.zeros_like(each)) for each in sharp)
         aim = Aim(limits, x, y, push, guess, np.full(self.agent.n_outputs, weight * 50.0 / steps) / self.spans**2)
-        planner = Planner(self.model, aim)
+        planner = Planner(self.model, aim, self.work)
         starts = [self.first_inputs(steps), self._pursued(guess)]
         costs = [float(planner.cost(planner.rolled(u)[:, :, None], u[:, :, None])[0]) for u in starts]
         return planner.improved(starts[int(np.argmin(costs))], rounds)[1]
@@ -228,7 +233,7 @@ class NonlinearSearch:
         snapped = np.where(inputs >= agent.input_high - near, agent.input_high, snapped)
         limits = limits_along(self.problem, agent, letters, faces)
         if np.any(snapped != inputs):
-            aim_free = Planner(self.model, _nowhere(limits, self.agent.n_outputs, len(inputs)))
+            aim_free = Planner(self.model, _nowhere(limits, self.agent.n_outputs, len(inputs)), self.work)
             states = aim_free.rolled(snapped)
         return NominalPath(self.model, limits, states, snapped)
 
@@ -247,7 +252,7 @@ class NonlinearSearch:
         for _ in range(3):
             limits = limits_along(self.problem, agent, letters, faces)
             aim = Aim(limits, pairs[0], pairs[1], pairs[2], outputs, np.zeros(agent.n_outputs))
-            states, u, cost = Planner(self.model, aim).improved(u, 40)
+            states, u, cost = Planner(self.model, aim, self.work).improved(u, 40)
             if not np.isfinite(cost):
                 return None
             outputs, _ = self.model.outputs(states)
@@ -310,6 +315,7 @@ def scored(tasks: Sequence[Candidates], faces: NDArray[np.int64]) -> list[tuple[
     """Return, for each of some agents that are alike, the best of its candidates and the scores of all."""
     which = np.repeat(np.arange(len(tasks)), [len(thetas) for _, _, thetas in tasks])
     paths = [nominal for _, nominal, _ in tasks]
+    tasks[0][0].work.walk(len(paths[0].inputs), tasks[0][0].agent.n_states, len(which))
     feedback = feedback_of(tasks[0][0], paths, which, np.concatenate([thetas for _, _, thetas in tasks]))
     worth, spreads = worth_of(paths, feedback, which)
     scores = worth.scores()
@@ -334,10 +340,20 @@ def found_of(
     theta: FloatArray,
     faces: NDArray[np.int64],
 ) -> Found:
-    """Return candidate c of those that were judged together, with its score and failure."""
+    """Return candidate c of those that were judged together, with its score and failure.
+
+    A nominal state outside of the workspace fails: no certificate is made of it.
+    """
     worth, spreads, feedback = judged
+    values = values if is_inside(nominal) else (values[0], 1.0)
     alone = Feedback(feedback.gains[c : c + 1], feedback.slabs[c : c + 1])
     return Found(*values, nominal, alone, theta, faces, spreads.of(c), worth.weakest(c))
+
+
+def is_inside(nominal: NominalPath) -> bool:
+    """Return whether nominal states lie in the closed workspace."""
+    agent = nominal.model.agent
+    return not np.any((nominal.states < agent.state_low) | (nominal.states > agent.state_high))
 
 
 def feedback_of(

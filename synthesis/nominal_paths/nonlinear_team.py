@@ -16,6 +16,7 @@ from ...envs.problem import Problem
 from ..cells import FloatArray, NoRunFound, RelationRefused
 from ..certificates import PathCertificate, Synthesis
 from .calm_runs import most_missed, satisfies
+from .counted_work import CountedWork
 from .nonlinear_search import Found, NonlinearSearch
 from .polish import polished
 from .team_search import TeamFound, TeamSearch
@@ -37,8 +38,8 @@ REFINED, NEAR = 4, 1.5
 """Plans on which more work is spent, and how much worse their logarithm may be after little work, which hardly tells
 them apart."""
 
-TOUCHED_UP = 3
-"""Plans that are moved a little in all that is free, until one is good."""
+POLISHED = ((3, 20), (1, 100))
+"""Plans that are moved a little in all that is free, and for how many generations: the best of some is gone on with."""
 
 FAIR = 1e-3
 """Failure above which more work is spent on further plans in any case."""
@@ -101,9 +102,9 @@ class _Apart:
 
     seen: list[tuple[float, Plan, NDArray[np.int8], list[Found]]]
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
+    def __init__(self, problem: Problem, work: CountedWork) -> None:
+        self.problem, self.work = problem, work
+        self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
         self.known: dict[tuple[int, bytes], Found | None] = {}
         self.warm: list[FloatArray | None] = [None] * problem.n_agents
         self.seen, self.done = [], dict[Plan, Refined]()
@@ -119,8 +120,8 @@ class _Apart:
         """Candidates of feedbacks that were tried."""
         return sum(search.tried for search in self.searches)
 
-    def of_plan(self, plan: Plan) -> None:
-        """Look for nonlinear paths along a plan, and keep them if they are the best."""
+    def of_plan(self, plan: Plan, bar: float = np.inf) -> None:
+        """Look for nonlinear paths along a plan; above ``bar`` the first guess of an agent has to do."""
         letters = letters_of(self.problem, plan)
         if letters is None:
             return
@@ -129,7 +130,7 @@ class _Apart:
             own = self._own(i)
             key = (i, letters[:, own].tobytes() + bytes(str(plan.steps), "ascii"))
             if key not in self.known:
-                self.known[key] = search.quick(letters, self.warm[i])
+                self.known[key] = search.quick(letters, self.warm[i], bar)
             one = self.known[key]
             if one is None:
                 self.stopped = f"agent `{search.agent.name}` finds no way around regions in {plan.steps} steps"
@@ -140,30 +141,34 @@ class _Apart:
         if all(plan != other for _, other, _, _ in self.seen):
             self.seen.append((score, plan, letters, found))
 
-    def refined(self, is_over: Callable[[], bool], count: int = 1) -> Refined:
+    def refined(self, count: int = 1) -> Refined:
         """Return the best of a few plans, the best of all after little work, after more work."""
         best: Refined | None = None
         for score, plan, letters, found in sorted(self.seen, key=lambda one: one[0])[:count]:
             is_far = self.best is None or score > self.best[0] + NEAR
-            if best is not None and (is_far or best.failure <= GOOD or is_over()):
+            if best is not None and (is_far or best.failure <= GOOD or self.work.is_over()):
                 break
             if plan not in self.done:
-                each = [search.full(letters, one, is_over) for search, one in zip(self.searches, found, strict=True)]
+                each = [search.full(letters, one) for search, one in zip(self.searches, found, strict=True)]
                 self.done[plan] = _refined(self.problem, plan.times, letters, each)
             one = self.done[plan]
             best = one if best is None or one.failure < best.failure else best
         assert best is not None
         return best
 
-    def touched_up(self, best: Refined, is_over: Callable[[], bool]) -> Refined:
+    def touched_up(self, best: Refined) -> Refined:
         """Return a plan that fails at most as often, after small moves of all that is free in the best few plans."""
-        for one in sorted(self.done.values(), key=lambda one: one.failure)[:TOUCHED_UP]:
-            if best.failure <= GOOD or is_over():
+        plans = sorted(self.done.values(), key=lambda one: one.failure)
+        for count, generations in POLISHED:
+            if best.failure <= GOOD:
                 break
-            each = [polished(search, path, is_over) for search, path in zip(self.searches, one.found, strict=True)]
-            moved = _refined(self.problem, one.times, one.letters, each)
-            best = moved if moved.failure < best.failure else best
+            plans = sorted((self._polished(one, generations) for one in plans[:count]), key=lambda one: one.failure)
+            best = min(best, *plans, key=lambda one: one.failure)
         return best
+
+    def _polished(self, plan: Refined, generations: int) -> Refined:
+        each = [polished(search, path, generations) for search, path in zip(self.searches, plan.found, strict=True)]
+        return _refined(self.problem, plan.times, plan.letters, each)
 
     def _own(self, i: int) -> list[int]:
         names, agent = self.problem.automaton.propositions, self.problem.agents[i]
@@ -189,8 +194,8 @@ class _Together:
 
     best: tuple[float, Plan, NDArray[np.int8], TeamFound] | None
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.search = problem, TeamSearch(problem)
+    def __init__(self, problem: Problem, work: CountedWork) -> None:
+        self.problem, self.search = problem, TeamSearch(problem, work)
         self.best = None
         self.stopped = "agents are in each other's way in every plan that was made"
 
@@ -199,28 +204,26 @@ class _Together:
         """Candidates of feedbacks that were tried."""
         return self.search.tried
 
-    def of_plan(self, plan: Plan) -> None:
-        """Look for nonlinear paths along a plan, and keep them if they are the best."""
+    def of_plan(self, plan: Plan, bar: float = np.inf) -> None:
+        """Look for nonlinear paths along a plan, and keep them if they are the best; up to ``bar`` first guesses do."""
         letters = letters_of(self.problem, plan)
-        found = None if letters is None else self.search.quick(letters)
+        found = None if letters is None else self.search.quick(letters, bar)
         if found is not None and letters is not None and (self.best is None or found.score < self.best[0]):
             self.best = found.score, plan, letters, found
 
-    def refined(self, is_over: Callable[[], bool], count: int = 1) -> Refined:
+    def refined(self, count: int = 1) -> Refined:
         """Return the best plan after more work; plans of teams take so long that there is time for one."""
         assert self.best is not None
         _, (_, times, _), letters, found = self.best
-        found = self.search.full(letters, found, is_over)
+        found = self.search.full(letters, found)
         return Refined(times, letters, found.found, found.failure, found.weakest, found.rows.normals)
 
-    def touched_up(self, best: Refined, is_over: Callable[[], bool]) -> Refined:
+    def touched_up(self, best: Refined) -> Refined:
         """Return the plan: what pairs ask for ties all paths together."""
         return best
 
 
-def nonlinear_certificate(
-    problem: Problem, plans: PlansOf, segmented: PlansOf, is_over: Callable[[], bool]
-) -> Synthesis:
+def nonlinear_certificate(problem: Problem, plans: PlansOf, segmented: PlansOf, work: CountedWork) -> Synthesis:
     """Return a certificate along nonlinear paths, with its controllers.
 
     Where nothing is left of the bound, but a run without noise satisfies the task, it claims 0: its controllers follow
@@ -233,8 +236,8 @@ def nonlinear_certificate(
         Ways through the automaton of a problem with the times of their jumps, in order of promise.
     segmented : callable
         Further ones, for which there is time where those give nothing.
-    is_over : callable
-        Whether what was found so far has to do.
+    work : CountedWork
+        What the search may take.
 
     Raises
     ------
@@ -242,11 +245,11 @@ def nonlinear_certificate(
         If no run without noise was found that satisfies the task.
     """
     began = time.perf_counter()
-    tried, best = _searched(problem, (plans(problem), segmented(problem)), is_over)
+    tried, best = found_for_team(problem, (plans(problem), segmented(problem)), work)
     failure = min(1.0, best.failure * (1.0 + 1e-9))
     if failure >= WORTHLESS:
         failure, weakest = 1.0, best.weakest
-        best = _calm_run(problem, best, (plans, segmented), is_over)
+        best = _calm_run(problem, best, (plans, segmented), work)
         best = replace(best, weakest=weakest)
     faces = np.full(best.letters.shape, -1)
     for one in best.found:
@@ -262,35 +265,35 @@ def nonlinear_certificate(
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
 
 
-def _searched(problem: Problem, plans: Sequence[Iterable[Plan]], is_over: Callable[[], bool]) -> tuple[int, Refined]:
+def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: CountedWork) -> tuple[int, Refined]:
     """Return how many candidates were tried, and the best plan; raise NoRunFound if none has paths at all."""
     pairs = len(problem.labeling.pairs)
-    team: _Apart | _Together = _Together(problem) if pairs else _Apart(problem)
+    team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
     for some in plans:
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
         for plan in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
             team.of_plan(plan)
-            if team.best is not None and (team.best[0] < PROMISING or is_over()):
+            if team.best is not None and (team.best[0] < PROMISING or work.is_over()):
                 break
-        if team.best is not None and (team.best[0] < HARDLY or is_over()):
+        if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
             break
     if team.best is None:
         more = f": {team.stopped}" if team.stopped else ""
         raise NoRunFound(f"{NO_PATH}{more}")
-    best = team.refined(is_over)
-    if best.failure > GOOD and pairs <= FEW_PAIRS and not is_over():
+    best = team.refined()
+    if best.failure > GOOD and pairs <= FEW_PAIRS and not work.is_over():
         # Other times of the jumps, each looked at after little work.
         before = team.best[0]
-        _with_better_times(team, is_over)
+        _with_better_times(team, work)
         if team.best[0] < before or best.failure > FAIR:
-            again = team.refined(is_over, REFINED)
+            again = team.refined(REFINED)
             best = again if again.failure < best.failure else best
     # Small moves make good plans better; where nothing is left of a bound they take longest and change nothing.
-    best = best if is_over() or best.failure >= WORTHLESS else team.touched_up(best, is_over)
+    best = best if work.is_over() or best.failure >= WORTHLESS else team.touched_up(best)
     return team.tried, best
 
 
-def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], is_over: Callable[[], bool]) -> Refined:
+def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], work: CountedWork) -> Refined:
     """Return a plan whose run without noise satisfies the task; raise NoRunFound if none was found.
 
     Where nothing is left of the bound a plan keeps so far from all limits that it may miss the task itself. With hardly
@@ -299,15 +302,15 @@ def _calm_run(problem: Problem, best: Refined, sources: Sequence[PlansOf], is_ov
     if satisfies(problem, best.states):
         return best
     calm = problem.replace(disturbance_scale=CALM)
-    _, again = _searched(calm, [plans(calm) for plans in sources], is_over)
+    _, again = found_for_team(calm, [plans(calm) for plans in sources], work)
     if not satisfies(problem, again.states):
         raise NoRunFound(f"{NO_PATH}: {most_missed(problem, again.letters, again.states) or again.weakest}")
     return again
 
 
-def _with_better_times(team: _Apart | _Together, is_over: Callable[[], bool]) -> None:
-    """Move single jumps, as long as that helps."""
-    problem, tried = team.problem, 0
+def _with_better_times(team: _Apart | _Together, work: CountedWork) -> None:
+    """Move single jumps, as long as that helps and the dearest plan so far may be afforded once more."""
+    problem, tried, dearest = team.problem, 0, 0.0
     step = max(1, problem.horizon // 6)
     while step and tried < MOST_MOVES and team.best is not None:
         before = team.best[0]
@@ -316,9 +319,10 @@ def _with_better_times(team: _Apart | _Together, is_over: Callable[[], bool]) ->
             for move in (-step, step):
                 moved = [*times[:k], times[k] + move, *times[k + 1 :]]
                 fits = 1 <= moved[0] and moved[-1] <= problem.horizon and all(a < b for a, b in zip(moved, moved[1:]))
-                if not fits or tried >= MOST_MOVES or is_over():
+                if not fits or tried >= MOST_MOVES or not work.allows(dearest):
                     continue
-                tried += 1
+                tried, spent = tried + 1, work.spent
                 is_last = k == len(times) - 1 and problem.automaton.is_co_safe
-                team.of_plan(Plan(way, tuple(moved), moved[-1] if is_last else steps))
+                team.of_plan(Plan(way, tuple(moved), moved[-1] if is_last else steps), team.best[0] + NEAR)
+                dearest = max(dearest, work.spent - spent)
         step = step if team.best[0] < before else step // 2

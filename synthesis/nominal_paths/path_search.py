@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any
 
@@ -17,12 +17,14 @@ from ..cells import FloatArray, RelationRefused
 from ..certificates import AgentPath, PathCertificate, Synthesis
 from ..controllers import covariances_of, nominal_states
 from .angle_paths import along_angles
+from .counted_work import CountedWork
 from .drifts import Drifts
 from .nominal import ENOUGH, Response, nominal_inputs
 from .nonlinear_team import any_failure, nonlinear_certificate, refuse_other_noise
 from .path_limits import corners_along, without_far_ends
 from .segments import segmented_ways
 from .slabs import Slabs, failure_of, input_slabs, limits_of, state_slabs
+from .some_paths import Whereabouts, paths_of_some
 from .words import Plan, Way, letters_of, ways_of, without_needless
 
 GAIN_COSTS = (1.0, 1e-2, 100.0, 0.1, 10.0, 1e3)
@@ -44,10 +46,10 @@ HOPELESS = 1.0 - 1e-12
 """Probability of failing from which a plan counts as impossible."""
 
 
-def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: False) -> Synthesis:
+def path_certificate(problem: Problem, work: CountedWork | None = None) -> Synthesis:
     """Return a certificate along a path; along nonlinear ones where an agent is not linear from a point.
 
-    ``is_over`` says whether what was found so far has to do: nothing is improved after that.
+    ``work`` says what the search may take: nothing is improved after that.
 
     Raises
     ------
@@ -56,27 +58,28 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
         without noise was found that satisfies the task.
     """
     began = time.perf_counter()
+    work = CountedWork() if work is None else work
     refuse_without_path(problem)
     if any(agent.angles for agent in problem.agents):
-        return along_angles(problem, path_certificate, is_over)
+        return along_angles(problem, path_certificate, work)
     linear = all(
         isinstance(agent, LinearAgent) and agent.initial.is_point and agent.laws is None for agent in problem.agents
     )
     if problem.labeling.pairs or not linear:
-        return nonlinear_certificate(problem, _plans, _segmented_plans, is_over)
+        return nonlinear_certificate(problem, _plans, _segmented_plans, work)
     finder = _Finder(problem)
     best: tuple[float, Plan, Any] | None = None
     for plans, enough in ((_plans(problem), ENOUGH), (_segmented_plans(problem), GOOD)):
         for plan in islice(plans, MOST_PLANS):
-            if best is not None and (best[0] <= enough or is_over()):
+            if best is not None and (best[0] <= enough or work.is_over()):
                 break
             found = finder.of_plan(plan)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found[0], plan, found[1]
-        best = best if best is None or is_over() else _with_better_times(finder, best)
+        best = best if best is None or work.is_over() else _with_better_times(finder, best)
     if best is None or best[0] >= HOPELESS:
         # Planned with soft limits instead there may be one that claims nothing, or a word on what is missed.
-        return nonlinear_certificate(problem, _plans, _segmented_plans, is_over)
+        return nonlinear_certificate(problem, _plans, _segmented_plans, work)
     failure, plan, (paths, letters, faces) = best
     settings = {"relation": "path", "jumps": list(plan.times), "plans": finder.tried}
     certificate = PathCertificate(problem, tuple(paths), letters, faces, failure, settings)
@@ -84,6 +87,14 @@ def path_certificate(problem: Problem, is_over: Callable[[], bool] = lambda: Fal
     unknown = dict.fromkeys(("abstract_upper_bound", "continuous_upper_bound", "unilateral_gain"))
     stats: dict[str, Any] = {"seconds": seconds, "rank": 1, "sweeps": [], "starts": {}, "dropped": 0.0, **unknown}
     return Synthesis(certificate, certificate.controller, stats)  # type: ignore[arg-type]
+
+
+def certified_paths(
+    problem: Problem, agents: Sequence[int], part_of: Callable[[int], Problem], work: CountedWork
+) -> tuple[PathCertificate, list[Whereabouts]]:
+    """Return a certificate that some agents of a team keep the letters of their paths; see ``paths_of_some``."""
+    refuse_without_path(problem)
+    return paths_of_some(problem, agents, part_of, (_plans, _segmented_plans), work)
 
 
 def refuse_without_path(problem: Problem) -> None:

@@ -7,17 +7,20 @@ are moved under feedback, so that an agent that is unstable stays near its path.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..cells import FloatArray
+from .counted_work import work_of_walk
 from .feedback_bounds import Feedback, NominalPath, worth_of
 from .nonlinear_search import Found, NonlinearSearch, feedback_of, found_of
 
-GENERATIONS, BATCH = 100, 24
-"""Batches of candidates at most, and candidates in each."""
+BATCH = 24
+"""Candidates in each generation."""
+
+WINDOW, LEAST_GAIN = 20, 0.01
+"""Generations within which the failure has to fall by this share of itself; else the rest is not worth its work."""
 
 KNOTS = 6
 """Times between which moves of slabs change evenly; inputs have two for each."""
@@ -34,7 +37,7 @@ SLABS = (0.1, 100.0)
 MOVED = 0.1
 """Moves of inputs, as a share of half their range, against those of logarithms."""
 
-ENOUGH, HOPELESS = 1e-6, 0.9999
+ENOUGH, HOPELESS = 1e-5, 0.9999
 """Failures below and above which nothing is touched any more."""
 
 
@@ -57,12 +60,17 @@ class Moves:
         return Moves(*(np.concatenate(pair) for pair in pairs))
 
 
-def polished(search: NonlinearSearch, found: Found, is_over: Callable[[], bool]) -> Found:
+def polished(search: NonlinearSearch, found: Found, generations: int) -> Found:
     """Return a path that fails at most as often, after small moves of all that is free."""
-    spread, last = FIRST_SPREAD, None
-    for _ in range(GENERATIONS):
-        if not ENOUGH < found.failure < HOPELESS or spread < LEAST_SPREAD or is_over():
+    spread, last, work, before = FIRST_SPREAD, None, search.work, found.failure
+    each = work_of_walk(len(found.nominal.inputs), search.agent.n_states, BATCH)
+    for generation in range(generations):
+        if not ENOUGH < found.failure < HOPELESS or spread < LEAST_SPREAD or not work.allows(each):
             break
+        if generation and generation % WINDOW == 0:
+            if found.failure > (1.0 - LEAST_GAIN) * before:
+                break
+            before = found.failure
         moves = _drawn(search, found, spread)
         # What helped may help again, and farther.
         moves = moves if last is None else last.beside(moves)
@@ -102,11 +110,12 @@ def _best_moved(search: NonlinearSearch, found: Found, moves: Moves) -> tuple[Fo
     fine = np.flatnonzero(np.isfinite(states).all(axis=(1, 2)))
     if not len(fine):
         return found, 0  # unstable agents may leave the numbers there are
-    paths = [NominalPath(search.model, found.nominal.limits, states[c], inputs[c]) for c in fine]
+    paths = NominalPath.many(search.model, found.nominal.limits, states[fine], inputs[fine])
     which = np.arange(len(paths))
     gains = feedback_of(search, paths, which, found.theta + moves.weights[fine]).gains
     slabs = np.clip(found.feedback.slabs * np.exp(np.clip(moves.slabs[fine], -3.0, 3.0)), *SLABS)
     feedback = Feedback(gains, np.where(np.isinf(found.feedback.slabs), np.inf, slabs))
+    search.work.walk(len(paths[0].inputs), search.agent.n_states, len(paths))
     worth, spreads = worth_of(paths, feedback, which)
     search.tried += len(paths)
     scores = np.where(np.isfinite(worth.scores()), worth.scores(), np.inf)

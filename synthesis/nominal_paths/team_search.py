@@ -7,7 +7,7 @@ what the others add to the rows of pairs held as it is, and the plan is made ane
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from ...envs.problem import Problem
 from ..cells import FloatArray
 from .coarse_ways import guesses
+from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, worth_of
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, scored
+from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, scored
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
@@ -66,9 +67,9 @@ class TeamFound:
 class TeamSearch:
     """Nominal paths of the agents of a problem with pairs."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.searches = [NonlinearSearch(problem, i) for i in range(problem.n_agents)]
+    def __init__(self, problem: Problem, work: CountedWork) -> None:
+        self.problem, self.work = problem, work
+        self.searches = [NonlinearSearch(problem, i, work) for i in range(problem.n_agents)]
         self.model: Any = TeamModel([search.model for search in self.searches])
         self.columns = sum(len(pair.low) for pair in problem.labeling.pairs)
 
@@ -77,8 +78,11 @@ class TeamSearch:
         """Candidates of feedbacks that were tried."""
         return sum(search.tried for search in self.searches)
 
-    def quick(self, letters: NDArray[np.int8]) -> TeamFound | None:
-        """Return nominal paths for letters (S + 1, P) after little work; None if none were found."""
+    def quick(self, letters: NDArray[np.int8], bar: float = np.inf) -> TeamFound | None:
+        """Return nominal paths for letters (S + 1, P) after little work; None if none were found.
+
+        Those whose first feedbacks score above ``bar`` are not planned anew.
+        """
         limits = pair_limits(self.problem, letters)
         best: tuple[float, Any] | None = None
         for bend in BENDS:
@@ -93,19 +97,19 @@ class TeamSearch:
         nominals, faces = best[1]
         thetas = [np.zeros(search.n_numbers) for search in self.searches]
         first = self._with_feedback(letters, limits, nominals, faces, thetas, warm=False)
+        if first.score > bar:
+            return first
         again = self._planned_anew(letters, limits, first)
         return again if again is not None and again.score < first.score else first
 
-    def full(
-        self, letters: NDArray[np.int8], found: TeamFound, is_over: Callable[[], bool] = lambda: False
-    ) -> TeamFound:
-        """Return better nominal paths, if that is worth anything, and there is time."""
-        if is_over():
+    def full(self, letters: NDArray[np.int8], found: TeamFound) -> TeamFound:
+        """Return better nominal paths, if that is worth anything, and there is work left."""
+        if self.work.is_over():
             return found
         limits = pair_limits(self.problem, letters)
         found = self._improved(found, limits)
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH or is_over():
+            if found.failure <= ENOUGH or self.work.is_over():
                 break
             again = self._planned_anew(letters, limits, found)
             if again is None:
@@ -181,7 +185,7 @@ class TeamSearch:
                 return None
             aim = Aim(own, _within(own.states, x), _within(own.outputs, y), push, together,
                       weight * 50.0 / steps / spans**2, pairs)  # fmt: skip
-            states, u, cost = Planner(self.model, aim).improved(u, rounds)
+            states, u, cost = Planner(self.model, aim, self.work).improved(u, rounds)
             if not np.isfinite(cost):
                 return None
             faces = self._sides(letters, self._outputs(states), [search.spans for search in self.searches])
@@ -210,7 +214,7 @@ class TeamSearch:
             if (own := self._limits(letters, faces)) is None:
                 return None
             aim = Aim(own, pairs_of[0], pairs_of[1], pairs_of[2], outputs, np.zeros(outputs.shape[1]), pairs)
-            states, u, cost = Planner(self.model, aim).improved(u, 40)
+            states, u, cost = Planner(self.model, aim, self.work).improved(u, 40)
             if not np.isfinite(cost):
                 return None
             new = self._sides(letters, self._outputs(states), medians)
@@ -267,7 +271,7 @@ class TeamSearch:
         """Return nominal paths with feedbacks after a first search of each agent."""
         # What feedbacks to begin with would let pairs do says in which directions they are kept apart.
         begun = [one for one, _ in self._scored(nominals, faces, [theta[None] for theta in thetas])]
-        team = self._judged(begun, faces, limits)
+        team = self.judged(begun, faces, limits)
         known: dict[object, FloatArray] = {}
         batches = []
         for i, search in enumerate(self.searches):
@@ -283,7 +287,7 @@ class TeamSearch:
                  for search, one in zip(self.searches, found, strict=True)]  # fmt: skip
         more = [one for one, _ in self._scored(self._asking(team), faces, again)]
         best = [min(pair, key=lambda one: one.score) for pair in zip(found, more, strict=True)]
-        return self._judged(best, faces, limits)
+        return self.judged(best, faces, limits)
 
     def _improved(self, team: TeamFound, limits: list[PairLimits]) -> TeamFound:
         """Return nominal paths with better feedbacks: some generations of candidates of all agents."""
@@ -297,7 +301,7 @@ class TeamSearch:
             for parents, batch, (_, scores) in zip(kept, thetas, outcomes, strict=True):
                 parents += zip(scores.tolist(), batch, strict=True)
                 parents[:] = sorted((pair for pair in parents if np.isfinite(pair[0])), key=lambda pair: pair[0])[:4]
-            again = self._judged([one for one, _ in outcomes], best.faces, limits)
+            again = self.judged([one for one, _ in outcomes], best.faces, limits)
             best = again if again.score < best.score else best
             if best.failure <= ENOUGH:
                 break
@@ -335,7 +339,7 @@ class TeamSearch:
         asked = team.rows.asked([one.spreads.pairs for one in team.found])
         return [replace(one.nominal, pairs=own) for one, own in zip(team.found, asked, strict=True)]
 
-    def _judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
+    def judged(self, found: Sequence[Found], faces: NDArray[np.int64], limits: list[PairLimits]) -> TeamFound:
         """Return the team with the rows of all agents and pairs together."""
         rows = self._rows(limits, found)
         asked = rows.asked([{}] * len(found))
@@ -344,12 +348,16 @@ class TeamSearch:
         for members in self._batches([1] * len(found)):
             feedback = Feedback(*(np.concatenate([getattr(found[i].feedback, name) for i in members])
                                   for name in ("gains", "slabs")))  # fmt: skip
+            self.work.walk(len(nominals[0].inputs), self.searches[members[0]].agent.n_states, len(members))
             worth, spreads = worth_of([nominals[i] for i in members], feedback, np.arange(len(members)))
             total.extend(worth.own.flattened([self.searches[i].agent.name for i in members]))
             kept |= {i: replace(found[i], nominal=nominals[i], spreads=spreads.of(k)) for k, i in enumerate(members)}
         team = tuple(kept[i] for i in range(len(found)))
         rows.add_to(total, [one.spreads.pairs for one in team])
-        return TeamFound(float(total.scores()[0]), float(total.failures()[0]), team, faces, rows, total.weakest())
+        # Of nominal states outside of a workspace no certificate is made.
+        inside = all(is_inside(one.nominal) for one in team)
+        failure = float(total.failures()[0]) if inside else 1.0
+        return TeamFound(float(total.scores()[0]), failure, team, faces, rows, total.weakest())
 
 
 def search_key(search: NonlinearSearch) -> object:

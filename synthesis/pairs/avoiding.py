@@ -18,7 +18,8 @@ from ...envs.agents import PairRegion
 from ..cells import FloatArray
 from ..models import Policies
 from ..search import favourable_successors, relax_one
-from .near_mass import NearMass, compared_axes
+from .compared_states import compared_axes
+from .near_mass import NearMass
 
 Presence = list[NDArray[np.float64]]
 """Per time 0 .. T: the mass (S,) of an agent in its cells."""
@@ -110,7 +111,8 @@ class Avoidance:
             for t, presence in enumerate(presences[other]):
                 near = self.near(pair, (i, other), presence, usual)
                 result[t] *= near if usual else np.maximum(0.0, 1.0 - near)
-        return result
+        beside = self.masses.beside
+        return result if beside is None else beside.thinned(i, self.joint, result)
 
     def near(self, pair: PairRegion, agents: tuple[int, int], presence: FloatArray, surely: bool) -> FloatArray:
         """Return the mass (S_i,) of the second agent that may be, or surely is, near each cell of the first one."""

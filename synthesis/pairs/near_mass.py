@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ...envs.agents import AnyAgent, PairRegion, counted
+from ...envs.agents import PairRegion, counted
 from ...envs.problem import Problem
-from ..cells import FloatArray, RelationRefused, refuse_uneven_noise
+from ..cells import FloatArray, RelationRefused
 from ..models import JointModel, Policies
+from .beside_paths import BesidePaths
+from .compared_states import compared_axes, marginal
 
 MOST_TERMS = 300
 """Products of the mass at one time beyond which the bound would take too long."""
@@ -75,6 +77,8 @@ class NearMass:
         Which pairs the automaton asks about in each state.
     usual : (number of pairs,) bool array
         What each proposition is taken to be in ``base``: the mass is that of all runs in which one is otherwise.
+    beside : BesidePaths, optional
+        Of a mixed team: what pairs with agents along paths may spoil besides.
     """
 
     def __init__(
@@ -84,8 +88,10 @@ class NearMass:
         joint: JointModel,
         relevant: NDArray[np.bool_],
         usual: NDArray[np.bool_],
+        beside: BesidePaths | None = None,
     ) -> None:
         self.problem, self.base, self.joint, self.relevant, self.usual = problem, base, joint, relevant, usual
+        self.beside = beside
         self.pairs = problem.labeling.pairs
         for pair in self.pairs:
             compared_axes(problem, pair)  # refuses what the tables could not say
@@ -161,17 +167,26 @@ class NearMass:
 
         Open is a task that was undecided at the step before. The sum over steps and pairs may exceed 1.
         """
+        return sum(self.bounds(policies))
+
+    def bounds(self, policies: Policies) -> tuple[float, float]:
+        """Return that bound for pairs among agents on grids, and for pairs of these and agents along paths."""
         if self.is_unusual_at_start:
-            return 1.0
+            return 1.0, 0.0
         modes = self.modes(policies)
         asked = [self.relevant[states].any(axis=0) for states in modes]
-        total = 0.0
-        for terms, points in zip(*self.course(policies), strict=True):
+        among, between = 0.0, 0.0
+        for t, (terms, points) in enumerate(zip(*self.course(policies), strict=True)):
             for term, lattice_masses in zip(terms, points, strict=True):
-                total += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
+                among += self._near(np.flatnonzero(asked[term.mode]), lattice_masses)
+                if self.beside is not None:
+                    between += self.beside.charge(t + 1, modes[term.mode], lattice_masses, self.joint)
         # What kernels lost on the way may be near, once for each agent.
         lost = self.joint.horizon * sum(model.kernel.loss for model in self.joint.models)
-        return float(total) * INFLATION + lost * INFLATION + SPARE * len(self.pairs)
+        count = 0 if self.beside is None else len(self.beside.pairs)
+        first, second = (float(part) * INFLATION + SPARE * n + (lost * INFLATION if n else 0.0)
+                         for part, n in ((among, len(self.pairs)), (between, count)))  # fmt: skip
+        return first, second
 
     @cached_property
     def is_unusual_at_start(self) -> bool:
@@ -196,8 +211,8 @@ class NearMass:
             axes_i, axes_j = compared_axes(self.problem, pair)
             key = (j, id(tables), tuple(axes_j))
             if key not in spread:
-                spread[key] = _along(tables, _marginal(masses[j], self.joint.models[j].lattice, axes_j))
-            own = _marginal(masses[i], self.joint.models[i].lattice, axes_i)
+                spread[key] = _along(tables, marginal(masses[j], self.joint.models[j].lattice, axes_j))
+            own = marginal(masses[i], self.joint.models[i].lattice, axes_i)
             near = float(np.sum(own * spread[key]))
             if self.usual[k]:  # whatever is not surely near is charged
                 near = max(0.0, float(totals[i] * totals[j]) - near) + DIFFERENCE_ERROR
@@ -224,36 +239,6 @@ class NearMass:
             table = _surely_near_table if from_below else _near_table
             self._tables[key] = [table(a, b, std, *ends) for (a, b), std, *ends in boxes]
         return self._tables[key]
-
-
-def compared_axes(problem: Problem, pair: PairRegion) -> tuple[list[int], list[int]]:
-    """Return the states of both agents that a pair compares.
-
-    Raises
-    ------
-    RelationRefused
-        If an output compared is no state, or the noise is not Gaussian and independent along the states.
-    """
-    result: list[list[int]] = []
-    for i, outputs in zip((pair.first, pair.second), pair.outputs, strict=True):
-        agent = problem.agents[i]
-        _check_noise(agent)
-        axes = [agent.output_axis(k) for k in outputs]
-        if any(axis is None or axis[1] != 1.0 for axis in axes):
-            raise RelationRefused(f"agent `{agent.name}`: the bound by subtraction compares states, got other outputs")
-        result.append([axis[0] for axis in axes if axis is not None])
-    return result[0], result[1]
-
-
-def _check_noise(agent: AnyAgent) -> None:
-    """Raise RelationRefused unless the noise is Gaussian, independent along the states, and the same everywhere."""
-    refuse_uneven_noise(agent, "exact")
-    covariance: Any = agent.noise_covariance
-    lawful = agent.laws is None or all(law.name == "gaussian" for law in agent.laws)
-    if not lawful or np.any(covariance != np.diag(np.diag(covariance))):
-        raise RelationRefused(
-            f"agent `{agent.name}`: the bound by subtraction needs Gaussian noise, independent along the states"
-        )
 
 
 def _near_table(first: FloatArray, second: FloatArray, std: float, low: float, high: float) -> FloatArray:
@@ -283,14 +268,6 @@ def _gathered(lattice: Sequence[FloatArray], masses: FloatArray, points: NDArray
     here = np.flatnonzero((points >= 0) & (masses > 0.0))
     size = math.prod(len(axis) for axis in lattice)
     return np.bincount(points[here], weights=masses[here], minlength=size)
-
-
-def _marginal(masses: FloatArray, lattice: Sequence[FloatArray], axes: Sequence[int]) -> FloatArray:
-    """Return masses (Z,) of lattice points as a tensor over some axes of the lattice, in this order."""
-    tensor = masses.reshape(tuple(len(axis) for axis in lattice))
-    others = tuple(k for k in range(tensor.ndim) if k not in axes)
-    kept = sorted(axes)
-    return np.asarray(tensor.sum(axis=others).transpose([kept.index(k) for k in axes]))
 
 
 def _along(tables: Sequence[FloatArray], tensor: FloatArray) -> FloatArray:

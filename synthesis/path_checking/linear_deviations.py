@@ -105,6 +105,21 @@ class Chain:
         variance = np.asarray(np.maximum(total, 0.0) + (sizes @ error) * TAIL) + least
         return variance, np.max(np.maximum(each, 0.0) + sizes[:, None] * error * TAIL, axis=0) + least
 
+    def covariance(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Covariance (J, J) of rows (J, d) of the linear deviation as computed, and bounds (J, J) on what it is off."""
+        rows = rows * self.units
+        moved, wrong = self._moved(rows, np.linalg.norm(rows, axis=1) * TAIL)
+        count, d = len(rows), len(self.units)
+        total, error = np.zeros((2, count, count))
+        for s, noise in enumerate(self.noises):
+            part, off = moved[:, s + 1], wrong[:, s + 1]
+            size, length = float(np.linalg.norm(noise)) * TAIL, np.linalg.norm(part, axis=1) * TAIL
+            total += part @ noise @ part.T
+            lengths = np.outer(length, length)
+            rounded = (2.0 * d + len(self.noises) + 4.0) * UNIT * lengths
+            error += size * (np.outer(length, off) + np.outer(off, length) + np.outer(off, off) + rounded) * TAIL
+        return 0.5 * (total + total.T), (0.5 * (error + error.T) + UNIT * np.abs(total)) * TAIL + SMALLEST
+
     def by_sources(self, rows: FloatArray, factors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what each number of shared noise adds to rows (J, d) of the linear deviation, and what it is off.
 

@@ -24,8 +24,8 @@ MANY_ALIKE = 2
 """Agents with one model from which equal numbers are looked for: comparing takes less than pushing."""
 
 NOTHING = 1e-100
-"""Masses below this are set to 0: weights that decide nothing, and products with them are denormal numbers, which take a
-hundred times as long."""
+"""Masses below this are set to 0: weights that decide nothing, and products with them are denormal numbers, which take
+a hundred times as long."""
 
 
 def forward(joint: JointModel, policies: Policies, start: Occupancy, limits: Limits) -> list[Occupancy]:

@@ -14,6 +14,7 @@ from ...envs.problem import Problem
 from ...synthesis.certificates import (
     KEPT,
     AnyCertificate,
+    MixedCertificate,
     PairsCertificate,
     ProductCertificate,
     TeamCertificate,
@@ -370,7 +371,7 @@ def _automaton(problem: Problem) -> str:
 
 def _about_pairs(certificate: AnyCertificate) -> dict[str, str]:
     """Return what is said of pairs of agents, where the certificate is about such."""
-    if isinstance(certificate, PairsCertificate):
+    if isinstance(certificate, PairsCertificate | MixedCertificate):
         return {"pairs": f"not as they should be with probability {significant_up(certificate.near, 3)} at most"}
     return {"information": "every agent sees the states of all"} if isinstance(certificate, TeamCertificate) else {}
 

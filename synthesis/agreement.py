@@ -1,0 +1,36 @@
+"""Claims along paths that the check agrees with: the larger probability of failing of both is claimed.
+
+Search and check enclose the same expressions by code of their own, and neither is always the narrower one. A claim
+that the check would refuse by a little is of no use to anybody.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from .certificates import PathCertificate, Synthesis
+from .checking import check
+
+MOST_PAIRS = 15
+"""Pairs up to which the check is asked: of larger teams it takes seconds."""
+
+
+def agreed(found: Synthesis) -> Synthesis:
+    """Return a synthesis whose certificate, if it is along a path, claims no more than the check proves."""
+    certificate: Any = found.certificate
+    if not isinstance(certificate, PathCertificate) or (modest := agreed_path(certificate)) is certificate:
+        return found
+    held: Any = modest
+    return replace(found, certificate=held, controller=held.controller)
+
+
+def agreed_path(certificate: PathCertificate) -> PathCertificate:
+    """Return a certificate along a path that claims no more than the check proves."""
+    if len(certificate.problem.labeling.pairs) > MOST_PAIRS:
+        return certificate
+    report = check(replace(certificate, failure=1.0))
+    proved = 1.0 - report.recomputed if report else 1.0
+    if proved <= certificate.failure:
+        return certificate
+    return replace(certificate, failure=min(1.0, proved * (1.0 + 1e-9)))
