@@ -21,6 +21,9 @@ EFFORT = 80.0
 SHARE_OF_LEVELS = 0.75
 """Share of the effort that cells of one kind may take, however fine they become: something is left to compare with."""
 
+LEADS = 0.85
+"""Bound from which that is not held back: other ways rarely come near, and finer cells gain surely."""
+
 
 BROKEN_OFF = "broken off by Ctrl-C"
 """What is said of what the user had no time for."""
@@ -126,10 +129,11 @@ class Effort:
         pace = max(1.0, self.spent) / max(1e-3, self.elapsed)
         return min(left, (self.seconds - self.elapsed) * pace)
 
-    @property
-    def for_levels(self) -> float:
-        """Work that cells of one kind may take, with all of their levels."""
-        return self.left if math.isinf(self.limit) else min(SHARE_OF_LEVELS * self.limit, self.left)
+    def for_levels(self, bound: float, taken: float) -> float:
+        """Return the work of finer cells of one kind that have certified ``bound`` so far and taken so much."""
+        if bound >= LEADS or math.isinf(self.limit):
+            return self.left
+        return min(SHARE_OF_LEVELS * self.limit - taken, self.left)
 
     def refusal(self, work: float) -> str | None:
         """Return why work is not begun, in words; None if it may be. The first certificate is always computed."""

@@ -264,9 +264,9 @@ class _Levels:
 
     def climb(self, width: float) -> None:
         """Make levels from cells of this width on, until they gain little, or take too much work."""
-        is_flat, most = False, self.effort.for_levels
+        is_flat, taken = False, 0.0
         for _ in range(MOST_LEVELS):
-            found = self.next(width, most)
+            found = self.next(width, self.effort.for_levels(self.bound, taken))
             if found is None:
                 return
             abstraction, finer, work = found
@@ -280,7 +280,7 @@ class _Levels:
                 return
             is_first, bound = self.before is None, self.bound
             carried = self.carried_to(abstraction)
-            most -= work
+            taken += work
             self.effort.spent += work
             try:
                 with self.effort.until_broken_off():
@@ -294,7 +294,7 @@ class _Levels:
             self.begin(abstraction, result)
             # Terms were guessed: those that were not there have taken nothing.
             unused = max(0.0, work - self.work(abstraction))
-            most += unused
+            taken -= unused
             self.effort.spent -= unused
             # Where a level gained little, further ones are made only if they cost next to nothing.
             is_flat = not is_first and result.certificate.lower_bound > 0.0 and self.bound - bound < self.least_gain
@@ -351,14 +351,13 @@ class _Levels:
         if self.before is None:
             abstraction = self.models(width)
             return abstraction, 1.0, self.work(abstraction)
-        most = min(most, self.effort.left)
         # Work grows with the cells at least, so that most levels that take too much need not be built to know it.
         d = min(agent.n_states for agent in self.problem.agents)
         least = SURELY * self.work(self.before[0])
         # Where there is room for two more levels, one of them now; else the finest cells that there is room for.
         goes_on = least * (FINER[0] ** d + FINER[0] ** (2 * d)) <= most
         work = least * FINER[-1] ** d
-        for finer in FINER if goes_on or self.is_linear else LAST:
+        for finer in FINER if goes_on else LAST:
             if least * finer**d > most:
                 continue
             try:
