@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..agents import AnyAgent, Box, LinearAgent, Pair, Proposition
+from ..agents import Agent, AnyAgent, Box, LinearAgent, Pair, Proposition
 from ..logic import Formula
 from ..problem import Problem
 from .outlines import Drawer, Outline
@@ -166,7 +166,8 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
 def _pointing(problem: Problem, i: int, item: _Shown) -> _Shown:
     """Return an agent with its heading: on a map of other states, the one state that is an angle."""
     agent, first = problem.agents[i], problem.columns[i].start
-    angles = [first + k for k, name in enumerate(agent.states) if name in agent.angles] if agent.angles else []
+    names = agent.states if isinstance(agent, Agent) else ()
+    angles = [first + k for k, name in enumerate(names) if name in agent.angles]
     if len(item.box.low) != 2 or len(angles) != 1 or np.any(item.curve.rows[:, angles[0]]):
         return item
     return replace(item, curve=replace(item.curve, heading=angles[0]))
