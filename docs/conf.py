@@ -1,16 +1,15 @@
 """Sphinx settings: MyST Markdown, furo, docstrings by autodoc; build with ``make docs``, warnings are errors."""
 
 import sys
+from importlib.metadata import version as installed
 from pathlib import Path
-
-import certigym
 
 sys.path.insert(0, str(Path(__file__).parent))  # the extension `mathml`
 
 project = "certigym"
 author = "certigym contributors"
 copyright = "certigym contributors"
-version = release = certigym.__version__
+version = release = installed("certigym")  # what pip has put here: pages say what the wheel says
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
 html_math_renderer = "mathml"

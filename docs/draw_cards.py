@@ -31,8 +31,9 @@ EPISODES, PANELS, NAMES = 6, 2, 5
 COLORS = 40
 """Colours of a file."""
 
-CROWDED, FAINT = 1.0, 0.3
-"""Areas of regions, in panels, from which on they are drawn faintly, and how much of their colour is left."""
+CROWDED, FAINT, FEWER = 1.0, 0.45, 2
+"""Areas of regions, in panels, from which on a card is crowded; how much of their colour is left then, without hatches,
+and how many episodes are drawn."""
 
 
 def card(id: str) -> Any:
@@ -44,7 +45,8 @@ def card(id: str) -> Any:
     figure, plots = new_figure(*INCHES, rows=len(shown) // side, columns=side)
     for panel, plot in zip(shown, plots, strict=True):
         _regions(plot, panel, claim.problem.horizon)
-        _episodes(plot, panel, states, success)
+        few = FEWER if _covered(panel, claim.problem.horizon) > CROWDED else EPISODES
+        _episodes(plot, panel, states[:, :few], success[:few])
         _axes(plot, panel, claim.problem.horizon)
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02)
     return figure
@@ -81,8 +83,9 @@ def _regions(plot: Any, panel: Panel, horizon: int) -> None:
         look, (corner, size) = LOOKS[region.role], _box(panel, region, horizon)
         plot.add_patch(Rectangle(corner, *size, facecolor=look.color, alpha=0.2 * faint, linewidth=0, zorder=0.5))
         lines: dict[str, Any] = {"fill": False, "edgecolor": look.color, "zorder": 0.6}
-        plot.add_patch(Rectangle(corner, *size, hatch=2 * look.hatch, alpha=0.45 * faint, linewidth=0, **lines))
-        plot.add_patch(Rectangle(corner, *size, linewidth=0.9, **lines))
+        if faint == 1.0:
+            plot.add_patch(Rectangle(corner, *size, hatch=2 * look.hatch, alpha=0.45, linewidth=0, **lines))
+        plot.add_patch(Rectangle(corner, *size, linewidth=0.9 * faint, **lines))
     named = panel.named if len(panel.named) <= NAMES else ()
     for region in named:
         (x, y), (width, height) = _box(panel, region, horizon)

@@ -246,7 +246,7 @@ def angles() -> Any:
         plot.text(first, -0.14, f"turn {turn:+d}" if turn else "the workspace", color=SOFT, ha="center", va="top")
     x = np.linspace(-3.0 * np.pi, 3.0 * np.pi, 900)
     plot.plot(x, 1.9 * density((x - 2.2) / 1.3), color=AGENTS[0])
-    plot.text(0.6, 0.5, "where a step may end", color=AGENTS[0], ha="right")
+    plot.text(4.0, 0.45, "where a step may end", color=AGENTS[0], ha="left")
     plot.set(xlim=(-3.0 * np.pi - 0.6, 3.0 * np.pi + 0.7), ylim=(-0.35, 1.0), yticks=[])
     plot.set_xticks([-3.0 * np.pi, -np.pi, np.pi, 3.0 * np.pi], ["$-3\\pi$", "$-\\pi$", "$\\pi$", "$3\\pi$"])
     plot.set_title("a heading through $\\pi$: one copy for every turn, and the mass of all of them", fontsize=10)

@@ -12,6 +12,8 @@ from scipy.stats import norm
 import certigym as cg
 from certigym.envs.agents import expression_agent, wrapped
 from certigym.envs.expressions import read_expression, turns
+from certigym.envs.pictures import agent_color, edges, panels
+from certigym.envs.pictures.palette import rgb
 from certigym.envs.problem import problem_from_dict
 from certigym.synthesis.controllers import path_controller
 from certigym.synthesis.models import box_kernel
@@ -277,3 +279,53 @@ def test_matrices_have_no_angles_and_say_what_to_do() -> None:
     data = {"horizon": 2, "agents": [agent], "propositions": {}, "specification": "F p"}
     with pytest.raises(ValueError, match="write the agent as expressions, with `states` and `dynamics`"):
         problem_from_dict({"name": "matrices", **data})
+
+
+def yard(heading: float, turning: bool = True) -> cg.Problem:
+    """A car on a map that is wider than high, with a heading through pi."""
+    car = cg.Agent(
+        name="car", states=["x", "y", "theta"], angles=["theta"] if turning else [], inputs=["turn"],
+        dynamics=["x + 0.1*cos(theta)", "y + 0.1*sin(theta)", "theta + turn"],
+        noise=[{"law": "gaussian", "std": 0.01}] * 3, state_low=[-4, -2, -np.pi], state_high=[4, 2, np.pi],
+        input_low=[-0.1], input_high=[0.1], initial_state=[0, 0, heading],
+    )  # fmt: skip
+    propositions = {"bay": cg.Proposition("car", disc={"centre": [2, 0], "radius": 1})}
+    propositions |= {"west": cg.Proposition("car", heading=WEST)} if turning else {}
+    formula = "F (bay & west)" if turning else "F bay"
+    specification = cg.Specification(formula, "co-safe")
+    return cg.Problem(name="yard", horizon=3, agents=[car], propositions=propositions, specification=specification)
+
+
+def test_agents_on_maps_point_where_they_head() -> None:
+    (panel,) = panels(yard(0.5))
+    (curve,) = panel.curves
+    assert panel.is_map and curve.heading == 2
+    corners = curve.arrow(np.array([1.0, 1.0, 0.5 * np.pi]))
+    assert corners is not None
+    assert np.allclose(corners[0], [0, 1]) and np.allclose(corners[1:, 1], [-0.7, -0.4, -0.7])
+    assert curve.arrow(np.full(3, np.nan)) is None  # after the decision
+    assert panels(yard(0.5, turning=False))[0].curves[0].heading is None
+    # Along an axis of the panel an angle is a number, and points nowhere.
+    assert all(curve.heading is None for panel in panels(ship()) for curve in panel.curves)
+
+
+def test_frames_show_headings_on_maps_in_scale() -> None:
+    pytest.importorskip("PIL", reason="needs the extra `viz`")
+
+    def ink(heading: float) -> Any:
+        env = cg.parallel_env(yard(heading), render_mode="rgb_array")
+        env.reset(seed=0)
+        frame = np.asarray(env.render())
+        # 466 by 233 pixels: as wide and high as the workspace, whose middle is the start. The name is further off.
+        mine = (frame[121:146, 255:280] == rgb(agent_color(0))).all(axis=-1)
+        rows, columns = np.nonzero(mine)
+        return columns.max() - 12, 12 - columns.min(), 12 - rows.min(), rows.max() - 12
+
+    east, west, north, south = ink(0.0)
+    assert east > west and abs(north - south) <= 1
+    assert ink(np.pi)[1] > ink(np.pi)[0] and ink(0.5 * np.pi)[2] > ink(0.5 * np.pi)[3]
+
+
+def test_guards_name_headings_as_they_were_written() -> None:
+    guards = {edge.guard for edge in edges(yard(0.0))}
+    assert guards == {"bay & west", "otherwise", "any letter"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
+import runpy
 import subprocess
 import sys
 import sysconfig
@@ -207,3 +209,11 @@ def test_versions_agree() -> None:
     assert f'version = "{certigym.__version__}"' in project
     assert f"\nversion: {certigym.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"## {certigym.__version__} (" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_pages_have_the_version_of_the_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert importlib.metadata.version("certigym") == certigym.__version__
+    monkeypatch.setattr(importlib.metadata, "version", {"certigym": "9.8.7"}.__getitem__)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    settings = runpy.run_path(str(ROOT / "docs" / "conf.py"))
+    assert settings["release"] == "9.8.7" and settings["html_title"] == "certigym 9.8.7"

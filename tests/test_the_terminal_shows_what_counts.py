@@ -82,10 +82,20 @@ def test_the_bar_shows_the_bound_before_what_a_narrow_terminal_cuts_off() -> Non
     text = io.StringIO()
     with tqdm(bar_format=BAR, file=text, ncols=60, mininterval=0.0) as bar:
         told = shown_on(bar)
-        told("way: linear, 160 cells, at most 0.9141 for anyone, 0 of 80 work spent", 0.9046089)
+        told("way: linear, 160 cells, at most 0.9141 for anyone, effort 0 of 80", 0.9046089)
         bar.refresh()
     last = [line for line in text.getvalue().split("\r") if "linear" in line][-1]
     assert "] P >= 0.904608 so far; linear, 160 cells" in last and len(last.rstrip()) <= 60
+
+
+def test_a_search_that_found_nothing_shows_nothing_below_0() -> None:
+    text = io.StringIO()
+    with tqdm(bar_format=BAR, file=text, ncols=90, mininterval=0.0) as bar:
+        told = shown_on(bar)
+        told("way: linear", 0.0)
+        told("descent", -1e-9)
+        bar.refresh()
+    assert "this search: 0.000000" in text.getvalue() and "-0" not in text.getvalue()
 
 
 def test_a_bound_far_below_the_rollouts_comes_with_advice() -> None:

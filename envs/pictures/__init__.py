@@ -5,13 +5,14 @@ from .guard_texts import edges
 from .outlines import Drawer
 from .palette import AGENTS, AGENTS_ON_DARK, LOOKS, Look, agent_color
 from .rendering import Picture, checked_render_mode, verdict_text
-from .scene import Panel, Region, coordinate_name, panels
+from .scene import Curve, Panel, Region, coordinate_name, panels
 from .task_roles import AVOIDED, FREE, KEPT, MIXED, REACHED, roles
 
 __all__ = [
     "AGENTS",
     "AGENTS_ON_DARK",
     "AVOIDED",
+    "Curve",
     "Drawer",
     "FREE",
     "KEPT",

@@ -55,7 +55,11 @@ def edges(problem: Problem) -> list[Edge]:
             if target == longest and len(guards) > 1 and (cubes is None or len(cubes) > 1):
                 text = "otherwise"
             else:
-                text = NOT_SHOWN if cubes is None else guard_text(cubes, automaton.propositions, problem.families)
+                text = (
+                    NOT_SHOWN
+                    if cubes is None
+                    else guard_text(cubes, automaton.propositions, problem.families, _written(problem))
+                )
             result.append(Edge(q, target, text))
     return result
 
@@ -88,16 +92,42 @@ def _size(cubes: list[Cube] | None) -> float:
     return float("inf") if cubes is None else len(cubes) + sum(map(len, cubes))
 
 
-def guard_text(cubes: Sequence[Cube], propositions: Sequence[str], families: Mapping[str, Sequence[str]]) -> str:
+def _written(problem: Problem) -> dict[str, str]:
+    """Return regions that were written, such as a heading through pi, by the box that is their complement."""
+    return {
+        meaning.operands[0].name: name
+        for name, meaning in problem.meanings.items()
+        if meaning.operator == "!" and meaning.operands[0].operator == "atom"
+    }
+
+
+def guard_text(
+    cubes: Sequence[Cube],
+    propositions: Sequence[str],
+    families: Mapping[str, Sequence[str]],
+    complements: Mapping[str, str] | None = None,
+) -> str:
     """Return a union of cubes as text; families whose members appear alike are named once.
+
+    Propositions in `complements` are the complements of what was written, which is named in their place.
 
     Examples
     --------
     >>> guard_text([{0: True, 2: True}, {1: True, 2: True}], ["a_0", "a_1", "b"], {"a": ("a_0", "a_1")})
     'any(a) & b'
+    >>> guard_text([{0: False, 1: False}], ["west_1", "b"], {}, {"west_1": "west"})
+    'west & !b'
     """
+    written = complements or {}
     # A factor of a product is a literal or a word about a family: a name, and what is said of it.
-    products = [frozenset((propositions[p], "" if value else "!") for p, value in cube.items()) for cube in cubes]
+    products = [
+        frozenset(
+            (written.get(name := propositions[p], name), "" if value != (name in written) else "!")
+            for p, value in cube.items()
+        )
+        for cube in cubes
+    ]
+    propositions = [written.get(name, name) for name in propositions]
     for family, members in families.items():
         if len(members) > 1:
             products = [_all_alike(product, family, members) for product in products]

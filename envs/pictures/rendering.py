@@ -82,7 +82,7 @@ class Picture:
         self._font, self._small = ImageFont.load_default(13), ImageFont.load_default(11)
         self._problem = problem
         self._panels = panels(problem)[:_PANELS_SHOWN]
-        self._frames = _cells(len(self._panels))
+        self._frames = [_in_scale(panel, cell) for panel, cell in zip(self._panels, _cells(len(self._panels)))]
         self._roles = roles(problem)
         self._image, self._multiply = Image, ImageChops.multiply
         self._hatches = {look.hatch: self._hatch(look.hatch) for look in LOOKS.values()}
@@ -146,12 +146,16 @@ class Picture:
             for x, y in recent[:-1] if few else ():
                 draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=color)
                 labels.keep_free((x - 3, y - 3, x + 3, y + 3))
-            ends.append((curve, points[-1], color))
+            ends.append((curve, points[-1], color, curve.arrow(track[-1])))
         # Dots and names come after all ways, so that no line covers them.
-        for _, (x, y), color in ends:
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color, outline=_PAPER)
+        for _, (x, y), color, arrow in ends:
+            if arrow is None:
+                draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color, outline=_PAPER)
+            else:
+                corners = [(x + 2 * radius * a, y - 2 * radius * b) for a, b in arrow.tolist()]
+                draw.polygon(corners, fill=color, outline=_PAPER)
             labels.keep_free((x - radius, y - radius, x + radius, y + radius))
-        for curve, (x, y), color in ends if few else ():
+        for curve, (x, y), color, _ in ends if few else ():
             spots = beside(x, y, radius + 3, self._small.getlength(curve.name), _LINE)
             place = labels.place(spots, self._small.getlength(curve.name), _LINE, at_least=True)
             draw.text(place, curve.name, fill=color, font=self._small)
@@ -354,6 +358,15 @@ class Picture:
 def _paler(color: tuple[int, int, int]) -> tuple[int, ...]:
     """Return a colour mixed with white."""
     return tuple((c + 2 * 255) // 3 for c in color)
+
+
+def _in_scale(panel: Panel, cell: Cell) -> Cell:
+    """Return the part of a cell in which both axes of a map have one scale, unless one is much longer."""
+    if (proportion := panel.proportion) is None:
+        return cell
+    left, top, right, bottom = cell
+    width = min(right - left, round((bottom - top) / proportion))
+    return left, top, left + width, top + round(width * proportion)
 
 
 def _cells(n: int) -> list[tuple[int, int, int, int]]:

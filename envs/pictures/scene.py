@@ -14,14 +14,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..agents import AnyAgent, Box, LinearAgent, Pair, Proposition
+from ..agents import Agent, AnyAgent, Box, LinearAgent, Pair, Proposition
 from ..logic import Formula
 from ..problem import Problem
 from .outlines import Drawer, Outline
 from .task_roles import FREE, roles
 
+MOST_STRETCHED = 3.0
+"""Ratio of the sides of a map up to which both axes have one scale; beyond it the map would be a strip."""
+
 MOST_PLACES = 8
 """Times at which a region that moves is drawn in one picture of a map."""
+
+
+_ARROW = np.array([(1.0, 0.0), (-0.7, 0.6), (-0.4, 0.0), (-0.7, -0.6)])
+"""Corners of an arrow that points along the first axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +74,21 @@ class Curve:
         Position among all curves, which selects the colour.
     rows : np.ndarray, shape (k, D)
         Rows that turn a joint state into the k coordinates shown.
+    heading : int, optional
+        Position in the joint state of the angle, counted from the first axis of the map, at which the agent points.
     """
 
     name: str
     number: int
     rows: np.ndarray
+    heading: int | None = None
+
+    def arrow(self, state: np.ndarray) -> np.ndarray | None:
+        """Return the corners (4, 2) of an arrow of length about 1 at the origin, y upwards; None without a heading."""
+        if self.heading is None or not np.isfinite(angle := float(state[self.heading])):
+            return None
+        turns = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        return _ARROW @ turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +104,14 @@ class Panel:
     def is_map(self) -> bool:
         """Whether both axes are coordinates."""
         return len(self.low) == 2
+
+    @property
+    def proportion(self) -> float | None:
+        """Height by width of a map whose axes have one scale; None if one is much longer, and for tracks over time."""
+        if not self.is_map:
+            return None
+        across, up = (float(b - a) for a, b in zip(self.low, self.high))
+        return up / across if 1.0 / MOST_STRETCHED <= up / across <= MOST_STRETCHED else None
 
     @property
     def drawn(self) -> tuple[Region, ...]:
@@ -122,7 +147,7 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
     # Two scalar agents x_S and y_S become one robot; the first of them waits under its name.
     pairs = {name for name in problem.agent_names if name.startswith("x_") and f"y_{name[2:]}" in problem.agent_names}
     for i, agent in enumerate(problem.agents):
-        single = _agent(problem, i, len(shown))
+        single = _pointing(problem, i, _agent(problem, i, len(shown)))
         robot = agent.name[2:]
         if agent.name.startswith(("x_", "y_")) and f"x_{robot}" in pairs and len(single.box.low) == 1:
             key = f"robot {robot}"
@@ -136,6 +161,16 @@ def panels(problem: Problem) -> tuple[Panel, ...]:
         groups.setdefault(axes, []).append(item)
     told = roles(problem)
     return tuple(_panel(group, told) for group in _with_pairs(problem, list(groups.values())))
+
+
+def _pointing(problem: Problem, i: int, item: _Shown) -> _Shown:
+    """Return an agent with its heading: on a map of other states, the one state that is an angle."""
+    agent, first = problem.agents[i], problem.columns[i].start
+    names = agent.states if isinstance(agent, Agent) else ()
+    angles = [first + k for k, name in enumerate(names) if name in agent.angles]
+    if len(item.box.low) != 2 or len(angles) != 1 or np.any(item.curve.rows[:, angles[0]]):
+        return item
+    return replace(item, curve=replace(item.curve, heading=angles[0]))
 
 
 def _with_pairs(problem: Problem, groups: list[list[_Shown]]) -> list[list[_Shown]]:

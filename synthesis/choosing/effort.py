@@ -101,7 +101,7 @@ class Effort:
         """What was spent, of how much, in words; every task has as much."""
         if self.seconds is not None:
             return f", {self.elapsed:.0f} of {self.seconds:.0f} s"
-        return f", {min(self.spent, self.limit):.0f} of {self.limit:.0f} work spent"
+        return f", effort {min(self.spent, self.limit):.0f} of {self.limit:.0f}"
 
     @contextmanager
     def until_broken_off(self) -> Iterator[None]:

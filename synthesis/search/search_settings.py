@@ -51,7 +51,8 @@ def shown_on(bar: tqdm) -> Progress:
             bar.set_description_str(f"{so_far}; {text.removeprefix(BEGINS)}", refresh=False)
             bar.set_postfix_str("")
         else:
-            bar.set_postfix_str(f"this search: {value:.6f}", refresh=False)
+            # What is hardly above 0 may be found below it, by rounding.
+            bar.set_postfix_str(f"this search: {max(value, 0.0):.6f}", refresh=False)
             bar.update()
 
     return report

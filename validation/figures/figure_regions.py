@@ -137,6 +137,10 @@ def rollouts_panel(
             if not success[m]:
                 line |= {"alpha": 0.9, "linestyle": (0, (3, 2))}
                 mark = {"color": FAILURE, "marker": "X", "ms": 7, "mew": 0.7}
+            elif curve.heading is not None:
+                # A triangle, which points upwards when it is not turned.
+                angle = np.degrees(states[len(here) - 1, m, curve.heading])
+                mark |= {"marker": (3, 0, angle - 90.0), "ms": 7}
             plot.plot(x, here[:, -1], color=color, **line)
             plot.plot(x[-1:], here[-1:, -1], mec="white", zorder=4, clip_on=False, **mark)
     _name_axes(plot, panel)

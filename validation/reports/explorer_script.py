@@ -42,7 +42,7 @@ width:px(r.high[0])-x,height:py(r.low[1])-y,style:"fill-opacity:.5"});
 make(over,"text",{"class":"region-name",x:x+3,y:y+10},r.name)});
 make(over,"rect",{x:B.left,y:B.top,width:B.width,height:B.height,fill:"none",stroke:"currentColor"});
 function ends(k,x0,y0,x1,y1){make(over,"text",{"class":"tick "+(k?"end":"middle"),x:x0,y:y0},+d.low[k].toPrecision(4));
-make(over,"text",{"class":"tick "+(k?"end":"middle"),x:x1,y:y1},+d.high[k].toPrecision(4))}
+make(over,"text",{"class":"tick end",x:x1,y:y1},+d.high[k].toPrecision(4))}
 ends(0,B.left,B.top+B.height+13,B.left+B.width,B.top+B.height+13);
 make(over,"text",{"class":"name middle",x:B.left+B.width/2,y:B.top+B.height+26},"start of "+d.names[0]);
 if(!flat){ends(1,B.left-4,B.top+B.height,B.left-4,B.top+8);

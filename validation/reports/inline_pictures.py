@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...envs.logic import Automaton
-from ...envs.pictures import AGENTS, Panel, Region, coordinate_name, places
+from ...envs.pictures import AGENTS, Curve, Panel, Region, coordinate_name, places
 from ...envs.problem import Problem
 from ...synthesis.certificates import Tube, rounded_down
 from ..verdicts import FieldReport
 from . import svg
 from .svg import Axes
+
+MOST_HIGH = 306.0
+"""Height of a map in units of the picture, where both axes have one scale: as much as its width."""
 
 MOST_DOTS = 60
 """Horizon up to which every bound of a curve has a dot."""
@@ -143,7 +147,13 @@ def _map(
 def panel_axes(panel: Panel, horizon: int) -> Axes:
     """Return the axes of a panel: a map, or one coordinate over time."""
     if panel.is_map:
-        return Axes((panel.low[0], panel.low[1]), (panel.high[0], panel.high[1]), height=330.0)
+        axes = Axes((panel.low[0], panel.low[1]), (panel.high[0], panel.high[1]), height=330.0)
+        if (proportion := panel.proportion) is None:
+            return axes
+        room = axes.width - axes.left - axes.right
+        width = min(room, MOST_HIGH / proportion)
+        height = axes.top + width * proportion + axes.bottom
+        return replace(axes, height=height, right=axes.right + room - width)
     return Axes((0.0, panel.low[0]), (float(horizon), panel.high[0]))
 
 
@@ -185,11 +195,20 @@ def rollouts_picture(
             shapes += _tube(panel, axes, tubes[curve.number], f"tube agent{curve.number % len(AGENTS)}")
     shapes.append('<g class="all">')
     for curve, episodes in zip(panel.curves, tracks(panel, axes, states)):
-        for points, good in zip(episodes, success):
+        for m, (points, good) in enumerate(zip(episodes, success)):
             role = f"path agent{curve.number % len(AGENTS)} {'good' if good else 'lost'}"
-            shapes += [svg.polyline(points, role), svg.circle(points[-1], 2.0, f"end {role}")]
+            shapes.append(svg.polyline(points, role))
+            shapes.append(_end(curve, points[-1], states[len(points) - 1, m], f"end {role}"))
     shapes.append(f'</g><g class="one" data-panel="{number}"></g>')
     return svg.picture(axes, shapes, f"Rollouts of {', '.join(curve.name for curve in panel.curves)} over the regions")
+
+
+def _end(curve: Curve, at: tuple[float, float], state: NDArray[Any], role: str) -> str:
+    """Return the mark at the end of a path: a dot, or an arrow where the agent has a heading."""
+    arrow = curve.arrow(state)
+    if arrow is None:
+        return svg.circle(at, 2.0, role)
+    return svg.polygon([(at[0] + 4.0 * a, at[1] - 4.0 * b) for a, b in arrow.tolist()], role)
 
 
 def empty_panel(panel: Panel, horizon: int, number: int, tubes: Mapping[int, Tube] | None = None) -> str:

@@ -38,7 +38,8 @@ padding:1px 12px;border-radius:14px;font-weight:600;color:#fff;background:#3f566
 .player[hidden]{display:none}.player input{flex:1 1 160px;min-width:0}
 .player button,.player select{font:inherit;font-size:.88rem;padding:3px 12px;border:1px solid var(--line);
 border-radius:6px;background:var(--card);color:var(--ink)}
-.playing .all{opacity:.13}.one polyline{stroke-width:2.4;fill:none}.one circle{stroke:var(--card);stroke-width:1}
+.playing .all{opacity:.13}.one polyline{stroke-width:2.4;fill:none}
+.one :is(circle,polygon){stroke:var(--card);stroke-width:1}
 .here{fill:var(--here)!important}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 18px;margin:8px 0;font-size:.92rem}dt{color:var(--soft)}
 dd{margin:0;min-width:0;overflow-wrap:anywhere}table{border-collapse:collapse;width:100%;font-size:.86rem}
@@ -66,8 +67,10 @@ svg .region-name{font-size:9.5px;fill:var(--soft)}.path{stroke-width:1;stroke-op
 .key.k-bound{color:var(--bound)}.key.k-run{color:var(--run)}.key.k-bad{color:var(--bad)}.key.k-good{color:var(--good)}
 """
 
-_PRINT = """@media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}.player{display:none}
-figure,.answer{break-inside:avoid}h2{break-after:avoid}details{display:none}}
+_PRINT = """@media print{body{background:#fff;font-size:10pt}main{max-width:none;padding:0}.player{display:none}
+figure:not(:has(table)),.answer,tr{break-inside:avoid}h2{break-after:avoid;margin-top:18px}details{display:none}
+.row,.answer{grid-template-columns:1fr 1fr;gap:14px}.row>figure:only-child{max-width:60%}svg{max-height:9cm}
+.playing .all{opacity:1}.one{display:none}.here{fill:var(--card)!important}}
 """
 
 _LINES = {"/": "M0 8L8 0", "x": "M0 8L8 0M0 0L8 8", "-": "M0 4H8", "|": "M4 0V8"}
@@ -119,7 +122,9 @@ function show(){var m=+pick.value,t=+slide.value,q=d.states?d.states[m][t]:null;
 d.panels.forEach(function(curves,p){var g=document.querySelector('.one[data-panel="'+p+'"]');g.textContent="";
 curves.forEach(function(c){var all=c.paths[m],way=all.slice(0,t+1),at=way[way.length-1];
 make(g,"polyline",{"class":c.role,points:way.map(function(x){return x.join(",")}).join(" ")});
-make(g,"circle",{"class":c.role,cx:at[0],cy:at[1],r:5})})});
+if(c.turns)make(g,"polygon",{"class":c.role,points:"9,0 -6,5 -3,0 -6,-5",transform:"translate("+at.join(" ")+
+") rotate("+c.turns[m][t]+")"});
+else make(g,"circle",{"class":c.role,cx:at[0],cy:at[1],r:5})})});
 document.querySelectorAll(".here").forEach(function(e){e.classList.remove("here")});
 if(q!==null)document.querySelectorAll(".state"+q).forEach(function(e){e.classList.add("here")});
 say.textContent="step "+t+" of "+(d.lengths[m]-1)+(q===null?"":", automaton in "+d.names[q])+

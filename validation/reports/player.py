@@ -36,13 +36,21 @@ def episodes_of(content: ReportContent, shown: Sequence[Panel]) -> dict[str, Any
     curves = []
     for panel in shown:
         drawn = tracks(panel, panel_axes(panel, problem.horizon), states)
+        # Where agents have a heading, it is told in degrees, clockwise as pictures turn.
+        turns = [
+            [np.round(-np.degrees(states[:n, m, c.heading])).astype(int).tolist() for m, n in enumerate(lengths)]
+            if c.heading is not None
+            else None
+            for c in panel.curves
+        ]
         curves.append(
             [
                 {
                     "role": f"agent{curve.number % len(AGENTS)}",
                     "paths": [[[round(x, 1), round(y, 1)] for x, y in path] for path in paths],
+                    "turns": turned,
                 }
-                for curve, paths in zip(panel.curves, drawn)
+                for curve, paths, turned in zip(panel.curves, drawn, turns)
             ]
         )
     followed = None if problem.groups else task_tracks(problem, states)[0]
