@@ -206,7 +206,7 @@ def box_work(problem: Problem, cells: Mapping[str, tuple[int, ...]]) -> float:
     """Return an estimate of the work of boxes on the cells of some agents, before any model is made."""
     total = 0.0
     for agent in problem.agents:
-        if agent.name in cells:
+        if agent.name in cells and isinstance(agent, Agent):  # boxes of linear agents take little beside tubes
             grid, coordinates = agent_grid(problem, problem.agent_names.index(agent.name), cells[agent.name])
             points = points_per_cell(grid, grid_laws(agent, coordinates))
             lattice = math.prod(n * count for n, count in zip(grid.shape, points, strict=True))
