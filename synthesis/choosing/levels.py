@@ -330,6 +330,12 @@ class _Levels:
         pairs = zip(self.before[0].models, abstraction.models, strict=True)
         return all(one.grid.shape == other.grid.shape for one, other in pairs)
 
+    def grows_by(self, abstraction: Abstraction) -> float:
+        """Return how many times as many cells there are along an axis, at most, as on the last level."""
+        assert self.before is not None
+        pairs = zip(self.before[0].models, abstraction.models, strict=True)
+        return max(m / n for one, other in pairs for n, m in zip(one.grid.shape, other.grid.shape, strict=True))
+
     @property
     def solved(self) -> float:
         """The bound from which no finer level is worth its time."""
@@ -364,6 +370,8 @@ class _Levels:
                 abstraction = self.models(width / finer)
             except RelationRefused:
                 return None
+            if self.is_linear and self.grows_by(abstraction) > FINER[0]:
+                continue  # few sweeps do not mend policies that are carried over to cells so much smaller
             work = self.work(abstraction)
             if work <= most:
                 return abstraction, finer, work
