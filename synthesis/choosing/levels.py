@@ -370,7 +370,7 @@ class _Levels:
                 abstraction = self.models(width / finer)
             except RelationRefused:
                 return None
-            if self.is_linear and self.grows_by(abstraction) > FINER[0]:
+            if self.is_linear and finer > FINER[0] and self.grows_by(abstraction) > FINER[0]:
                 continue  # few sweeps do not mend policies that are carried over to cells so much smaller
             work = self.work(abstraction)
             if work <= most:
