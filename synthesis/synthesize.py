@@ -8,7 +8,7 @@ from typing import Any
 
 from ..envs.problem import JOINT_NOISE_REFUSAL, Problem
 from ..envs.suite import as_problem
-from .agreement import agreed
+from .agreement import along_path
 from .cells import CellCounts, RelationRefused, to_who_asked_for_none
 from .certificates import Certificate, Synthesis, TeamCertificate, TimedCertificate, checked_certificate
 from .choosing import Budget, Effort, Way, best_of, in_order, settings_of
@@ -20,7 +20,6 @@ from .models import (
     check_settings,
     relations_of,
 )
-from .nominal_paths import path_certificate
 from .on_cells import Plan, plain
 from .parts import synthesize_parts
 from .search import Limits, Search, sweep_bar
@@ -178,7 +177,7 @@ def _of_task(
     if relation == "path":
         if cells is not None or plan.budget is not None or start is not None:
             raise ValueError("`relation`: expected no cells, budget or start with 'path', which has no grid; leave out")
-        return agreed(path_certificate(problem, plan.along_paths))
+        return along_path(problem, plan.along_paths)
     if problem.names_time:
         return _in_time(problem, cells, relation, plan, start)
     if plan.settings.common is None and start is None and names_inputs(problem):

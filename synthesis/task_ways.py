@@ -14,7 +14,7 @@ import numpy as np
 
 from ..envs.agents import Agent
 from ..envs.problem import Problem, written_out
-from .agreement import agreed
+from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import Synthesis
 from .choosing import (
@@ -38,7 +38,7 @@ from .choosing import (
 )
 from .mixed_teams import mixed_way
 from .models import Abstraction, Policies, Settings, abstraction_of, join, reaches_every_mean
-from .nominal_paths import path_certificate, refuse_without_path
+from .nominal_paths import refuse_without_path
 from .on_cells import Plan, compared, plain, searched
 from .search import Limits
 from .values import HOST
@@ -213,9 +213,7 @@ def path_way(problem: Problem, plan: Plan) -> Way:
         return refused("path", error)
     sizes = sum(agent.n_states * max(1, agent.n_inputs) for agent in problem.agents)
     work = PATH * problem.horizon * min(problem.horizon, MOST_STEPS_OF_PROGRAM) * sizes
-    return Way(
-        "path", lambda results: agreed(path_certificate(problem, plan.along_paths)), work, enough=GOOD, ends=PATH_ENDS
-    )
+    return Way("path", lambda results: along_path(problem, plan.along_paths), work, enough=GOOD, ends=PATH_ENDS)
 
 
 def _exact(problem: Problem, plan: Plan) -> Way:

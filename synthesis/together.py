@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.problem import Problem
-from .agreement import agreed
+from .agreement import along_path
 from .cells import CellCounts, RelationRefused, cells_of_agent
 from .certificates import PairsCertificate, Synthesis, TeamCertificate
 from .certification import certificate_of
@@ -24,7 +24,7 @@ from .choosing import SOLVED, Results, Way, refused
 from .keeping_apart import kept_apart, less_nearness
 from .mixed_teams import mixed_way
 from .models import Relations, Settings, abstraction_of, check_names, join
-from .nominal_paths import path_certificate, refuse_without_path
+from .nominal_paths import refuse_without_path
 from .on_cells import Plan
 from .pairs import TEAM, NearMass, joint_problem, relevant_pairs, usual_values, without_pairs
 from .search import FINAL, Search, Sweep, find_policies
@@ -82,7 +82,7 @@ def ways_together(
     def path(results: Results) -> Synthesis:
         if cells is not None or _asks_for_grid(plan, has_start):
             raise RelationRefused("paths have no grid, and need no `cells`, budget or start")
-        return agreed(path_certificate(problem, plan.along_paths))
+        return along_path(problem, plan.along_paths)
 
     along = Way("path", path, 1.0 + PATH * problem.horizon * problem.n_states, ENOUGH, ENOUGH)
     try:

@@ -15,7 +15,7 @@ from ...envs.dynamics import Dynamics, Worlds
 from ...envs.problem import Problem
 from .controller import Controller
 from .path_controller import PathController
-from .told import told
+from .told import told_of_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,22 +60,11 @@ class MixedController:
 
         State, automaton state and time are read from ``infos[agent]`` if that is given, else from the observation.
         """
-        asked: dict[str, dict[str, Any]] = {}
-        sizes = {agent.name: agent.n_states for agent in self.problem.agents}
-        for name, observation in observations.items():
-            if name not in sizes:
-                raise ValueError(
-                    f"`observations`: expected agents of problem {self.problem.name!r}, got {name!r}; act in its own "
-                    "environment"
-                )
-            info = told(infos, name)
-            if info is not None:
-                state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
-            else:
-                seen, d, n_q = np.asarray(observation, dtype=float), sizes[name], self.states.shape[1]
-                state, q = seen[:d], int(np.argmax(seen[d : d + n_q]))
-                time = round((1.0 - float(seen[-1])) * self.problem.horizon)
-            asked[name] = {"state": state, "automaton_state": int(self._state_at(time, q)), "time": time}
+        found = told_of_all(self.problem, observations, infos, self.states.shape[1])
+        asked = {
+            name: {"state": state, "automaton_state": int(self._state_at(time, q)), "time": time}
+            for name, (state, q, time) in found.items()
+        }
         # After the last step of the certificate nothing is claimed: policies go on with what they did last.
         last = self.grids.problem.horizon - 1
         on_grids = {

@@ -13,7 +13,7 @@ from ...envs.agents import tree_text
 from ...envs.dynamics import Dynamics, Worlds, joint, split_joint
 from ...envs.problem import Problem
 from ..cells import FloatArray
-from .told import told
+from .told import told_of_all
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,29 +56,14 @@ class TimedController:
         The state is read from ``infos[agent]`` (keys ``state``, ``automaton_state``, ``time``) if that is given, else
         from the observation.
         """
-        asked = {}
-        agents, n_q = dict(zip(self.problem.agent_names, self.problem.agents, strict=True)), self.states.shape[1]
-        for name, observation in observations.items():
-            if name not in agents:
-                raise ValueError(
-                    f"`observations`: expected agents of problem {self.problem.name!r}, got {name!r}; act in its own "
-                    "environment"
-                )
-            info = told(infos, name)
-            if info is not None:
-                state, q, time = info["state"], int(info["automaton_state"]), int(info["time"])
-            else:
-                seen, d = np.asarray(observation, dtype=float), agents[name].n_states
-                if seen.shape != (d + n_q + 1,):
-                    raise ValueError(
-                        f"`observations`: expected {d + n_q + 1} numbers for agent `{name}` (state, automaton state, "
-                        f"time left), got shape {seen.shape}"
-                    )
-                state, q = seen[:d], int(np.argmax(seen[d : d + n_q]))
-                time = round((1.0 - float(seen[-1])) * self.problem.horizon)
-            asked[name] = {"state": state, "automaton_state": int(self._state_at(time, q)), "time": time}
+        found = told_of_all(self.problem, observations, infos, self.states.shape[1])
+        asked = {
+            name: {"state": state, "automaton_state": int(self._state_at(time, q)), "time": time}
+            for name, (state, q, time) in found.items()
+        }
+        sizes = {agent.name: agent.n_inputs for agent in self.problem.agents}
         inputs = self.inner.act(dict.fromkeys(asked), asked)
-        return {name: inputs[name][: agents[name].n_inputs] for name in observations}
+        return {name: inputs[name][: sizes[name]] for name in observations}
 
     def _state_at(self, time: Any, q: Any) -> NDArray[np.int64]:
         """Return states of the problem written out; any one where none goes with a time and a state."""
