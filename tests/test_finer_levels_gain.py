@@ -97,7 +97,7 @@ def test_defaults_of_agents_with_velocities_are_refined(monkeypatch: pytest.Monk
     def refused(problem: cg.Problem, *others: object) -> cg.Synthesis:
         raise RelationRefused("no path for this test")
 
-    monkeypatch.setattr(task_ways, "path_certificate", refused)
+    monkeypatch.setattr(task_ways, "along_path", refused)
     monkeypatch.setattr(task_ways, "may_be_linear", lambda problem, plan: False)
     problem = crossing(2, horizon=4)
     synthesis = cg.synthesize(problem, effort=task_ways.COMPARED + 0.5)
