@@ -27,6 +27,10 @@ LOST = 1e6
 """Drift, in ranges of states, from which a candidate is given up."""
 
 
+Both = tuple[FloatArray, FloatArray]
+"""How far something reaches below and above."""
+
+
 @dataclass(frozen=True, eq=False)
 class Feedback:
     """Candidates: gains (N, S, m, d), and slabs (N, S + 1, 2 d + m) in deviations of states, inputs and noises."""
@@ -37,25 +41,27 @@ class Feedback:
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Deviations and drifts of candidates, by which a nominal path is planned anew.
+    """Deviations, drifts and shifts of candidates, by which a nominal path is planned anew.
 
     Arrays (S + 1, .., d), (S + 1, .., p) and (S, .., m) of states, outputs and inputs; ``slabs`` (S + 1, .., 2 d + m)
-    are those of the certificate. Between times and numbers stand the candidates, if there are several.
+    are those of the certificate. Between times and numbers stand the candidates, if there are several. True values are
+    within a drift of linear deviations around shifted nominal values.
     """
 
-    states: tuple[FloatArray, FloatArray]
-    outputs: tuple[FloatArray, FloatArray]
-    inputs: tuple[FloatArray, FloatArray]
+    states: tuple[FloatArray, FloatArray, FloatArray]
+    outputs: tuple[FloatArray, FloatArray, FloatArray]
+    inputs: tuple[FloatArray, FloatArray, FloatArray]
     slabs: FloatArray
     pairs: Mapping[int, tuple[FloatArray, ...]] = field(default_factory=dict)
     """By times: drifts, variances and what one step adds to these (.., J), of what pairs ask of the agent; then what
-    each number of noise that agents share adds to its rows (.., J, t K), which is not in these variances."""
+    each number of noise that agents share adds to its rows (.., J, t K), which is not in these variances; and shifts
+    (.., J)."""
 
     def of(self, candidate: int) -> Spreads:
         """Return those of one candidate."""
 
-        def one(both: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
-            return both[0][:, candidate], both[1][:, candidate]
+        def one(each: tuple[FloatArray, FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+            return each[0][:, candidate], each[1][:, candidate], each[2][:, candidate]
 
         pairs = {t: tuple(part[candidate] for part in parts) for t, parts in self.pairs.items()}
         return Spreads(one(self.states), one(self.outputs), one(self.inputs), self.slabs[:, candidate], pairs)
@@ -198,7 +204,7 @@ class _Walk:
         self.shared = self.model.shared
         steps, d = self.steps, self.d
         self.products = np.zeros((self.n, steps + 1, d, d))
-        self.drifts = np.zeros((self.n, steps + 1, d))
+        self.drifts, self.shifts = np.zeros((2, self.n, steps + 1, d))
         # The set of starts stands before the first remainder.
         self.products[:, 0] = np.eye(d)
         starts = [np.maximum(p.model.agent.initial.high - p.states[0], p.states[0] - p.model.agent.initial.low)
@@ -211,12 +217,13 @@ class _Walk:
         self.ends = self.model.ends
         self.lost = LOST * width
 
-    def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
+    def of_rows(self, t: int, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return shifts, drifts and variances (N, J) of rows (J, d) or (N, J, d) at time t."""
         rows = np.broadcast_to(rows, (self.n, *rows.shape[-2:]))
-        moved = np.abs(np.matmul(rows[:, None], self.products[:, : t + 1]))
-        drift = np.einsum("nsjd,nsd->nj", moved, self.drifts[:, : t + 1])
-        return drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
+        moved = np.matmul(rows[:, None], self.products[:, : t + 1])
+        shift = np.einsum("nsjd,nsd->nj", moved, self.shifts[:, : t + 1])
+        drift = np.einsum("nsjd,nsd->nj", np.abs(moved), self.drifts[:, : t + 1])
+        return shift, drift * OUTWARD, np.sum(np.matmul(rows, self.covariance) * rows, axis=2)
 
     def largest(self, t: int, rows: FloatArray) -> FloatArray | None:
         """Return what one step adds at most to these variances (N, J); None where no tail depends on it."""
@@ -236,109 +243,126 @@ class _Walk:
 
     def walked(self) -> tuple[Worth, Spreads]:
         d, m, n, steps, bent = self.d, self.m, self.n, self.steps, self.model.bent
-        states, outputs = np.zeros((2, steps + 1, n, d)), np.zeros((2, steps + 1, n, self.agent.n_outputs))
-        inputs, pairs = np.zeros((2, steps, n, m)), dict[int, tuple[FloatArray, ...]]()
+        states, outputs = np.zeros((3, steps + 1, n, d)), np.zeros((3, steps + 1, n, self.agent.n_outputs))
+        inputs, pairs = np.zeros((3, steps, n, m)), dict[int, tuple[FloatArray, ...]]()
         slabs = np.full((steps + 1, n, 2 * d + m), np.inf)
         eye = np.eye(d)
         for t in range(steps + 1):
             x = self.x[t]
-            drift, variance = self.of_rows(t, eye)
+            shift, drift, variance = self.of_rows(t, eye)
             sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
             asked = bent[:d] if t < steps else self.model.bent_outputs
             if self.needs_outputs:
                 asked = asked | self.model.bent_outputs
             asked = asked | self.model.unrolled
             slab = np.where(asked, self.feedback.slabs[:, t, :d] * sd + self.least[:d], np.inf)
-            reach = np.where(np.isinf(slab), np.inf, slab) + drift if t else drift
-            reach = np.minimum(reach, np.maximum(self.agent.state_high - x, x - self.agent.state_low))
-            states[0, t], states[1, t], slabs[t, :, :d] = sd, drift, slab
+            wide = slab + drift if t else drift
+            # The tube lies around what the path is shifted to, within the workspace.
+            rest = x - self.agent.state_low, self.agent.state_high - x
+            reach = (
+                np.maximum(np.minimum(wide - shift, rest[0]), 0.0),
+                np.maximum(np.minimum(wide + shift, rest[1]), 0.0),
+            )
+            states[:, t], slabs[t, :, :d] = (sd, drift, shift), slab
             if t:
                 low, high = (end[t] for end in self.limits_x)
                 size = INWARD * np.abs(x)
                 names = [f"{name} at step {t}" for name in self.model.names[:d]]
                 self.worth.add(
-                    x - low - size - drift, high - x - size - drift, slab, sd**2, names, self.largest(t, eye)
-                )
-                outputs[0, t], outputs[1, t] = self._outputs(t, reach)
+                    x + shift - low - size - drift, high - x - shift - size - drift, slab, sd**2, names,
+                    self.largest(t, eye),
+                )  # fmt: skip
+                outputs[:, t] = self._outputs(t, reach)
                 if t in self.asked:
                     pairs[t] = self._pairs(t, reach, self.asked[t])
             if t < steps:
-                inputs[0, t], inputs[1, t], slabs[t, :, d:] = self._step(t, reach)
-        spreads = [(both[0], both[1]) for both in (states, outputs, inputs)]
+                *inputs[:, t], slabs[t, :, d:] = self._step(t, reach)
+        spreads = [(each[0], each[1], each[2]) for each in (states, outputs, inputs)]
         return self.worth, Spreads(spreads[0], spreads[1], spreads[2], slabs, pairs)
 
-    def _off_outputs(self, t: int, reach: FloatArray) -> FloatArray:
-        """Return what outputs (N, p) are off their linear forms."""
+    def _off_outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray]:
+        """Return what outputs (N, p) are off their linear forms: middles and half widths."""
         if not np.any(self.model.bent_outputs):
-            return np.zeros(self.y[t].shape)
+            return np.zeros(self.y[t].shape), np.zeros(self.y[t].shape)
         ends = self.ends[0][: self.d], self.ends[1][: self.d]
         matrix = np.moveaxis(self.C[t], 0, 2)
-        return remainders(self.model.output, self.x[t].T, matrix, np.zeros_like(matrix), reach.T, ends).T * OUTWARD
+        both = reach[0].T, reach[1].T
+        middle, off = remainders(self.model.output, self.x[t].T, matrix, np.zeros_like(matrix), both, ends)
+        return middle.T, off.T * OUTWARD
 
-    def _outputs(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add the limits of outputs; return their deviations and drifts (N, p)."""
+    def _outputs(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Add the limits of outputs; return their deviations, drifts and shifts (N, p)."""
         low, high = (end[t] for end in self.limits_y)
         y = self.y[t]
-        drift, variance = self.of_rows(t, self.C[t])
-        drift = drift + self._off_outputs(t, reach)
+        shift, drift, variance = self.of_rows(t, self.C[t])
+        middle, off = self._off_outputs(t, reach)
+        shift, drift = shift + middle, drift + off
         here = np.flatnonzero(np.any(np.isfinite(low) | np.isfinite(high), axis=0))
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         if len(here):
             size = INWARD * (np.abs(y) + 1e-3)
             names = [f"output {k} at step {t}" for k in here]
-            rows = (y - low - size - drift)[:, here], (high - y - size - drift)[:, here]
+            rows = (y + shift - low - size - drift)[:, here], (high - y - shift - size - drift)[:, here]
             nothing, largest = np.full((self.n, len(here)), np.inf), self.largest(t, self.C[t][:, here])
             self.worth.add(*rows, nothing, sd[:, here] ** 2, names, largest)
-        return sd, drift
+        return sd, drift, shift
 
-    def _pairs(self, t: int, reach: FloatArray, asked: OtherSides) -> tuple[FloatArray, ...]:
+    def _pairs(self, t: int, reach: Both, asked: OtherSides) -> tuple[FloatArray, ...]:
         """Add the limits of differences of this agent and others; return what it adds to them (N, J).
 
-        That are drifts, variances by what it does not share, what one step adds to these, and what sources add.
+        That are drifts, variances by what it does not share, what one step adds to these, what sources add, and shifts.
         """
         rows = np.matmul(asked.forms, self.C[t])
-        (drift, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
+        (shift, drift, variance), largest = self.of_rows(t, rows), self.largest(t, rows)
         largest = variance if largest is None else largest
         if np.any(self.model.bent_outputs):
-            drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), self._off_outputs(t, reach)) * OUTWARD
+            middle, off = self._off_outputs(t, reach)
+            shift = shift + np.einsum("njp,np->nj", asked.forms, middle)
+            drift = drift + np.einsum("njp,np->nj", np.abs(asked.forms), off) * OUTWARD
         nothing = np.full(drift.shape, np.inf)
         names = [f"{PAIR} at step {t}"] * drift.shape[1]
         shared = self.by_sources(t, rows)
         variance = np.maximum(variance - np.sum(shared**2, axis=2), 0.0)
         together = np.sum(both_sources(shared, asked.shared) ** 2, axis=2)
         both = variance + asked.variance + together, largest + asked.largest
-        self.worth.add(asked.low - drift, asked.high - drift, nothing, both[0], names, both[1])
-        return drift, variance, largest, shared
+        self.worth.add(asked.low + shift - drift, asked.high - shift - drift, nothing, both[0], names, both[1])
+        return drift, variance, largest, shared, shift
 
-    def _step(self, t: int, reach: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Go on by a step; return deviations and drifts of inputs and slabs of inputs and noises."""
+    def _step(self, t: int, reach: Both) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Go on by a step; return deviations, drifts and shifts of inputs, and slabs of inputs and noises."""
         d, m = self.d, self.m
         gain, u, agent = self.feedback.gains[:, t], self.u[t], self.agent
-        drift, variance = self.of_rows(t, gain)
+        shift, drift, variance = self.of_rows(t, gain)
         sd = np.sqrt(np.maximum(variance, 0.0)) * OUTWARD
         moved = np.any(gain != 0.0, axis=2)
         asked = moved & self.model.bent[d:]
         slab = np.where(asked, self.feedback.slabs[:, t, d : d + m] * sd + self.least[d:], np.inf)
-        size = np.einsum("nmd,nd->nm", np.abs(gain), reach)
-        around = np.where(moved, np.minimum(slab + drift, size) * OUTWARD + 1e-13 * np.abs(u), 0.0)
+        size = np.einsum("nmd,nd->nm", np.abs(gain), np.maximum(*reach))
+        # No input is farther from its nominal value than the states that it follows.
+        wide = slab + drift
+        around = [
+            np.where(moved, np.minimum(np.maximum(wide + moves, 0.0), size) * OUTWARD + 1e-13 * np.abs(u), 0.0)
+            for moves in (-shift, shift)
+        ]
         spare = INWARD * (np.abs(u) + 1e-3)
-        low = np.where(moved, u - agent.input_low - drift - spare, np.inf)
-        high = np.where(moved, agent.input_high - u - drift - spare, np.inf)
+        low = np.where(moved, u + shift - agent.input_low - drift - spare, np.inf)
+        high = np.where(moved, agent.input_high - u - shift - drift - spare, np.inf)
         names = [f"{name} at step {t}" for name in self.model.names[d : d + m]]
         self.worth.add(low, high, slab, sd**2, names, self.largest(t, gain))
         ends, at = self.ends, np.concatenate([self.x[t].T, u.T, self.model.known(self.n, t)])
         half = np.repeat((0.5 * (self.model.unknown[1] - self.model.unknown[0]))[:, None], self.n, axis=1)
         half = np.concatenate([half, np.zeros((agent.names_time * 1, self.n))])  # the time is known
-        boxes = np.concatenate([reach.T, around.T, half])
+        boxes = np.concatenate([reach[0].T, around[0].T, half]), np.concatenate([reach[1].T, around[1].T, half])
         A, B = self.A[t], self.B[t]
         matrix = np.concatenate([A, B, np.zeros((self.n, d, len(half)))], axis=2).transpose(1, 2, 0)
         centre = np.concatenate([np.zeros((self.n, d, d + m)), self.unknowns[t]], axis=2).transpose(1, 2, 0)
-        off = remainders(self.model.motion, at, matrix, centre, boxes, ends).T
+        middle, off = (part.T for part in remainders(self.model.motion, at, matrix, centre, boxes, ends, gain))
         noise_slab, noise = np.full((self.n, d), np.inf), self.noises[t]
         if self.model.scale is not None:
-            varied = remainders(
+            bent, more = remainders(
                 self.model.scale, at, np.zeros_like(matrix), np.moveaxis(self.slopes[t], 0, 2), boxes, ends
-            ).T
+            )
+            varied = (np.abs(bent) + more).T
             is_varied = self.model.varied & (self.model.deviations > 0.0)
             noise_slab = np.where(
                 is_varied & (self.model.tail == Tail.NORMAL), self.feedback.slabs[:, t, d + m :], np.inf
@@ -359,14 +383,16 @@ class _Walk:
             self.worth.add(nothing, nothing, noise_slab, np.ones((self.n, d)), noises)
         width = agent.state_high - agent.state_low
         # What is lost stays so; numbers remain finite, so that scores can be compared.
-        off = np.where(np.isfinite(off), np.minimum(off, self.lost), self.lost) + 1e-13 * width
+        is_known = np.isfinite(off) & np.isfinite(middle) & (np.abs(middle) < self.lost)
+        middle = np.where(is_known, middle, 0.0)
+        off = np.where(is_known, np.minimum(off, self.lost), self.lost) + 1e-13 * width
         closed = A + np.matmul(B, gain)
         self.products[:, : t + 1] = np.clip(np.matmul(closed[:, None], self.products[:, : t + 1]), -1e30, 1e30)
         self.products[:, t + 1] = np.eye(d)
-        self.drifts[:, t + 1], self.each_noise[:, t] = off, noise
+        self.shifts[:, t + 1], self.drifts[:, t + 1], self.each_noise[:, t] = middle, off, noise
         covariance = np.matmul(np.matmul(closed, self.covariance), closed.swapaxes(1, 2)) + noise
         self.covariance = np.clip(covariance, -1e60, 1e60)
-        return sd, drift, np.concatenate([slab, noise_slab], axis=1)
+        return sd, drift, shift, np.concatenate([slab, noise_slab], axis=1)
 
 
 def both_sources(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -207,34 +207,92 @@ def remainders(
     at: FloatArray,
     slopes: FloatArray,
     centre: FloatArray,
-    reach: FloatArray,
+    reach: tuple[FloatArray, FloatArray],
     ends: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """Return bounds (p, n) on what expressions are off their linear forms within ``reach`` (v, n) of ``at`` (v, n).
+    gains: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what expressions are off their linear forms within ``reach`` of ``at`` (v, n): middles and half widths.
 
-    ``slopes`` (p, v, n) is the matrix of the linear forms, ``centre`` (p, v, n) what derivatives at the point are off
-    from it, ``ends`` closed limits (v,) within which variables stay. Not numbers where nothing is known.
+    Where bends have a sign, so has what they add: a square is not below 0. With feedback the square of an input is one
+    of states, too, and so is its product with a state.
+
+    Parameters
+    ----------
+    program : Program
+        With p results.
+    at : (v, n) array
+    slopes : (p, v, n) array
+        The matrix of the linear forms.
+    centre : (p, v, n) array
+        What derivatives at the point are off from it, at most.
+    reach : two (v, n) arrays
+        How far variables reach below and above.
+    ends : two (v,) arrays
+        Closed limits within which variables stay.
+    gains : (n, m, d) array, optional
+        Feedback: the m variables after the first d ones move by it. None if there are only states.
+
+    Returns
+    -------
+    two (p, n) arrays
+        Not numbers where nothing is known.
     """
-    low = np.maximum(at - reach, np.minimum(ends[0][:, None], at))
-    high = np.minimum(at + reach, np.maximum(ends[1][:, None], at))
-    far = np.maximum(high - at, at - low)
-    off = np.empty((len(program.results), reach.shape[1]))
+    low = np.maximum(at - reach[0], np.minimum(ends[0][:, None], at))
+    high = np.minimum(at + reach[1], np.maximum(ends[1][:, None], at))
+    below, above = at - low, high - at
+    far = np.maximum(below, above)
+    v, n = at.shape
+    d = v if gains is None else gains.shape[2]
+    moved = v if gains is None else d + gains.shape[1]
+    middle, half = np.empty((2, len(program.results), n))
     # What has no reach, such as the time, adds nothing, whatever its derivatives are.
     moves = np.any(far != 0.0, axis=1)
     for i, (_, first, bends) in enumerate(program.curved([*zip(low, high, strict=True)])):
-        total, mean = np.sum(centre[i][moves] * far[moves], axis=0), np.zeros(reach.shape[1])
+        total, mean = np.sum(centre[i][moves] * far[moves], axis=0), np.zeros(n)
+        closed = dict[tuple[int, int], FloatArray]()
         for (j, k), (a, b) in bends.items():
             if not (moves[j] and moves[k]):
                 continue
-            total = total + (0.5 if j == k else 1.0) * np.maximum(np.abs(a), np.abs(b)) * far[j] * far[k]
+            share = 0.5 if j == k else 1.0
+            if max(j, k) >= moved:
+                total = total + share * np.maximum(np.abs(a), np.abs(b)) * far[j] * far[k]
+                continue
+            total = total + share * 0.5 * (b - a) * far[j] * far[k]
+            # A bend in the middle of what is known, as one of states alone.
+            for p, one in _followed(j, d, gains):
+                for q, other in _followed(k, d, gains):
+                    key = (min(p, q), max(p, q))
+                    closed[key] = closed.get(key, 0.0) + share * 0.5 * (a + b) * one * other
+        least = most = np.zeros(n)
+        for (p, q), factor in closed.items():
+            if p == q:
+                square = factor * far[p] ** 2
+                least, most = least + np.minimum(square, 0.0), most + np.maximum(square, 0.0)
+                continue
+            outer, inner = (
+                np.maximum(below[p] * below[q], above[p] * above[q]),
+                np.maximum(below[p] * above[q], above[p] * below[q]),
+            )
+            least = least - np.where(factor > 0.0, factor * inner, -factor * outer)
+            most = most + np.where(factor > 0.0, factor * outer, -factor * inner)
+        width = total + 0.5 * (most - least)
         if bends:
             for j, (a, b) in first.items():
                 if not moves[j]:
                     continue
                 mean = mean + np.maximum(np.abs(a - slopes[i, j]), np.abs(b - slopes[i, j])) * far[j]
-            total = np.fmin(total, mean)
-        off[i] = total
-    return off
+            by_slopes = ~(width <= mean)
+            middle[i], half[i] = np.where(by_slopes, 0.0, 0.5 * (least + most)), np.fmin(width, mean)
+        else:
+            middle[i], half[i] = 0.0, width
+    return middle, half
+
+
+def _followed(j: int, d: int, gains: FloatArray | None) -> list[tuple[int, FloatArray | float]]:
+    """Return the states that variable j moves with, each with its factors (n,)."""
+    if j < d or gains is None:
+        return [(j, 1.0)]
+    return [(k, gains[:, j - d, k]) for k in range(d)]
 
 
 def _affine(row: FloatArray, names: tuple[str, ...], offset: float) -> Tree:

@@ -241,7 +241,7 @@ class NonlinearSearch:
         """Return a nominal path planned with the deviations and drifts of another one; None if that fails."""
         agent, spreads = self.agent, found.spreads
         pairs = []
-        for (sd, drift), width in zip(
+        for (sd, drift, _), width in zip(
             (spreads.states, spreads.outputs, spreads.inputs), (self.width, self.spans, 2.0 * self.half), strict=True
         ):
             sharp = np.clip(sd, 1e-5 * width, WIDEST * width)
@@ -251,6 +251,7 @@ class NonlinearSearch:
         u, states, faces = found.nominal.inputs, found.nominal.states, found.faces
         for _ in range(3):
             limits = limits_along(self.problem, agent, letters, faces)
+            limits = limits.for_nominal(spreads.states[2], spreads.outputs[2])
             aim = Aim(limits, pairs[0], pairs[1], pairs[2], outputs, np.zeros(agent.n_outputs))
             states, u, cost = Planner(self.model, aim, self.work).improved(u, 40)
             if not np.isfinite(cost):

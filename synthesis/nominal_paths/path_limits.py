@@ -32,6 +32,10 @@ class Limits:
         """Whether some of them contradict each other."""
         return any(bool(np.any(low >= high)) for low, high in (self.states, self.outputs))
 
+    def for_nominal(self, states: FloatArray, outputs: FloatArray) -> Limits:
+        """Return what this asks of nominal values, from which true ones are shifted: (S + 1, d) and (S + 1, p)."""
+        return Limits(self.states - states, self.outputs - outputs)
+
     @property
     def limited(self) -> NDArray[np.int64]:
         """Outputs that have a limit at some time."""

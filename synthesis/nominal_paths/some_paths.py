@@ -82,4 +82,5 @@ def _whereabouts(found: Found) -> Whereabouts:
         covariance = closed @ covariance @ closed.T + noises[t]
         result.append(covariance)
     each = np.einsum("tpd,tde,tqe->tpq", matrices, np.array(result), matrices)
-    return outputs, found.spreads.outputs[1], each
+    _, drift, shift = found.spreads.outputs
+    return outputs + shift, drift, each

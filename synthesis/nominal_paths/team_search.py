@@ -213,6 +213,9 @@ class TeamSearch:
         for _ in range(3):
             if (own := self._limits(letters, faces)) is None:
                 return None
+            shifts = (np.concatenate([one.spreads.states[2] for one in found.found], axis=1),
+                      np.concatenate([one.spreads.outputs[2] for one in found.found], axis=1))  # fmt: skip
+            own = own.for_nominal(*shifts)
             aim = Aim(own, pairs_of[0], pairs_of[1], pairs_of[2], outputs, np.zeros(outputs.shape[1]), pairs)
             states, u, cost = Planner(self.model, aim, self.work).improved(u, 40)
             if not np.isfinite(cost):

@@ -1,9 +1,9 @@
 """Linear deviations along a path and how far the true ones drift from them: both from products of closed loops.
 
 With ``Phi(t, s) = F_(t-1) ... F_s`` the linear deviation is ``g_t = sum_s Phi(t, s+1) w_s``, and the true deviation
-adds ``sum_s Phi(t, s+1) r_s + Phi(t, 0) e_0`` with ``|r_s| <= R_s`` and ``|e_0| <= h``. So a row c of it is no larger
-than ``sum_s |c Phi(t, s+1)| R_s + |c Phi(t, 0)| h``: a support function of the whole past. Nothing is handed on as a
-box from step to step.
+adds ``sum_s Phi(t, s+1) r_s + Phi(t, 0) e_0`` with ``|r_s - m_s| <= R_s`` and ``|e_0| <= h``. So a row c of it is
+shifted by ``sum_s c Phi(t, s+1) m_s``, and no farther from there than ``sum_s |c Phi(t, s+1)| R_s + |c Phi(t, 0)| h``:
+a support function of the whole past. Nothing is handed on as a box from step to step.
 
 Products are computed one after the other. That of times s to t is off by a sum of true products from j + 1 to t times
 the rounding at j, so that Frobenius norms of true products bound it, and these by induction.
@@ -43,6 +43,7 @@ class Chain:
     rounded: list[FloatArray] = field(default_factory=list)
     """Bounds (t + 1,) on what the product at each time t, for s = 0 .. t, was rounded by."""
 
+    middles: list[FloatArray] = field(default_factory=list)
     drifts: list[FloatArray] = field(default_factory=list)
     noises: list[FloatArray] = field(default_factory=list)
 
@@ -52,8 +53,11 @@ class Chain:
         self.norms = np.full(1, np.sqrt(d) * TAIL)
         self.spread = self.spread / self.units
 
-    def advance(self, closed: FloatArray, drift: FloatArray, noise: FloatArray) -> None:
-        """Go on by a step: the closed loop (d, d), bounds (d,) on the remainder, the covariance (d, d) of the noise."""
+    def advance(self, closed: FloatArray, middle: FloatArray, drift: FloatArray, noise: FloatArray) -> None:
+        """Go on by a step: the closed loop (d, d), the remainder, the covariance (d, d) of the noise.
+
+        The remainder is within ``drift`` (d,) of ``middle`` (d,).
+        """
         u = self.units
         F, d = closed * (u[None, :] / u[:, None]), len(u)
         sizes = _norms(self.products)
@@ -67,20 +71,28 @@ class Chain:
             lost = np.array([self.rounded[j][s] for j in range(s, t)])
             self.errors[s] = float(self.norms[s + 1 :] @ lost) * TAIL
             self.norms[s] = computed[s] + self.errors[s]
+        self.middles.append(middle / u)
         self.drifts.append(drift / u)
         self.noises.append(noise / u[:, None] / u[None, :])
 
-    def drift(self, rows: FloatArray) -> FloatArray:
-        """Upper bounds (J,) on what rows (J, d) of the deviation are off those of the linear one."""
+    def drift(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What rows (J, d) of the deviation are off those of the linear one: shifts (J,), and upper bounds around them.
+
+        What shifts are rounded by is in the bounds.
+        """
         rows = rows * self.units
         lengths = np.linalg.norm(rows, axis=1) * TAIL
         moved, wrong = self._moved(rows, lengths)
         total = np.abs(moved[:, 0]) @ self.spread + wrong[:, 0] * float(np.linalg.norm(self.spread))
+        shift = np.zeros(len(rows))
         if self.drifts:
-            drifts = np.array(self.drifts)
+            drifts, middles = np.array(self.drifts), np.array(self.middles)
             total = total + np.sum(np.abs(moved[:, 1:]) * drifts, axis=(1, 2))
-            total = total + wrong[:, 1:] @ np.linalg.norm(drifts, axis=1)
-        return np.asarray(total * TAIL)
+            total = total + wrong[:, 1:] @ (np.linalg.norm(drifts, axis=1) + np.linalg.norm(middles, axis=1))
+            shift = np.sum(moved[:, 1:] * middles, axis=(1, 2))
+            size = np.sum(np.abs(moved[:, 1:]) * np.abs(middles), axis=(1, 2))
+            total = total + (middles.size + 8.0) * UNIT * size
+        return shift, np.asarray(total * TAIL)
 
     def variances(self, rows: FloatArray) -> FloatArray:
         """Upper bounds (J,) on the variances of rows (J, d) of the linear deviation."""

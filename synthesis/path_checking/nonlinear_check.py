@@ -3,7 +3,8 @@
 The nominal states xbar and inputs ubar are numbers of the certificate: any sequence will do. With ``x = xbar + e`` and
 ``u = ubar + K_t e`` the deviation obeys ``e' = F_t e + r_t(e) + w`` with any matrix F_t, and r_t is what the dynamics
 are off from it. Where ``|r_t| <= R_t`` on a tube around xbar_t, e is off the linear deviation ``g' = F_t g + w`` by no
-more than the support function of all R_s before (``linear_deviations``). The tube is ``|e_k| <= slab_k + drift_k`` with
+more than the support function of all R_s before (``linear_deviations``); where r_s lies around a middle other than 0,
+all of that is shifted by what middles add up to. The tube is ``|e_k| <= slab_k + drift_k`` with
 a slab on the linear deviation, met with the closed workspace and the input box, which are inequalities, too. So on the
 event that all inequalities on g hold, e is in the tube at each time by induction, and every limit is kept
 (docs/theory/paths.md, "Agents of any dynamics").
@@ -33,7 +34,7 @@ from .gaussian_inequalities import Inequalities
 from .law_moments import NORMAL, moments_of
 from .linear_deviations import Chain
 from .own_angles import HALF_TURN, ROUNDED, TURN, axes_of_angles, copy_of, gap_of
-from .own_bends import Expansion, expansion
+from .own_bends import Expansion, Feedback, expansion
 from .own_regions import RegionSpan
 from .roundings import TAIL, UNIT
 
@@ -183,8 +184,8 @@ class Moment:
                 merged[key] = [below, above, slab]
             merged[key] = [min(a, b) for a, b in zip(merged[key], (below, above, slab), strict=True)]
         forms, ends = np.array(order), np.array(list(merged.values()))
-        drift = self.chain.drift(forms)
-        rows.add(ends[:, 0] - drift, ends[:, 1] - drift, ends[:, 2], *self.chain.spreads(forms))
+        below, above = shortened(ends[:, 0], ends[:, 1], *self.chain.drift(forms))
+        rows.add(below, above, ends[:, 2], *self.chain.spreads(forms))
 
     def _of_copies(self, k: int, low: float, high: float, holds: bool) -> tuple[int, float, float]:
         """Return limits of an output; those of angles are the ends of a copy of a region, or of the gap between two."""
@@ -251,13 +252,17 @@ def moments(agent: AnyAgent, path: AgentPath, rows: Inequalities) -> Iterator[Mo
             raise NothingKnownError(f"agent `{agent.name}`: its nominal state leaves the workspace at step {t}")
         # The start has no noise: it is as far off as the set of starts is wide.
         slab = slabs[:d] if t else np.zeros(d)
-        reach = (slab + chain.drift(np.eye(d))) * TAIL
-        if np.any(reach[free > 0.0] > HALF_TURN):
+        shift, drift = chain.drift(np.eye(d))
+        reach = (slab + drift) * TAIL
+        if np.any((reach + np.abs(shift))[free > 0.0] > HALF_TURN):
             raise NothingKnownError(
                 f"agent `{agent.name}`: at step {t} an angle may be half a turn from where it should be"
             )
         lowest, highest = agent.state_low - free, agent.state_high + free
-        box = np.stack([np.maximum(at - reach, lowest), np.minimum(at + reach, highest)])
+        # The tube lies around what the path is shifted to; the nominal state is in the box, too.
+        reach = reach + 4.0 * UNIT * (np.abs(at) + np.abs(shift))
+        box = np.stack([np.maximum(at + np.minimum(shift - reach, 0.0), lowest),
+                        np.minimum(at + np.maximum(shift + reach, 0.0), highest)])  # fmt: skip
         box = np.stack([np.maximum(np.nextafter(box[0], -np.inf), lowest),
                         np.minimum(np.nextafter(box[1], np.inf), highest)])  # fmt: skip
         yield Moment(t, moving, now, at, box, slabs[:d], chain)
@@ -286,22 +291,24 @@ def _step(agent: AnyAgent, moving: Moving, path: AgentPath, now: Moment, rows: I
     calm = np.clip(0.5 * moving.ranges[0] + 0.5 * moving.ranges[1], moving.ranges[0], moving.ranges[1])
     centre = np.concatenate([now.at, u, calm])
     names = (*moving.states, *moving.inputs, *moving.unknown)
-    found = expansion(moving.trees, names, centre, ranges, d + m)
+    found = expansion(moving.trees, names, centre, ranges, d + m, Feedback(gain, rounding))
     A, B = found.matrix[:, :d], found.matrix[:, d : d + m]
     closed = A + B @ gain
     # The closed loop is what was computed; what it is off from A + B K, and from rounded inputs, joins the remainder.
     matrix_off = (m + 3.0) * UNIT * (np.abs(A) + np.abs(B) @ np.abs(gain))
-    missed = np.maximum(np.abs(found.values[0] - following), np.abs(found.values[1] - following))
-    missed = missed + 2.0 * UNIT * (np.abs(found.values).max(axis=0) + np.abs(following))
+    # What is missed on the way to the next nominal state is the middle of the remainder.
+    middle = 0.5 * (found.values[0] + found.values[1]) - following
+    missed = np.abs(found.values - following - middle).max(axis=0)
+    missed = missed + 8.0 * UNIT * (np.abs(found.values).max(axis=0) + np.abs(following) + np.abs(middle))
     remainder = found.off + missed + matrix_off @ far + np.abs(B) @ rounding
     remainder = remainder + ROUNDED * axes_of_angles(agent)
     noise, more = _noise(agent, moving, now, centre, ranges, rows)
     remainder = (remainder + more) * TAIL
-    if not np.all(np.isfinite(remainder)):
+    if not np.all(np.isfinite(remainder + np.abs(middle))):
         raise NothingKnownError(f"agent `{agent.name}`: nothing is known of its dynamics on the tube at step {t}")
-    if not np.all(np.isfinite(closed)) or float(np.abs(remainder).max()) > 1e100:
+    if not np.all(np.isfinite(closed)) or float((remainder + np.abs(middle)).max()) > 1e100:
         raise NothingKnownError(f"agent `{agent.name}`: its drift grows beyond all limits at step {t}")
-    chain.advance(closed, remainder, noise)
+    chain.advance(closed, middle, remainder, noise)
 
 
 def _inputs(
@@ -316,18 +323,21 @@ def _inputs(
     size = np.abs(gain) @ (now.reach + UNIT * np.abs(now.at)) * TAIL
     rounding = np.where(moved, 4.0 * (len(now.at) + 3.0) * UNIT * (np.abs(u) + size), 0.0)
     rounding = rounding + np.abs(gain) @ (ROUNDED * axes_of_angles(agent))
-    drift = chain.drift(gain)
-    reach = np.minimum(now.slab[:m] + drift, size) + rounding if now.t else drift + rounding
-    reach = np.where(moved, reach * TAIL, 0.0)
+    shift, drift = chain.drift(gain)
+    wide = now.slab[:m] + drift if now.t else drift
+    # No input is farther from its nominal value than the states that it follows.
+    below, above = (np.minimum(np.maximum(wide + sign * shift, 0.0), size) + rounding for sign in (-1.0, 1.0))
+    below, above = (np.where(moved, reach + 4.0 * UNIT * np.abs(shift), 0.0) * TAIL for reach in (below, above))
     box = np.stack(
-        [np.maximum(np.nextafter(u - reach, -np.inf), low), np.minimum(np.nextafter(u + reach, np.inf), high)]
+        [np.maximum(np.nextafter(u - below, -np.inf), low), np.minimum(np.nextafter(u + above, np.inf), high)]
     )
     box = np.where(moved, box, u)
     spare = 4.0 * UNIT * (np.abs(u) + np.maximum(np.abs(low), np.abs(high)))
-    taken = (drift + rounding) * TAIL + spare
+    spare = spare + rounding * TAIL
+    ends = shortened(u - low - spare, high - u - spare, shift, drift * TAIL)
     here = moved
     rows.add(
-        (u - low - taken)[here], (high - u - taken)[here], now.slab[:m][here] if now.t else np.full(here.sum(), np.inf),
+        ends[0][here], ends[1][here], now.slab[:m][here] if now.t else np.full(here.sum(), np.inf),
         *(part[here] for part in chain.spreads(gain)),
     )  # fmt: skip
     return box, rounding
@@ -362,6 +372,17 @@ def _noise(
     more = np.where(noise.off == 0.0, 0.0, largest * noise.off)
     more[here] += varied[here] * noise.deviations[here] * slab[here] * TAIL
     return np.diag(variance), more
+
+
+def shortened(
+    below: FloatArray, above: FloatArray, shift: FloatArray, drift: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return distances from limits after shifts and drifts (J,), rounded inward."""
+    ends = []
+    for distance, moved in ((below, shift), (above, -shift)):
+        size = np.where(np.isfinite(distance), np.abs(distance), 0.0) + np.abs(moved)
+        ends.append(distance + moved - drift - 4.0 * UNIT * size)
+    return ends[0], ends[1]
 
 
 def _near(width: FloatArray) -> FloatArray:

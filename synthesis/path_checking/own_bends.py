@@ -5,10 +5,14 @@ With z in a box around a point c, and a matrix row m,
     f(z) - f(c) - m (z - c) = (f'(c) - m) (z - c) + 1/2 (z - c)' f''(.) (z - c)        (Taylor, on the segment)
     f(z) - f(c) - m (z - c) = (f'(.) - m) (z - c)                                      (mean value theorem)
 
-so that intervals around the first and second derivatives on the whole box bound it. Second derivatives go through the
-operations by the chain rule, as first ones do in ``own_intervals``; those of an operation by itself are expressions,
-which are enclosed there. Where an operation has none (``abs`` across 0, ``min`` where either may be the smaller one),
-they are not numbers, and the mean value theorem stands alone.
+so that intervals around the first and second derivatives on the whole box bound it. Bends have signs: with H in the
+middle of f'' a diagonal entry of H adds numbers of one sign. Inputs are ``K e`` up to rounding, e being what states are
+off, so that ``(e, K e)' H (e, K e) = e' Q e`` with ``Q = (I, K') H (I, K')'`` is a form of states alone: the product of
+an input and the state that it follows is a square. So f(z) lies around ``f(c) + middle + m (z - c)``.
+
+Second derivatives go through the operations by the chain rule, as first ones do in ``own_intervals``; those of an
+operation by itself are expressions, which are enclosed there. Where an operation has none (``abs`` across 0, ``min``
+where either may be the smaller one), they are not numbers, and the mean value theorem stands alone.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ import numpy as np
 from ...envs.expressions import Name, Number, Operation, Tree, read_expression, whole_exponent
 from ..cells import FloatArray
 from .own_intervals import Span, products, span
+from .roundings import UNIT
 
 UP = 1.0 + 2.0**-40
 """Factor on sums of a few thousand nonnegative numbers, far above their rounding."""
@@ -164,17 +169,26 @@ def _outer(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class Feedback:
+    """Inputs that follow states: ``K e`` with gains (m, d), up to what they are rounded by (m,)."""
+
+    gain: FloatArray
+    rounding: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Expansion:
     """Expressions around the point c in a box.
 
     Parameters
     ----------
     values : (2, p) array
-        Ends of the values at c.
+        Ends of the values at c, moved to the middle of what they are off a linear function in the box.
     matrix : (p, v) array
         Any matrix: partial derivatives at c, rounded.
     off : (p,) array
-        Upper bounds on ``|f(z) - f(c) - matrix (z - c)|`` for z in the box; infinite where nothing is known.
+        Upper bounds on how far ``f(z) - matrix (z - c)`` is from these values for z in the box; infinite where nothing
+        is known.
     """
 
     values: FloatArray
@@ -182,38 +196,98 @@ class Expansion:
     off: FloatArray
 
 
-def expansion(trees: Sequence[Tree], names: Sequence[str], at: FloatArray, box: FloatArray, expanded: int) -> Expansion:
+def expansion(
+    trees: Sequence[Tree],
+    names: Sequence[str],
+    at: FloatArray,
+    box: FloatArray,
+    expanded: int,
+    feedback: Feedback | None = None,
+) -> Expansion:
     """Expand expressions around a point ``at`` (v,) in a box (2, v) that holds it.
 
-    The matrix has columns for the first ``expanded`` variables, and zeros for the others, disturbances.
+    The matrix has columns for the first ``expanded`` variables, and zeros for the others, disturbances. With feedback
+    the last ones that are expanded are inputs.
     """
     with np.errstate(all="ignore"):
-        return _expansion(trees, names, at, box, expanded)
+        return _expansion(trees, names, at, box, expanded, feedback)
 
 
 def _expansion(
-    trees: Sequence[Tree], names: Sequence[str], at: FloatArray, box: FloatArray, expanded: int
+    trees: Sequence[Tree],
+    names: Sequence[str],
+    at: FloatArray,
+    box: FloatArray,
+    expanded: int,
+    feedback: Feedback | None,
 ) -> Expansion:
     point = {name: np.array([x, x]) for name, x in zip(names, at, strict=True)}
     inside = dict(zip(names, box.T, strict=True))
-    reach = np.maximum(np.nextafter(box[1] - at, np.inf), np.nextafter(at - box[0], np.inf))
-    reach = np.where((box[0] == at) & (box[1] == at), 0.0, reach)
+    below, above = np.nextafter(at - box[0], np.inf), np.nextafter(box[1] - at, np.inf)
+    is_still = (box[0] == at) & (box[1] == at)
+    below, above = np.where(is_still, 0.0, np.maximum(below, 0.0)), np.where(is_still, 0.0, np.maximum(above, 0.0))
+    reach = np.maximum(below, above)
     values, matrix, off = np.empty((2, len(trees))), np.zeros((len(trees), len(at))), np.empty(len(trees))
     at_point, on_box = dict[Tree, Bend](), dict[Tree, Bend]()
     for k, tree in enumerate(trees):
         centre, around = bend(tree, point, at_point), bend(tree, inside, on_box)
-        values[:, k] = centre.ends
         row = 0.5 * (centre.slopes[0] + centre.slopes[1])
         matrix[k, :expanded] = np.where(np.isfinite(row), row, 0.0)[:expanded]
-        first = _weighed(_apart(centre.slopes, matrix[k]), reach) + 0.5 * _weighed(
-            np.array([_weighed(size, reach) for size in np.abs(around.bends).max(axis=0)]), reach
-        )
+        middle, half = _curved(around.bends, below, above, expanded, feedback)
+        first = _weighed(_apart(centre.slopes, matrix[k]), reach) + half
         second = _weighed(_apart(around.slopes, matrix[k]), reach)
+        if not first <= second:
+            middle = 0.0
         # What is not a number bounds nothing.
         both = [bound * UP for bound in (first, second) if np.isfinite(bound)]
         is_known = bool(np.all(np.isfinite(around.ends)) and np.all(np.isfinite(centre.ends)))
         off[k] = min(both) if both and is_known else np.inf
+        moved = centre.ends + middle
+        values[:, k] = np.array([np.nextafter(moved[0], -np.inf), np.nextafter(moved[1], np.inf)])
+        values[:, k] = centre.ends if middle == 0.0 else values[:, k]
     return Expansion(values, matrix, off)
+
+
+def _curved(
+    bends: FloatArray, below: FloatArray, above: FloatArray, expanded: int, feedback: Feedback | None
+) -> tuple[float, float]:
+    """Return the middle of half the quadratic forms between ends (2, v, v) on a box around 0, and how far they go.
+
+    The box reaches ``below`` and ``above`` (v,). Infinite where nothing is known.
+    """
+    far = np.maximum(below, above)
+    counts = np.multiply.outer(far != 0.0, far != 0.0) & np.any(bends != 0.0, axis=0)
+    low, high = np.where(counts, bends[0], 0.0), np.where(counts, bends[1], 0.0)
+    if not (np.all(np.isfinite(low)) and np.all(np.isfinite(high))):
+        return 0.0, np.inf
+    both = np.multiply.outer(far, far)
+    inside = np.zeros(len(far), dtype=bool)
+    inside[:expanded] = True
+    signed = np.multiply.outer(inside, inside)
+    middle = np.where(signed, 0.5 * low + 0.5 * high, 0.0)
+    apart = np.nextafter(np.maximum(high - middle, middle - low), np.inf) * counts
+    spare = float(np.sum(apart * both))
+    # Only states are left: what inputs add is a form of these.
+    H, d = middle[:expanded, :expanded], expanded
+    if feedback is not None:
+        d = expanded - len(feedback.gain)
+        follow = np.concatenate([np.eye(d), feedback.gain])
+        rounded = np.concatenate([np.zeros(d), feedback.rounding])
+        size, n = np.abs(H), float(expanded)
+        spare += 2.0 * float(rounded @ size @ (far[:expanded] + rounded)) * UP
+        computed = (2.0 * n + 8.0) * UNIT * (np.abs(follow).T @ size @ np.abs(follow))
+        spare += float(np.sum(computed * both[:d, :d])) * UP
+        H = follow.T @ H @ follow
+    # Products of two numbers of a box are between those of its corners; squares are not below 0.
+    outer = np.maximum(np.multiply.outer(below, below), np.multiply.outer(above, above))[:d, :d]
+    inner = np.maximum(np.multiply.outer(below, above), np.multiply.outer(above, below))[:d, :d]
+    np.fill_diagonal(inner, 0.0)
+    most = float(np.sum(np.where(H > 0.0, H * outer, -H * inner)))
+    least = float(np.sum(np.where(H > 0.0, H * inner, -H * outer)))
+    spare += (d * d + 8.0) * 2.0 * UNIT * (most + least)
+    # The form is between -least and most, up to what is spare.
+    centre = 0.25 * (most - least)
+    return centre, (0.25 * (most + least) + 0.5 * spare + 4.0 * UNIT * (most + least)) * UP
 
 
 def _apart(slopes: FloatArray, row: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ row like any other. Where a pair is not to hold, the certificate names a directi
 to hold, there are two limits for each output that is compared. With the Jacobians C of outputs,
 
     variance   n' (C_i S_i C_i' + C_j S_j C_j') n,      drift   D_i(n'C_i) + D_j(n'C_j) + |n|'(off_i + off_j),
+    shift      the sum of those of both rows,
 
 where noises of different agents are independent, and both tubes hold (docs/theory/paths.md, "Teams"). Where agents
 share sources of noise, what both sides make of the same numbers is added: twice the product of their coefficients.
@@ -22,7 +23,7 @@ from ...envs.agents import PairRegion
 from ..cells import FloatArray
 from ..certificates import PathCertificate
 from .gaussian_inequalities import Inequalities
-from .nonlinear_check import Moment, NothingKnownError, moments
+from .nonlinear_check import Moment, NothingKnownError, moments, shortened
 from .roundings import TAIL, UNIT
 
 LEAST_SIZE = 1e-6
@@ -104,7 +105,7 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities,
         return
     below = np.empty(len(forms))
     above = np.full(len(forms), np.inf)
-    drift, variance, largest = np.zeros((3, len(forms)))
+    shift, drift, variance, largest = np.zeros((4, len(forms)))
     of_agents: dict[int, list[tuple[int, FloatArray]]] = {}
     for k, form in enumerate(forms):
         least, most, off = 0.0, 0.0, 0.0
@@ -118,7 +119,8 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities,
             above[k] = form.high - most - off - spare - 8.0 * UNIT * abs(form.high)
     for i, members in of_agents.items():
         here, matrix = np.array([k for k, _ in members]), np.array([row for _, row in members])
-        drift[here] += now[i].chain.drift(matrix)
+        moved, wide = now[i].chain.drift(matrix)
+        shift[here], drift[here] = shift[here] + moved, drift[here] + wide + 2.0 * UNIT * np.abs(moved)
         own, steps = now[i].chain.spreads(matrix)
         variance[here] += own
         largest[here] = np.maximum(largest[here], steps)
@@ -127,8 +129,8 @@ def _add_pairs(now: Sequence[Moment], forms: Sequence[Form], rows: Inequalities,
         # What is left may be next to nothing: rounding is a share of what was added and taken off.
         variance = np.maximum(variance + common, 0.0) + rounded + 8.0 * UNIT * variance
         largest = 4.0 * largest
-    drift, variance = drift * TAIL, variance * TAIL
-    rows.add(below - drift, above - drift, np.full(len(forms), np.inf), variance, largest)
+    below, above = shortened(below, above, shift, drift * TAIL)
+    rows.add(below, above, np.full(len(forms), np.inf), variance * TAIL, largest)
 
 
 def _common(

@@ -22,7 +22,7 @@ class Whereabouts:
     Parameters
     ----------
     centre : (2, p) array
-        Nominal values from below and above.
+        Nominal values and what they are shifted by, from below and above.
     wider : (p,) array
         Upper bounds on what outputs are off nominal values and linear deviations, while the path is kept.
     covariance, off : (p, p) arrays
@@ -54,8 +54,10 @@ def whereabouts_along(agent: AnyAgent, path: AgentPath, outputs: Sequence[int]) 
             rows, values = found.matrix[places], found.values[:, places]
             # Rows round: what they are off by acts on deviations within the box.
             rounded = (len(now.at) + 4.0) * UNIT * (np.abs(values).max(axis=0) + size @ now.reach)
-            wider = (now.chain.drift(rows) + found.off[places] + rounded) * TAIL
-            result.append(Whereabouts(values, wider, *now.chain.covariance(rows)))
+            shift, drift = now.chain.drift(rows)
+            rounded = rounded + 4.0 * UNIT * (np.abs(values).max(axis=0) + np.abs(shift))
+            wider = (drift + found.off[places] + rounded) * TAIL
+            result.append(Whereabouts(values + shift, wider, *now.chain.covariance(rows)))
     except NothingKnownError as error:
         raise ArithmeticError(str(error)) from None
     return result
