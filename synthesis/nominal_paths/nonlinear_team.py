@@ -22,8 +22,8 @@ from .polish import polished
 from .team_search import TeamFound, TeamSearch
 from .words import Plan, letters_of
 
-MOST_PLANS = 6
-"""Ways with times that are tried at first."""
+MOST_PLANS, MOST_HOPELESS = 6, 18
+"""Ways with times that are tried at first, and as long as none of them can be followed at all."""
 
 MOST_MOVES = 14
 """Moves of the times of jumps that are tried after that."""
@@ -271,9 +271,10 @@ def found_for_team(problem: Problem, plans: Sequence[Iterable[Plan]], work: Coun
     team: _Apart | _Together = _Together(problem, work) if pairs else _Apart(problem, work)
     for some in plans:
         possible = (plan for plan in some if letters_of(problem, plan) is not None)
-        for plan in islice(possible, MOST_PLANS if pairs <= FEW_PAIRS else 2):
+        for number, plan in enumerate(islice(possible, MOST_HOPELESS if pairs <= FEW_PAIRS else 2), start=1):
             team.of_plan(plan)
-            if team.best is not None and (team.best[0] < PROMISING or work.is_over()):
+            best_so_far = np.inf if team.best is None else team.best[0]
+            if best_so_far < PROMISING or work.is_over() or (number >= MOST_PLANS and best_so_far < 0.0):
                 break
         if team.best is not None and (team.best[0] < HARDLY or work.is_over()):
             break
@@ -315,14 +316,14 @@ def _with_better_times(team: _Apart | _Together, work: CountedWork) -> None:
     while step and tried < MOST_MOVES and team.best is not None:
         before = team.best[0]
         _, (way, times, steps), _, _ = team.best
-        for k in range(len(times)):
+        for group in way.groups:
             for move in (-step, step):
-                moved = [*times[:k], times[k] + move, *times[k + 1 :]]
+                moved = way.moved(times, group, move)
                 fits = 1 <= moved[0] and moved[-1] <= problem.horizon and all(a < b for a, b in zip(moved, moved[1:]))
                 if not fits or tried >= MOST_MOVES or not work.allows(dearest):
                     continue
                 tried, spent = tried + 1, work.spent
-                is_last = k == len(times) - 1 and problem.automaton.is_co_safe
-                team.of_plan(Plan(way, tuple(moved), moved[-1] if is_last else steps), team.best[0] + NEAR)
+                is_last = group[-1] == len(times) - 1 and problem.automaton.is_co_safe
+                team.of_plan(Plan(way, moved, moved[-1] if is_last else steps), team.best[0] + NEAR)
                 dearest = max(dearest, work.spent - spent)
         step = step if team.best[0] < before else step // 2

@@ -112,21 +112,36 @@ def refuse_without_path(problem: Problem) -> None:
 def _plans(problem: Problem) -> Iterator[Plan]:
     """Yield ways with times of their jumps: evenly spread, or as early or as late as possible.
 
-    Where regions move, jumps are at the nearest times at which what they ask for can hold.
+    Where regions move, jumps are at the nearest times at which what they ask for can hold. The next way is begun before
+    further times of those before it: a way may ask for something that cannot be.
     """
     drifts = Drifts(problem)
-    for way in ways_of(problem):
-        n, seen = len(way.jumps), set[tuple[int, ...]]()
-        if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
-            continue
-        for share in (1.0, 0.6, 0.8):
-            last = max(n, round(share * problem.horizon))
-            times = tuple(max(k + 1, round((k + 1) * last / n)) for k in range(n))
-            if problem.labeling.moves:
-                times = _nearest_times(problem, way, times)
-            if len(times) == n and times not in seen and all(a < b for a, b in zip(times, times[1:])):
-                seen.add(times)
-                yield from _possible(problem, drifts, way, times)
+    begun, ways = list[Iterator[Plan]](), ways_of(problem)
+    while True:
+        if (way := next(ways, None)) is not None:
+            begun.insert(0, _timed(problem, drifts, way))
+        elif not begun:
+            return
+        for plans in [*begun]:
+            if (plan := next(plans, None)) is not None:
+                yield plan
+            else:
+                begun.remove(plans)
+
+
+def _timed(problem: Problem, drifts: Drifts, way: Way) -> Iterator[Plan]:
+    """Yield a way with times of its jumps."""
+    n, seen = len(way.jumps), set[tuple[int, ...]]()
+    if n > problem.horizon or (n == 0 and problem.automaton.is_co_safe):
+        return
+    for share in (1.0, 0.6, 0.8):
+        groups = len(way.groups)
+        times = way.spread([1.0 / groups] * groups, max(n, round(share * problem.horizon))) if n else ()
+        if problem.labeling.moves:
+            times = _nearest_times(problem, way, times)
+        if len(times) == n and times not in seen and all(a < b for a, b in zip(times, times[1:])):
+            seen.add(times)
+            yield from _possible(problem, drifts, way, times)
 
 
 def _segmented_plans(problem: Problem) -> Iterator[Plan]:
@@ -173,16 +188,15 @@ def _with_better_times(finder: _Finder, best: tuple[float, Plan, Any]) -> tuple[
     step = max(1, finder.problem.horizon // 8)
     while step and best[0] > ENOUGH:
         improved = False
-        for k in range(len(best[1].times)):
+        for group in best[1].way.groups:
             for move in (-step, step):
-                times = list(best[1].times)
-                times[k] += move
-                is_last = k == len(times) - 1
+                times = best[1].way.moved(best[1].times, group, move)
+                is_last = group[-1] == len(times) - 1
                 fits = 1 <= times[0] and times[-1] <= finder.problem.horizon
                 if not fits or any(a >= b for a, b in zip(times, times[1:])):
                     continue
                 steps = times[-1] if is_last and finder.problem.automaton.is_co_safe else best[1].steps
-                plan = Plan(best[1].way, tuple(times), steps)
+                plan = Plan(best[1].way, times, steps)
                 found = finder.of_plan(plan)
                 if found is not None and found[0] < best[0]:
                     best, improved = (found[0], plan, found[1]), True

@@ -7,7 +7,7 @@ read, and leaves it at a time of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import product
@@ -44,6 +44,26 @@ class Way:
 
     stays: tuple[Cube | None, ...]
     jumps: tuple[Cube, ...]
+
+    @property
+    def groups(self) -> list[range]:
+        """Jumps by their numbers, those together between which there is no stay: each is a step after the other."""
+        firsts = [k for k in range(len(self.jumps)) if k == 0 or self.stays[k] is not None]
+        return [range(a, b) for a, b in zip(firsts, [*firsts[1:], len(self.jumps)], strict=True)]
+
+    def spread(self, shares: Sequence[float], last: int) -> tuple[int, ...]:
+        """Return times of the jumps: groups begin after shares of the time up to the last jump, which sum up to 1."""
+        groups, times = self.groups, list[int]()
+        free, passed = last - (len(self.jumps) - len(groups)), 0.0
+        for share, group in zip(shares, groups, strict=True):
+            passed += share
+            first = max(len(times) + 1, round(passed * free) + len(times) - groups.index(group))
+            times += range(first, first + len(group))
+        return tuple(times)
+
+    def moved(self, times: tuple[int, ...], group: range, by: int) -> tuple[int, ...]:
+        """Return times of which those of a group are others."""
+        return tuple(time + by * (k in group) for k, time in enumerate(times))
 
     def letters(self, times: tuple[int, ...], steps: int, n_propositions: int) -> NDArray[np.int8] | None:
         """Return the letters (steps + 1, P) of a way that jumps at some times; None if it cannot stay where it must."""
