@@ -49,7 +49,7 @@ class Way:
     def groups(self) -> list[range]:
         """Jumps by their numbers, those together between which there is no stay: each is a step after the other."""
         firsts = [k for k in range(len(self.jumps)) if k == 0 or self.stays[k] is not None]
-        return [range(a, b) for a, b in zip(firsts, [*firsts[1:], len(self.jumps)], strict=True)]
+        return [range(a, b) for a, b in zip(firsts, [*firsts[1:], len(self.jumps)])]
 
     def spread(self, shares: Sequence[float], last: int) -> tuple[int, ...]:
         """Return times of the jumps: groups begin after shares of the time up to the last jump, which sum up to 1."""
