@@ -31,8 +31,13 @@ BATCH = 24
 GENERATIONS = 5
 """Batches of candidates after a plan, each closer around the best ones."""
 
-REPLANS = 3
+REPLANS = 4
 """How often a nominal path is planned anew."""
+
+RARE, RESERVES = 0.1, ((1.4, 2.0, 1.0), (1.0, 1.4))
+"""What plans take a deviation for, in deviations, one after the other: of paths that fail less often than this, and of
+others. A plan that reckons with true deviations has no reason to keep farther away than four of them: by then effort
+costs more than what is left to gain."""
 
 AT_LIMIT = 1e-3
 """Share of its range within which an input counts as standing at its limit, and has no feedback."""
@@ -115,17 +120,15 @@ class NonlinearSearch:
         if self.work.is_over():
             return found
         found = self.searched(found, GENERATIONS)
+        reserves = [*reserves_for(found.failure)]
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH or self.work.is_over():
+            if found.failure <= ENOUGH or self.work.is_over() or not reserves:
                 break
-            again = self._planned_anew(letters, found)
-            if again is None:
-                break
-            again = self.searched(again, GENERATIONS)
-            if again.score >= found.score - 1e-3:
-                found = again if again.score < found.score else found
-                break
-            found = again
+            again = self._planned_anew(letters, found, reserves[0])
+            again = None if again is None else self.searched(again, GENERATIONS)
+            if again is None or again.score >= found.score - 1e-3:
+                reserves.pop(0)
+            found = again if again is not None and again.score < found.score else found
         return found
 
     def _along(
@@ -237,14 +240,14 @@ class NonlinearSearch:
             states = aim_free.rolled(snapped)
         return NominalPath(self.model, limits, states, snapped)
 
-    def _planned_anew(self, letters: NDArray[np.int8], found: Found) -> Found | None:
+    def _planned_anew(self, letters: NDArray[np.int8], found: Found, reserve: float = 1.0) -> Found | None:
         """Return a nominal path planned with the deviations and drifts of another one; None if that fails."""
         agent, spreads = self.agent, found.spreads
         pairs = []
         for (sd, drift, _), width in zip(
             (spreads.states, spreads.outputs, spreads.inputs), (self.width, self.spans, 2.0 * self.half), strict=True
         ):
-            sharp = np.clip(sd, 1e-5 * width, WIDEST * width)
+            sharp = np.clip(reserve * sd, 1e-5 * width, WIDEST * width)
             pairs.append((sharp, np.clip(QUARTER * drift, 0.0, WIDEST * width)))
         outputs, _ = found.nominal.outputs
         sharp = np.median(pairs[1][0], axis=0)
@@ -306,6 +309,11 @@ class NonlinearSearch:
     def _scored(self, nominal: NominalPath, faces: NDArray[np.int64], thetas: FloatArray) -> tuple[Found, FloatArray]:
         """Return the best of some candidates, and the scores of all."""
         return scored([(self, nominal, thetas)], faces)[0]
+
+
+def reserves_for(failure: float) -> tuple[float, ...]:
+    """Return what plans that are made anew take a deviation for, in deviations, where paths so far fail so often."""
+    return RESERVES[0] if failure < RARE else RESERVES[1]
 
 
 Candidates = tuple[NonlinearSearch, NominalPath, FloatArray]

@@ -21,7 +21,7 @@ from .counted_work import CountedWork
 from .feedback_bounds import Feedback, NominalPath, worth_of
 from .limit_rows import Worth
 from .nominal_planner import Aim, Planner
-from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, scored
+from .nonlinear_search import ENOUGH, QUARTER, WIDEST, Found, NonlinearSearch, is_inside, reserves_for, scored
 from .pair_costs import PairAim, PairLimits, pair_limits
 from .pair_rows import PairRows, deviations_of, pair_rows
 from .path_limits import Limits, limits_along, sides_of
@@ -39,7 +39,7 @@ STAGES = ((300.0, 20), (10.0, 30), (0.0, 120))
 NARROW = 0.15
 """Share of a range or a box that plans take for a deviation at first, at most."""
 
-REPLANS = 3
+REPLANS = 4
 """How often a team is planned anew."""
 
 FEW = 8
@@ -108,16 +108,15 @@ class TeamSearch:
             return found
         limits = pair_limits(self.problem, letters)
         found = self._improved(found, limits)
+        reserves = [*reserves_for(found.failure)]
         for _ in range(REPLANS):
-            if found.failure <= ENOUGH or self.work.is_over():
+            if found.failure <= ENOUGH or self.work.is_over() or not reserves:
                 break
-            again = self._planned_anew(letters, limits, found)
-            if again is None:
-                break
-            again = self._improved(again, limits)
-            if again.score >= found.score - 1e-3:
-                return again if again.score < found.score else found
-            found = again
+            again = self._planned_anew(letters, limits, found, reserves[0])
+            again = None if again is None else self._improved(again, limits)
+            if again is None or again.score >= found.score - 1e-3:
+                reserves.pop(0)
+            found = again if again is not None and again.score < found.score else found
         return found
 
     # --- plans
@@ -193,14 +192,18 @@ class TeamSearch:
             return None
         return cost, (self._nominals(letters, states, u, faces), faces)
 
-    def _planned_anew(self, letters: NDArray[np.int8], limits: list[PairLimits], found: TeamFound) -> TeamFound | None:
+    def _planned_anew(
+        self, letters: NDArray[np.int8], limits: list[PairLimits], found: TeamFound, reserve: float = 1.0
+    ) -> TeamFound | None:
         """Return nominal paths planned with the deviations and drifts of others; None if that fails."""
         pairs_of = []
         for name, size in (("states", "width"), ("outputs", "spans"), ("inputs", "half")):
             width = np.concatenate([getattr(search, size) for search in self.searches])
             width = 2.0 * width if size == "half" else width
             sd, drift = (np.concatenate([getattr(one.spreads, name)[k] for one in found.found], axis=1) for k in (0, 1))
-            pairs_of.append((np.clip(sd, 1e-5 * width, WIDEST * width), np.clip(QUARTER * drift, 0.0, WIDEST * width)))
+            pairs_of.append(
+                (np.clip(reserve * sd, 1e-5 * width, WIDEST * width), np.clip(QUARTER * drift, 0.0, WIDEST * width))
+            )
         pairs = []
         for group in limits:
             drift = pairs_of[1][1][:, group.places[0]] + pairs_of[1][1][:, group.places[1]]
