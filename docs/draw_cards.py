@@ -114,7 +114,7 @@ def _box(panel: Panel, region: Region, horizon: int) -> tuple[tuple[float, float
 
 
 def _episodes(plot: Any, panel: Panel, states: Any, success: Any) -> None:
-    """Draw whole episodes: a ring where they begin, a dot where they end, a cross where they fail."""
+    """Draw whole episodes: a ring where they begin, a dot or an arrow where they end, a cross where they fail."""
     many = len(panel.curves) > 6
     for curve in panel.curves:
         track, color = states @ curve.rows.T, agent_color(curve.number)
@@ -122,8 +122,10 @@ def _episodes(plot: Any, panel: Panel, states: Any, success: Any) -> None:
             here = track[~np.isnan(track[:, m]).any(axis=1), m]
             x = here[:, 0] if panel.is_map else np.arange(len(here))
             plot.plot(x, here[:, -1], color=color, linewidth=0.9, alpha=0.75, zorder=3)
-            end: dict[str, Any] = {"marker": "o", "ms": 3.6, "color": color} if success[m] else {"marker": "X", "ms": 6}
-            plot.plot(x[-1:], here[-1:, -1], mec="white", mew=0.4, zorder=5, **({"color": FAILURE} | end))
+            arrow = curve.arrow(states[len(here) - 1, m])
+            mark: Any = {"marker": "o", "ms": 3.6} if arrow is None else {"marker": arrow.tolist(), "ms": 8}
+            end: dict[str, Any] = mark | {"color": color} if success[m] else {"marker": "X", "ms": 6, "color": FAILURE}
+            plot.plot(x[-1:], here[-1:, -1], mec="white", mew=0.4, zorder=5, **end)
             plot.plot(x[:1], here[:1, -1], marker="o", ms=4.2, mfc="white", mec=color, mew=1.1, zorder=4)
 
 
