@@ -31,9 +31,8 @@ EPISODES, PANELS, NAMES = 6, 2, 5
 COLORS = 40
 """Colours of a file."""
 
-CROWDED, FAINT, FEWER = 1.0, 0.45, 2
-"""Areas of regions, in panels, from which on a card is crowded; how much of their colour is left then, without hatches,
-and how many episodes are drawn."""
+FAINT, FEWER = 0.45, 2
+"""Of crowded panels: how much of the colour of regions is left, without hatches, and how many episodes are drawn."""
 
 
 def card(id: str) -> Any:
@@ -45,7 +44,7 @@ def card(id: str) -> Any:
     figure, plots = new_figure(*INCHES, rows=len(shown) // side, columns=side)
     for panel, plot in zip(shown, plots, strict=True):
         _regions(plot, panel, claim.problem.horizon)
-        few = FEWER if _covered(panel, claim.problem.horizon) > CROWDED else EPISODES
+        few = FEWER if panel.is_crowded(claim.problem.horizon) else EPISODES
         _episodes(plot, panel, states[:, :few], success[:few])
         _axes(plot, panel, claim.problem.horizon)
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02)
@@ -77,8 +76,7 @@ def _few() -> Any:
 
 def _regions(plot: Any, panel: Panel, horizon: int) -> None:
     """Draw the regions in the looks of their roles, with names where there are few."""
-    # Where regions cover hardly less than everything their hatches would hide the episodes.
-    faint = FAINT if _covered(panel, horizon) > CROWDED else 1.0
+    faint = FAINT if panel.is_crowded(horizon) else 1.0
     for region in panel.drawn:
         look, (corner, size) = LOOKS[region.role], _box(panel, region, horizon)
         plot.add_patch(Rectangle(corner, *size, facecolor=look.color, alpha=0.2 * faint, linewidth=0, zorder=0.5))
@@ -95,13 +93,6 @@ def _regions(plot: Any, panel: Panel, horizon: int) -> None:
         middle = min(max(0.5 * (x + right), panel.low[0]), panel.high[0]) if panel.is_map else 0.97 * horizon
         align = "center" if panel.is_map else "right"
         plot.text(middle, y + 0.5 * height, region.name, ha=align, va="center", bbox=box, **place)
-
-
-def _covered(panel: Panel, horizon: int) -> float:
-    """Return the areas of all regions, as a share of the panel."""
-    width = panel.high[0] - panel.low[0] if panel.is_map else horizon
-    sizes = [_box(panel, region, horizon)[1] for region in panel.drawn]
-    return float(sum(a * b for a, b in sizes) / (width * (panel.high[-1] - panel.low[-1])))
 
 
 def _box(panel: Panel, region: Region, horizon: int) -> tuple[tuple[float, float], tuple[float, float]]:

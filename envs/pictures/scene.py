@@ -122,6 +122,15 @@ class Panel:
         shown = {times[round(k)] for k in np.linspace(0, len(times) - 1, MOST_PLACES)}
         return tuple(region for region in self.regions if region.time is None or region.time in shown)
 
+    def is_crowded(self, horizon: int) -> bool:
+        """Whether the regions, one by one, cover more than the panel: their hatches would hide the curves."""
+        across = self.high[0] - self.low[0] if self.is_map else float(horizon)
+        whole, areas = across * (self.high[-1] - self.low[-1]), 0.0
+        for region in self.drawn:
+            first, last = (region.low[0], region.high[0]) if self.is_map else region.span(horizon)
+            areas += (last - first) * (region.high[-1] - region.low[-1])
+        return areas > whole
+
     @property
     def named(self) -> tuple[Region, ...]:
         """The regions whose names are written: of one that moves only the first."""
