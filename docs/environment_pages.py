@@ -137,10 +137,14 @@ TIERS = {
 USE = """```python
 import certigym as cg
 
-env = cg.parallel_env("meeting-v0", render_mode="rgb_array")  # PettingZoo; also `cg.aec_env`
-env = cg.central_env("meeting-v0", reward="shaped")  # Gymnasium: one learner moves all agents
-envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")  # Gymnasium, in one batch
-env = cg.parallel_env("my-task.toml")  # or a `cg.Problem`: all three take an id, a file or a problem
+# PettingZoo; also `cg.aec_env`
+env = cg.parallel_env("meeting-v0", render_mode="rgb_array")
+# Gymnasium: one learner moves all agents
+env = cg.central_env("meeting-v0", reward="shaped")
+# Gymnasium, in one batch
+envs = cg.vector_env("meeting-v0", 1000, autoreset_mode="SameStep")
+# or a `cg.Problem`: all three take an id, a file or a problem
+env = cg.parallel_env("my-task.toml")
 ```
 
 Ids are registered with PettingZoo and Gymnasium when `certigym` is imported. Pictures need `pip install certigym[viz]`,
