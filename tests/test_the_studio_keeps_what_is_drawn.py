@@ -596,6 +596,27 @@ def test_edges_cones_and_parts_follow_the_pointer(browser: Chromium, tmp_path: P
         page.stop()
 
 
+def test_changes_that_follow_at_once_are_all_kept(browser: Chromium, tmp_path: Path) -> None:
+    """Two regions moved before the first change is answered: both stand in the text, each can be taken back."""
+    (tmp_path / "ship.toml").write_text(PARTS)
+    page = Studio(tmp_path, "ship.toml").start()
+    try:
+        tab = browser.open(page.address)
+        tab.until(f"{SEEN} && document.querySelectorAll('#panels .body').length === 4")
+        first, second = '["propositions", "light", "cone", "tip"]', '["propositions", "shore", "halfspace", "offset"]'
+        edits = [
+            f"{{set: [[{first}, {tip}]], more: {more}}}" for tip, more in (("[8, 4]", "false"), ("[8, 5]", "true"))
+        ]
+        edits += [f"{{set: [[{second}, {offset}]], more: false}}" for offset in (2, 3)]
+        tab.run(f"Promise.all([{', '.join(f'studio.link.edit({edit})' for edit in edits)}]).then(() => null)")
+        assert "tip = [8, 5]" in tab.run("studio.link.text") and "offset = 3" in tab.run("studio.link.text")
+        for undone in ("offset = 2", "offset = 1", "tip = [9, 4]"):
+            tab.click("#undo")
+            assert undone in tab.run("studio.link.text"), undone
+    finally:
+        page.stop()
+
+
 def test_agents_with_a_heading_are_arrows(browser: Chromium, tmp_path: Path) -> None:
     """At the start, and along episodes: the tip, which is the first corner, points to where the robot does."""
     turned = UNICYCLE.replace("initial_state = [1.0, 1.0, 0.0]", "initial_state = [1.0, 1.5, 1.5707963]")

@@ -357,6 +357,7 @@ export class Picture {
   /** Sends a change; `more` says that it goes on with the one before. */
   send(set, more) {
     this.waits = Number.MAX_SAFE_INTEGER;
+    // Until the last change is answered, what the server saw is older than what is drawn.
     this.edit({set, more: Boolean(more)}).then(() => { this.waits = 1; this.key = ""; });
   }
 
